@@ -22,36 +22,6 @@ _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (*FULL, errno.EROFS)
 _LEAST_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
 
-# Written out, and not left to the parser, so that it appears at once.
-HELP = """usage: asg COMMAND [OPTIONS]
-
-ActiveStructure Gym: planners for active 3D reconstruction, compared.
-
-  asg compare      run policies on scenes under one budget
-  asg score        follow the trajectory of any system, and measure the map
-  asg policies     list the policies, or describe one
-  asg scenes       list the scenes, or check one
-  asg features     list the features of a view that a policy can ask for
-  asg config       print the configuration of an episode
-  asg doctor       print what works here, and which package is missing
-  asg bench        measure the speed of the sensor, the rasteriser, the map
-  asg train        train a learned policy (bc, rank, ppo), or score policies
-  asg evaluate     measure finished runs again from their maps, or any map
-  asg verify       play finished runs again, and compare them byte for byte
-  asg export       write a run's map as PLY, .splat or SplaTAM's params.npz
-  asg report       write the report of finished runs, and tables for papers
-  asg replay       write a run, or two, as a page that shows the map grow
-  asg watch        play an episode in a browser, and choose views yourself
-  asg cache        show what is kept on disk between runs, or remove it
-  asg completion   print a script that completes all of this in a shell
-
-  asg COMMAND --help    the options of a command
-  asg --version
-
-Begin with `asg compare`: random against activestructure in a furnished room,
-in about a minute, with nothing to download."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code.
 
@@ -71,9 +41,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _answered(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help") or arguments == ["help"]:
-        say(HELP)
+        from activestructure_gym.evaluation.cli.commands import help_text
+
+        say(help_text())
         return 0
-    if arguments[0] == "--version":
+    if arguments[0] in ("-V", "--version"):
         from activestructure_gym._version import __version__
 
         say(f"activestructure-gym {__version__}")
@@ -185,6 +157,6 @@ def _run(arguments: Sequence[str]) -> int:
 
     try:
         command = parse(kind, name, rest)
-    except SystemExit:  # after help
-        return 0
+    except SystemExit as end:  # after help, or after a message of tyro
+        return int(end.code or 0)
     return command.run()

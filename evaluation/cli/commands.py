@@ -1,32 +1,62 @@
-"""The subcommands by name, and where the options of each stand; a module is loaded when its command is asked for."""
+"""The commands by group and name, and the help that lists them; a command's module is loaded when it is asked for."""
 
 from __future__ import annotations
 
+import ast
 import typing
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Protocol
 
 from activestructure_gym.errors import unknown_name
 
-COMMANDS = {
-    "compare": "compare:Compare",
-    "score": "score:Score",
+GROUPS = {
+    "Run": {
+        "compare": "compare:Compare",
+        "watch": "watch:Watch",
+        "train": "train:Train",
+        "score": "score:Score",
+    },
+    "Look": {
+        "report": "report:Report",
+        "replay": "replay:Replay",
+    },
+    "Check": {
+        "evaluate": "evaluate:Evaluate",
+        "verify": "verify:Verify",
+    },
+    "List": {
+        "list": "lists:List",
+    },
+    "Files": {
+        "export": "export:Export",
+        "cache": "cache:Cache",
+    },
+    "System": {
+        "doctor": "doctor:Doctor",
+        "bench": "bench:Bench",
+        "completion": "completion:Completion",
+    },
+}
+# `asg policies` is `asg list policies`; help shows the latter alone.
+ALIASES = {
     "policies": "policies:Policies",
     "scenes": "scenes:Scenes",
     "features": "features:Features",
     "config": "config:Config",
-    "doctor": "doctor:Doctor",
-    "bench": "bench:Bench",
-    "train": "train:Train",
-    "evaluate": "evaluate:Evaluate",
-    "verify": "verify:Verify",
-    "export": "export:Export",
-    "report": "report:Report",
-    "replay": "replay:Replay",
-    "watch": "watch:Watch",
-    "cache": "cache:Cache",
-    "completion": "completion:Completion",
 }
+SHOWN = {name: place for commands in GROUPS.values() for name, place in commands.items()}
+COMMANDS = SHOWN | ALIASES
+
+_HELP = """usage: asg COMMAND [OPTIONS]
+
+ActiveStructure Gym: planners for active 3D reconstruction, compared.
+{groups}
+asg COMMAND --help prints the options of a command, asg --version the version.
+
+Begin with `asg compare`: random against activestructure in a furnished room,
+in about a minute, with nothing to download."""
 
 
 class Command(Protocol):
@@ -37,7 +67,7 @@ class Command(Protocol):
 
 
 def find_command(name: str) -> type[Command]:
-    """The options of a subcommand; raises `InputError` for a name that is none."""
+    """Return the options of a command; raises `InputError` for an unknown name."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     module, _, kind = COMMANDS[name].partition(":")
@@ -46,7 +76,26 @@ def find_command(name: str) -> type[Command]:
 
 
 def parts_of(kind: type) -> dict[str, type]:
-    """The names and the options of what a command is split into, as train into bc, rank, ...; {} for most."""
+    """Return the parts of a command by name, as bc, rank, ... of train, with their options; {} for most."""
     unions = [typing.get_args(hint) for hint in typing.get_type_hints(kind, include_extras=True).values()]
     annotated = [typing.get_args(part) for union in unions for part in union if typing.get_origin(part) is Annotated]
     return {note.name: options for options, *notes in annotated for note in notes if getattr(note, "name", None)}
+
+
+def help_text() -> str:
+    """Return the help of ``asg``: every group with its commands."""
+    size = max(map(len, SHOWN))
+    lines = list[str]()
+    for group, commands in GROUPS.items():
+        lines += ["", group, *(f"  {name:{size}}  {summary(name)}" for name in commands)]
+    return _HELP.format(groups="\n".join([*lines, ""]))
+
+
+def summary(name: str) -> str:
+    """Return the first line of a command's docstring, from its source: an import of all commands takes too long."""
+    module, _, kind = COMMANDS[name].partition(":")
+    spec = find_spec(f"{__package__}.{module}")
+    assert spec is not None and spec.origin is not None
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    (node,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind)
+    return (ast.get_docstring(node) or "").partition("\n")[0].rstrip(".")

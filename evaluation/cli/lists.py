@@ -1,0 +1,31 @@
+"""``asg list``: the names that options take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from activestructure_gym.evaluation.cli.config import Config
+from activestructure_gym.evaluation.cli.features import Features
+from activestructure_gym.evaluation.cli.policies import Policies
+from activestructure_gym.evaluation.cli.scenes import Scenes
+
+
+@tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
+@dataclass(frozen=True)
+class List:
+    """List policies, scenes, features or configuration fields."""
+
+    what: (
+        Annotated[Policies, tyro.conf.subcommand("policies")]
+        | Annotated[Scenes, tyro.conf.subcommand("scenes")]
+        | Annotated[Features, tyro.conf.subcommand("features")]
+        | Annotated[Config, tyro.conf.subcommand("config")]
+    )
+    """The kind of names to list."""
+
+    def run(self) -> int:
+        """Print the list."""
+        return self.what.run()

@@ -16,9 +16,10 @@ from activestructure_gym.streams import escape
 
 @dataclass(frozen=True)
 class Cache:
-    """Show what is kept on disk between runs, or remove it: what scenes share, and compiled kernels.
+    """Show or remove files that are kept between runs.
 
-    The cache of scenes keeps itself below ASG_CACHE_MAX (4GiB if not set): what was used longest ago goes first.
+    These are computed facts about scenes, and compiled kernels. The cache of scenes stays below ASG_CACHE_MAX (default:
+    4GiB); the least recently used files are removed first.
     """
 
     what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"

@@ -20,7 +20,10 @@ _LONGEST = 20  # characters of a version; a checksum has 64
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what works here, what does not, and which package is missing; or what a dataset's folder holds."""
+    """Check what works on this machine, or a dataset's folder.
+
+    Print every backend with its state, and the package that is missing.
+    """
 
     dataset: Annotated[tuple[str, ...], option("replica|matterport3d PATH", "")] = ()
     """Say instead which scenes of a dataset that papers report on lie in a folder, and what is missing or damaged."""

@@ -28,10 +28,10 @@ _SHOWN = (
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure finished runs again, from their stored maps alone, and say whether the numbers are the same.
+    """Measure stored maps again, or a map file of any origin.
 
-    Episodes that were played and are not measured yet are measured, which finishes their runs.
-    With --map and --scene: measure a map of any origin.
+    Print whether the numbers of finished runs are the same. Measure episodes that were played and not measured yet,
+    which finishes their runs. With --map and --scene, measure a map file.
     """
 
     runs: Runs = ()

@@ -18,7 +18,7 @@ _NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}
 
 @dataclass(frozen=True)
 class Export:
-    """Write a run's map in a format that other programs read."""
+    """Write a run's map for other programs."""
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
     """The directory of a finished run."""

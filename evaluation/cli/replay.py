@@ -29,9 +29,10 @@ MOST_RUNS = 2
 
 @dataclass(frozen=True)
 class Replay:
-    """Play a finished run again and write it as one page: the map as it grows, the camera, planes, candidates, curves.
+    """Write a page that replays one or two finished runs.
 
-    The page needs no server, no network and no other file. Two runs stand side by side on one clock.
+    The page shows the map as it grows, the camera, planes, candidates and curves; two runs side by side on one clock. It
+    needs no server, no network and no other file.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN]", "")]

@@ -18,7 +18,10 @@ from activestructure_gym.streams import escape
 
 @dataclass(frozen=True)
 class Report:
-    """Write the report of finished runs: one page that needs nothing else, and tables as Markdown, CSV and LaTeX."""
+    """Write the report page and tables of finished runs.
+
+    The page is one file and needs no network; the tables are Markdown, CSV and LaTeX.
+    """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN ...]", "")]
     """Directories of comparisons, of single runs, or both; made under the same conditions."""

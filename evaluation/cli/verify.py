@@ -23,7 +23,7 @@ _NOT_COMPARABLE = 3  # exit code
 
 @dataclass(frozen=True)
 class Verify:
-    """Play finished runs again and compare what they store, byte for byte.
+    """Play finished runs again and compare them byte for byte.
 
     A run is identical, differs, or is damaged. It is not comparable here where other bytes came out on another
     processor or with other versions than it names: that confirms nothing. Exit codes: 0, all runs are identical; 1, a

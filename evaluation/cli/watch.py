@@ -30,9 +30,9 @@ _COLOURED_BY = "hole_area"  # whose feature the candidates bear for you
 
 @dataclass(frozen=True)
 class Watch:
-    """Play an episode and show it in a browser while it happens: the map as it grows, planes, candidates, the camera.
+    """Play an episode in a browser while it runs.
 
-    The page pauses, goes on step by step, goes back in time, and a click on a candidate sends the agent there. It is
+    The page shows the map as it grows, planes, candidates and the camera. It pauses, goes on step by step, goes back in time, and a click on a candidate sends the agent there. It is
     served on this machine alone, at an address that is printed. Ctrl+C ends it.
     """
 

@@ -176,6 +176,8 @@ def _run(arguments: list[str], environment: dict[str, str], folder: Path) -> Non
         if "Traceback" in text or code not in (0, 1):
             raise AssertionError(f"exit code {code}: {text[-300:]}")
         return
+    if text.startswith("╭─ "):  # a message of tyro
+        raise InputError("tyro refuses the words")
     if not text.startswith("asg: "):
         raise AssertionError(f"refused without a sentence: {text[:300]!r}")
     raise InputError(text.removesuffix("\n"))

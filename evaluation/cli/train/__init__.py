@@ -1,4 +1,4 @@
-"""``asg train``: train a policy by one of several methods, or score policies."""
+"""``asg train``: train a policy by one of several methods, or evaluate policies."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from activestructure_gym.evaluation.cli.train.score import Score
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
 @dataclass(frozen=True)
 class Train:
-    """Train a learned policy on procedural apartments, or score policies on layouts nobody was trained on.
+    """Train a learned policy, or evaluate policies.
 
-    Their options: asg train bc --help, and so on. PPO begins best from a checkpoint of bc.
+    Layouts are procedural apartments; evaluation uses others than training. asg train bc --help, and so on, prints the
+    options of a method. Start ppo from a checkpoint of bc.
     """
 
     method: (

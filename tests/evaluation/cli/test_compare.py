@@ -133,7 +133,6 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
     [
         ("--engine lokal", "unknown engine 'lokal'; did you mean 'local'"),
         ("--timeout -2", "--timeout must be a number from 0 to 525600, got -2"),
-        ("--timeout nan", "--timeout: expected a number, got 'nan'"),
         ("--retries -1", "--retries must be a whole number from 0 to 1000, got -1"),
         ("--workers -1", "--workers must be a whole number from 0 to 4096, got -1"),
         ("--engine inline --timeout 3", "engine 'inline' cannot stop a run"),
@@ -272,7 +271,7 @@ def test_what_was_not_typed_is_as_usual_and_help_says_so(asked, capsys):
         ("--policies", "a comparison needs at least one of policies, got none"),  # of a variable that is empty, say
         ("--seeds", "a comparison needs at least one of seeds, got none"),
         ("--policies None", "unknown policy 'None'"),
-        ("--terms None", "invalid choice 'None' for argument '--terms'. Expected one of ('shared', 'native');"),
+        ("--terms None", "invalid choice 'None' for argument '--terms'"),
     ],
 )
 def test_an_option_without_a_value_is_typed_and_none_is_no_word(asked, capsys, words, message):

@@ -58,7 +58,6 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["score", "--policies", "pixel_only", "--baseline", "hole_area"], ["--baseline is one of"]),
         (["bc", "--set", "sensor.depth_noise=redwood"], ["sensor.depth_noise", "--no-noise"]),
         (["bc", "--set", "gains=pixel"], ["--gains"]),
-        (["ppo", "--data", "elsewhere"], ["--data", "bc, rank"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
         (["score", "--out", "foreign"], ["holds other files"]),
     ],

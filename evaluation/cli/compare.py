@@ -47,8 +47,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Compare:
-    """Run policies on scenes under one budget; ends with a table, curves and pictures.
+    """Run policies on scenes under one budget.
 
+    The result is a table and a report page with curves and pictures.
     Without any option: `random` against `activestructure` in a furnished room, in about a minute.
     """
 

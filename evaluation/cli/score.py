@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Score:
-    """Follow a given trajectory in a scene, map on the way and measure the map, as a run like any other.
+    """Map a recorded trajectory and measure the map.
 
     A run's own trajectory gives the run's own map again, byte for byte: asg score --trajectory RUN.
     """

@@ -20,7 +20,6 @@ import pytest
 import yaml
 from packaging.utils import canonicalize_name
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command
 from activestructure_gym.evaluation.cli.parsing import parse
 from activestructure_gym.policies import POLICIES

@@ -22,6 +22,7 @@ _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (*FULL, errno.EROFS)
 _LEAST_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
 
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code.
 

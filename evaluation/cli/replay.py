@@ -31,8 +31,8 @@ MOST_RUNS = 2
 class Replay:
     """Write a page that replays one or two finished runs.
 
-    The page shows the map as it grows, the camera, planes, candidates and curves; two runs side by side on one clock. It
-    needs no server, no network and no other file.
+    The page shows the map as it grows, the camera, planes, candidates and curves; two runs side by side on one clock.
+    It needs no server, no network and no other file.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN]", "")]

@@ -32,8 +32,8 @@ _COLOURED_BY = "hole_area"  # whose feature the candidates bear for you
 class Watch:
     """Play an episode in a browser while it runs.
 
-    The page shows the map as it grows, planes, candidates and the camera. It pauses, goes on step by step, goes back in time, and a click on a candidate sends the agent there. It is
-    served on this machine alone, at an address that is printed. Ctrl+C ends it.
+    The page shows the map as it grows, planes, candidates and the camera. It pauses, goes step by step and back in time;
+    a click on a candidate sends the agent there. Only this machine can open it, at the printed address. Ctrl+C ends it.
     """
 
     scene: Annotated[str, option("SCENE")] = "room"

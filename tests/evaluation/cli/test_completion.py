@@ -34,7 +34,8 @@ def bash_script():
 )
 def test_bash_completes(words, expected, bash_script, tmp_path):
     line = " ".join(f"'{word}'" for word in ("asg", *words))
-    ask = f"{bash_script}\nCOMP_WORDS=({line}); COMP_CWORD={len(words)}; _tyro_asg; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    shown = "printf '%s\\n' \"${COMPREPLY[@]}\""
+    ask = f"{bash_script}\nCOMP_WORDS=({line}); COMP_CWORD={len(words)}; _tyro_asg; {shown}"
     done = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True)
     assert not done.stderr
     assert expected <= set(done.stdout.split()) and len(done.stdout.split()) < 10, done.stdout

@@ -117,7 +117,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "box", "--set", "volume.max_range=Infinity"], ["VolumeConfig.max_range", "finite"]),
         (["evaluate", "a" * 300], ["File name too long"]),
         (["export", "a\nb\x1b[31m"], ["a b\\x1b[31m"]),
-        (["train", "bc", "--start", "~nobody_there"], ["~nobody_there"]),
+        (["train", "ppo", "--start", "~nobody_there"], ["~nobody_there"]),
         (["scenes", "missing.obj"], ["missing.obj"]),
         (["scenes", "--picture", "a.png"], ["needs a scene"]),
         (["scenes", "box", "--picture", "a.jpg"], [".png"]),

@@ -32,7 +32,7 @@ _COLOURED_BY = "hole_area"  # whose feature the candidates bear for you
 class Watch:
     """Play an episode in a browser while it runs.
 
-    The page shows the map as it grows, planes, candidates and the camera. It pauses, goes step by step and back in time;
+    The page shows the map as it grows, planes, candidates, the camera. It pauses, goes step by step and back in time;
     a click on a candidate sends the agent there. Only this machine can open it, at the printed address. Ctrl+C ends it.
     """
 

@@ -74,7 +74,7 @@ def modules() -> dict[str, Path]:
 
 
 def room_of(module: str) -> str:
-    """``activestructure_gym.evaluation.report.page`` stands in ``evaluation.report``."""
+    """``activestructure_gym.evaluation.report.page.document`` stands in ``evaluation.report``."""
     parts = module.split(".")[1:]
     return ".".join(parts[:2]) if parts[0] == "evaluation" and len(parts) > 1 else parts[0]
 

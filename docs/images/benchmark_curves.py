@@ -21,8 +21,8 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.charts import Line, line_chart, panel_chart, span, standalone
-from activestructure_gym.evaluation.report.curves import curve_of
+from activestructure_gym.evaluation.report.charts.convergence import curve_of
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, panel_chart, span, standalone
 from activestructure_gym.evaluation.report.results import gather
 
 FRAMES = np.arange(0, 301, 10)

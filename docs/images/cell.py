@@ -10,8 +10,8 @@ from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.report.tables.columns import value_of
 
 RUNS = Path(__file__).parents[1] / "notebook" / "headline.csv"
 OURS, BASE = "activestructure", "hole_area"

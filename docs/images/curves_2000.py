@@ -16,8 +16,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.charts import Line, line_chart, span, standalone
-from activestructure_gym.evaluation.report.curves import curve_of
+from activestructure_gym.evaluation.report.charts.convergence import curve_of
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, span, standalone
 from activestructure_gym.evaluation.report.results import gather
 
 ROWS = (

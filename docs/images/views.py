@@ -13,7 +13,7 @@ from pathlib import Path
 from cell import runs_of_cell, write_record
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.report.pictures import compare_strip
+from activestructure_gym.evaluation.report.pictures.views_and_plans import compare_strip
 
 OUT = Path(__file__).with_name("views.jpg")
 POLICIES = ("random", "hole_area", "activestructure")

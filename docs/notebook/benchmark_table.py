@@ -26,8 +26,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
-from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
 from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate

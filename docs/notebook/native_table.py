@@ -19,8 +19,8 @@ from statistics import mean
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.columns import PLANNING, value_of
 from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.report.tables.columns import PLANNING, value_of
 from activestructure_gym.evaluation.statistics.paired import paired_difference
 from activestructure_gym.policies import POLICIES
 

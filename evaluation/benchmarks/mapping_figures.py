@@ -10,7 +10,7 @@ import numpy as np
 
 from activestructure_gym.evaluation.metrics.image import depth_l1, psnr, ssim
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import corner_label, tile_grid, to_image
+from activestructure_gym.evaluation.report.pictures.canvas import corner_label, tile_grid, to_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

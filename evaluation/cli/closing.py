@@ -29,10 +29,10 @@ def print_end(
     from activestructure_gym.evaluation.archive.comparison import read_record, run_directory
     from activestructure_gym.evaluation.archive.played import is_played
     from activestructure_gym.evaluation.cli.result_table import print_result
-    from activestructure_gym.evaluation.report.method_text import trajectories_text
-    from activestructure_gym.evaluation.report.planning_table import rich_planning_table
+    from activestructure_gym.evaluation.report.page.method_text import trajectories_text
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
+    from activestructure_gym.evaluation.report.tables.planning import rich_planning_table
 
     if result.skipped:
         console.print(f"{counted(result.skipped, 'run')} finished before and kept")

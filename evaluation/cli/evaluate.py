@@ -191,7 +191,7 @@ def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dict[str, Any]]]) -> Table:
     """The numbers behind the words of each row, headed as in reports, without what no row has."""
-    from activestructure_gym.evaluation.report.columns import QUALITY
+    from activestructure_gym.evaluation.report.tables.columns import QUALITY
 
     titles = {column.key: column.title for column in QUALITY}
     keys = [key for key in _SHOWN if any(numbers.get(key) is not None for _, numbers in rows)]

@@ -54,7 +54,7 @@ class Report:
         from activestructure_gym.evaluation.cli.result_table import print_result
         from activestructure_gym.evaluation.report.results import gather
         from activestructure_gym.evaluation.report.summary import write_results
-        from activestructure_gym.evaluation.report.tables import in_terminal
+        from activestructure_gym.evaluation.report.tables.overview import in_terminal
 
         console = make_console()
         results = gather(directories, self.baseline)
@@ -66,7 +66,7 @@ class Report:
         console.print(counted(len(results.runs), "run"))
         left_out = print_result(console, results.runs, wide=self.wide)
         if self.paper_tables:
-            from activestructure_gym.evaluation.report.published import published_tables
+            from activestructure_gym.evaluation.report.tables.published import published_tables
 
             for table in published_tables(results)[::2]:  # averages; by scene they stand in the report
                 print_whole(console, in_terminal(table), wide=self.wide)

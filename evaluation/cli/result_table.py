@@ -13,8 +13,8 @@ from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.cli.fitting import fits
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole, width_of
-from activestructure_gym.evaluation.report.columns import COLUMNS, Column, measured, value_of
-from activestructure_gym.evaluation.report.tables import AVERAGE, Cell, Row, rich_table, styled, table_rows
+from activestructure_gym.evaluation.report.tables.columns import COLUMNS, Column, measured, value_of
+from activestructure_gym.evaluation.report.tables.overview import AVERAGE, Cell, Row, rich_table, styled, table_rows
 from activestructure_gym.streams import escape
 
 _LOG = 80  # columns of a table in a log, which has no width

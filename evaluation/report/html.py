@@ -13,10 +13,10 @@ from jinja2.ext import Extension
 from markupsafe import Markup
 
 from activestructure_gym.errors import counted
-from activestructure_gym.evaluation.report.layout import Cell, Table
 from activestructure_gym.evaluation.report.packing import packed
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.style import hue
+from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # A line break beside a tag, with the indentation after it: there for whoever reads the template.

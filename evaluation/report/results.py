@@ -21,8 +21,8 @@ from activestructure_gym.evaluation.archive.comparison import jobs_of, read_reco
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
 from activestructure_gym.evaluation.archive.played import is_played
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.style import COLOURS
+from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics import mean, pooled
 
 P = ParamSpec("P")

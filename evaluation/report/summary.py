@@ -11,28 +11,28 @@ from urllib.parse import quote
 from activestructure_gym.evaluation.archive import temporary
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import TABLES, Run
-from activestructure_gym.evaluation.report import verdicts
-from activestructure_gym.evaluation.report.charts import standalone
-from activestructure_gym.evaluation.report.columns import aspects
-from activestructure_gym.evaluation.report.curve_section import policy_panels
-from activestructure_gym.evaluation.report.curves import chart_rows
-from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown, sentence
-from activestructure_gym.evaluation.report.layout import Table
-from activestructure_gym.evaluation.report.method_text import (
+from activestructure_gym.evaluation.report.charts.convergence import chart_rows
+from activestructure_gym.evaluation.report.charts.plots import standalone
+from activestructure_gym.evaluation.report.page.convergence_section import policy_panels
+from activestructure_gym.evaluation.report.page.document import html_page
+from activestructure_gym.evaluation.report.page.method_text import (
     absences,
     machine_text,
     meanings,
     protocol_texts,
     statistics_text,
 )
-from activestructure_gym.evaluation.report.page import html_page
-from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
-from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
+from activestructure_gym.evaluation.report.pictures.views_and_plans import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
-from activestructure_gym.evaluation.report.planning_table import planning_table
-from activestructure_gym.evaluation.report.published import published_tables
 from activestructure_gym.evaluation.report.results import Results, opened, source_of
-from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
+from activestructure_gym.evaluation.report.tables import verdicts
+from activestructure_gym.evaluation.report.tables.columns import aspects
+from activestructure_gym.evaluation.report.tables.formats import code, documents, escaped, markdown, sentence
+from activestructure_gym.evaluation.report.tables.layout import Table
+from activestructure_gym.evaluation.report.tables.overview import overview, runs_csv, table_rows
+from activestructure_gym.evaluation.report.tables.paper import ablation_table, tables_like_the_papers
+from activestructure_gym.evaluation.report.tables.planning import planning_table
+from activestructure_gym.evaluation.report.tables.published import published_tables
 
 PAGE = "report.html"
 

@@ -112,6 +112,6 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
 
 
 def _draw_pictures(part: Path) -> None:
-    from activestructure_gym.evaluation.report.run_pictures import draw_run
+    from activestructure_gym.evaluation.report.pictures.run import draw_run
 
     draw_run(part)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.charts import Line, line_chart, standalone
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, standalone
 from activestructure_gym.evaluation.training.config import Method
 
 _TRAINING = {"ppo": ("rollout/reward_per_episode", "reward per training episode")}

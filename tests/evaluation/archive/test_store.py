@@ -7,8 +7,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.reproduction.remeasure import differing
 from tests.evaluation.written_runs import JOB as ARCHIVED
 from tests.evaluation.written_runs import write_comparison, write_run

@@ -25,8 +25,8 @@ from activestructure_gym.evaluation.cli.closing import command_lines, print_end
 from activestructure_gym.evaluation.cli.compare import Compare, _announce, _with_demo_defaults, comparison_of
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
-from activestructure_gym.evaluation.report.columns import COLUMNS
-from activestructure_gym.evaluation.report.tables import table_rows
+from activestructure_gym.evaluation.report.tables.columns import COLUMNS
+from activestructure_gym.evaluation.report.tables.overview import table_rows
 from activestructure_gym.evaluation.running.comparison import Result
 from activestructure_gym.evaluation.running.engines import Outcome
 from activestructure_gym.evaluation.running.episode import Progress

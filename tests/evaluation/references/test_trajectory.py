@@ -15,7 +15,7 @@ from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.references.trajectory import TrajectorySpec, named_trajectory, with_mappers
-from activestructure_gym.evaluation.report.method_text import trajectories_text
+from activestructure_gym.evaluation.report.page.method_text import trajectories_text
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.evaluation.trajectories.formats import read_poses

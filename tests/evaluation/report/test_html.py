@@ -3,7 +3,7 @@ from jinja2 import UndefinedError
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.html import html_table, render
-from activestructure_gym.evaluation.report.layout import Cell, Heading, Table
+from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table
 
 
 def test_text_is_escaped_and_markup_is_not():

@@ -6,9 +6,9 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.report.columns import aspects, ratios_text
-from activestructure_gym.evaluation.report.page import html_page
+from activestructure_gym.evaluation.report.page.document import html_page
 from activestructure_gym.evaluation.report.results import Results, gather, once, opened, source_of
+from activestructure_gym.evaluation.report.tables.columns import aspects, ratios_text
 
 
 def test_cells_and_strata(make_run):

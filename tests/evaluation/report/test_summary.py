@@ -7,11 +7,11 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import TABLES
 from activestructure_gym.evaluation.report import summary
-from activestructure_gym.evaluation.report.columns import QUALITY
-from activestructure_gym.evaluation.report.formats import to_csv
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.summary import PAGE, all_tables, write_report
-from activestructure_gym.evaluation.report.verdicts import improvement_table
+from activestructure_gym.evaluation.report.tables.columns import QUALITY
+from activestructure_gym.evaluation.report.tables.formats import to_csv
+from activestructure_gym.evaluation.report.tables.verdicts import improvement_table
 
 COMPARISON = {"command": "asg compare --scenes room", "workers": 2, "failed": {}}
 

@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.comparison import open_comparison
-from activestructure_gym.evaluation.report.method_text import terms_text
+from activestructure_gym.evaluation.report.page.method_text import terms_text
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.resuming import conditions
 

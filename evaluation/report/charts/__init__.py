@@ -1,0 +1,1 @@
+"""Charts as SVG: convergence curves, intervals, the timeline of an episode."""

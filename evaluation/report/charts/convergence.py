@@ -1,0 +1,172 @@
+"""Convergence curves: completion ratios, what was observed, and PSNR over frames, metres and seconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, span
+from activestructure_gym.evaluation.report.results import Results, once
+from activestructure_gym.evaluation.report.style import is_grey
+from activestructure_gym.evaluation.statistics import BAND_REPEATS, Statistic, area_under, curve_band, mean, on_axis
+
+_POINTS = 61  # places of the common axis
+_SETTLED = 0.01  # of a chart's height, within which of its end a curve says nothing more
+_TAIL = 0.5  # share of a chart's width that may show settled curves only
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A quantity on the vertical axis."""
+
+    key: str  # in the points of metrics.json's curve
+    header: str
+    unit: str
+    digits: int
+    label: str
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A cost on the horizontal axis."""
+
+    key: str
+    label: str
+
+
+MEASURES = (
+    Measure("completion_ratio", "C.R.", "%", 1, "C.R. at 5 cm [%]"),
+    Measure("tsdf_completion_ratio", "C.R. surface", "%", 1, "C.R. of the TSDF surface [%]"),
+    Measure("observed", "observed", "%", 1, "surface observed [%]"),
+    Measure("psnr", "PSNR", "dB", 2, "PSNR of held-out views [dB]"),
+)
+COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seconds", "wall clock [s]"))
+
+
+def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]:
+    """Points of one run's curve at which the measure was taken, cost rising strictly (of equal costs the last counts).
+
+    Seconds are those at the end of a decision, without the evaluation; the point before the first decision has none.
+    """
+    points: dict[float, float] = {}
+    for point in run.metrics["curve"]:
+        if point.get(measure) is None:
+            continue
+        if cost == "seconds":
+            ended = run.timing.get("decisions", [])
+            if not 0 < point["decision"] <= len(ended):
+                continue
+            points[ended[point["decision"] - 1]] = point[measure]
+        else:
+            points[point[cost]] = point[measure]
+    places = sorted(points)
+    return np.array(places, dtype=np.float64), np.array([points[place] for place in places], dtype=np.float64)
+
+
+@once
+def measures_of(results: Results) -> list[Measure]:
+    """The measures that some run has a curve of."""
+    return [m for m in MEASURES if any(p.get(m.key) is not None for run in results.runs for p in run.metrics["curve"])]
+
+
+@once
+def convergence(
+    results: Results,
+    cost: str,
+    measure: str,
+    scene: str | None = None,
+    statistic: Statistic = mean,
+    until: float = math.inf,
+    banded: bool = True,
+) -> list[Line]:
+    """A line per policy that has curves on the scene, or on all of them: the statistic with its 95 % band.
+
+    Those without a colour have their bands only where everybody is ``banded``. Curves are brought onto one axis; a run
+    that has ended keeps its last value. A line begins where all of its runs have begun and ends with the longest of
+    them, or at ``until``.
+    """
+    lines = []
+    scenes = [scene] if scene else results.scenes
+    for policy in results.policies:
+        strata = [_curves(results.of(policy, own), cost, measure) for own in scenes]
+        if not all(strata):
+            continue
+        curves = [curve for own in strata for curve in own]
+        start, end = max(x[0] for x, _ in curves), max(x[-1] for x, _ in curves)
+        axis = np.linspace(start, max(start, min(end, until)), _POINTS)
+        on_one = [np.stack([on_axis(x, y, axis) for x, y in own]) for own in strata]
+        index = results.palette.index(policy)
+        repeats = BAND_REPEATS if banded or not is_grey(index) else 0
+        lines.append(Line(policy, index, axis, *curve_band(on_one, statistic, repeats=repeats)))
+    return lines
+
+
+@once
+def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
+    """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
+    rows = []
+    for measure in measures_of(results):
+        curves = [_telling(results, cost, measure, scene, statistic) for cost in COSTS]
+        holds = span([line for lines in curves for line in lines])
+        rows.append([
+            line_chart(
+                lines,
+                title=f"{measure.label} over {cost.label}, {scene or 'all scenes'}",
+                x_label=cost.label,
+                y_label=measure.label,
+                holds=holds,
+            )
+            for cost, lines in zip(COSTS, curves)
+        ])  # fmt: skip
+    return rows
+
+
+def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
+    """The curves of `convergence`, cut soon after the last of them has settled; frames are shown whole.
+
+    Frames are the budget and always shown whole.
+    """
+    lines = convergence(results, cost.key, measure.key, scene, statistic, banded=False)
+    if cost.key == "frames" or not lines:
+        return lines
+    low, high = span(lines)
+    settled = max(_settled(line, _SETTLED * (high - low)) for line in lines)
+    if not max(line.x[0] for line in lines) < settled < _TAIL * max(line.x[-1] for line in lines):
+        return lines
+    return convergence(results, cost.key, measure.key, scene, statistic, until=1.1 * settled, banded=False)
+
+
+def _settled(line: Line, within: float) -> float:
+    """The cost from which on the curve and its band stay within ``within`` of their last values."""
+    moving = [np.flatnonzero(np.abs(y - y[-1]) > within) for y in (line.y, line.low, line.high) if y is not None]
+    last = max((int(places[-1]) for places in moving if len(places)), default=-1)
+    return float(line.x[min(last + 1, len(line.x) - 1)])
+
+
+def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:
+    """Areas under the runs' curves by scene, in the measure's unit; None where a scene has no curve.
+
+    The budget is the frame budget; for metres and seconds the least that any run on the scene spent.
+    """
+    strata = []
+    for scene in results.scenes:
+        everyone = _curves(results.of(None, scene), cost, measure)
+        own = _curves(results.of(policy, scene), cost, measure)
+        if not own:
+            return None
+        budget = min(float(x[-1]) for x, _ in everyone)
+        if cost == "frames":
+            budget = max(float(run.config["configuration"]["frame_budget"]) for run in results.of(None, scene))
+        if budget <= 0:
+            return None
+        strata.append(np.array([area_under(x, y, budget) for x, y in own]))
+    return strata
+
+
+def _curves(runs: Sequence[Run], cost: str, measure: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [curve for run in runs if len((curve := curve_of(run, cost, measure))[0])]

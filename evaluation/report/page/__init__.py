@@ -1,0 +1,1 @@
+"""The HTML page: its sections, legends and embedded pictures."""

@@ -1,0 +1,97 @@
+"""The part of the page about convergence: curves of all scenes together, and the charts that a scene's part has too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.charts.convergence import (
+    COSTS,
+    Measure,
+    chart_rows,
+    convergence,
+    measures_of,
+)
+from activestructure_gym.evaluation.report.charts.plots import Line, key_mark, panel_chart
+from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.results import Results, once
+from activestructure_gym.evaluation.report.tables import verdicts
+from activestructure_gym.evaluation.report.tables.planning import planning_table
+from activestructure_gym.evaluation.statistics import Statistic, interquartile_mean, mean
+
+
+def convergence_section(results: Results) -> Markup:
+    """Curves with a legend that hides them everywhere, and the areas below them."""
+    seeds, scenes = len(results.seeds), len(results.scenes)
+    says = "Mean over all scenes and seeds" if scenes > 1 else "Mean over the seeds" if seeds > 1 else "One run each"
+    planning = planning_table(results)
+    says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
+    return render(
+        "convergence.html.j2",
+        legend=[(policy, key_mark(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],
+        rest=results.palette[len(style.COLOURS) :],
+        says=says,
+        charts=chart_grid(results),
+        panels=policy_panels(results),
+        interquartile=chart_grid(results, None, interquartile_mean) if seeds > 1 else None,
+        planning=None if planning is None else html_table(planning, colours=results.palette),
+        areas=html_table(verdicts.area_table(results), colours=results.palette),
+    )
+
+
+def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
+    """All measures over frames, metres and seconds, each with a sentence of what there is to see."""
+    ranked = {name for name, planner in zip(results.policies, results.planners) if planner}
+
+    def compared(measure: Measure) -> list[Line]:
+        lines = convergence(results, COSTS[0].key, measure.key, scene, statistic, banded=False)
+        return [line for line in lines if line.name in ranked]
+
+    rows = [
+        (reading(compared(measure), measure), charts)
+        for measure, charts in zip(measures_of(results), chart_rows(results, scene, statistic), strict=True)
+    ]
+    return render("chart_grid.html.j2", rows=rows)
+
+
+def reading(lines: Sequence[Line], measure: Measure) -> str:
+    """Who is highest in the end and half way through the frames, as the curves show it."""
+    if not lines:
+        return ""
+    half = 0.5 * max(float(line.x[-1]) for line in lines)
+    ends = {line.name: f"{line.y[-1]:.{measure.digits}f}" for line in lines}
+    middles = {line.name: f"{np.interp(half, line.x, line.y):.{measure.digits}f}" for line in lines}
+    best, early = (max(map(float, found.values())) for found in (ends, middles))
+    last, first = (
+        [name for name, text in found.items() if float(text) == top] for found, top in ((ends, best), (middles, early))
+    )
+    top, before = f"{best:.{measure.digits}f} {measure.unit}", f"{early:.{measure.digits}f} {measure.unit}"
+    if len(lines) == 1:
+        return f"{measure.header}: {before} at frame {half:.0f}, {top} in the end."
+    text = f"{measure.header}: {_named(last)} highest in the end with {top}"
+    return f"{text}{f'; {_named(first)} so' if first != last else ', and'} at frame {half:.0f} with {before}."
+
+
+def _named(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:3]) if len(names) != 2 else " and ".join(names)
+    return f"{shown}{f' and {len(names) - 3} more' if len(names) > 3 else ''} {'is' if len(names) == 1 else 'are'}"
+
+
+@once
+def policy_panels(results: Results) -> list[Markup]:
+    """All measures over the frames with a panel for each policy; none while colours tell all policies apart."""
+    if len(results.policies) <= len(style.COLOURS):
+        return []
+    frames = COSTS[0]
+    return [
+        panel_chart(
+            convergence(results, frames.key, measure.key),
+            title=f"{measure.label} over {frames.label}, policy by policy",
+            x_label=frames.label,
+            y_label=measure.label,
+        )
+        for measure in measures_of(results)
+    ]

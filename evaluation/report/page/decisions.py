@@ -1,0 +1,113 @@
+"""A run's decisions, one after the other: where it went, what decided it, what it brought."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.charts.phases import bands, chosen_terms, drawn_decisions, drawn_steps
+from activestructure_gym.evaluation.report.charts.timeline import history_chart
+from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.page.links import run_links
+from activestructure_gym.evaluation.report.tables.columns import ratios_text, value_of
+from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table, number
+
+_DIGITS = 3
+_GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
+
+
+def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
+    """Identity and result in one line, and what is folded behind it: phases, decisions, where the run's files are."""
+    numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
+    parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
+    for key, form in (("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
+        if (value := numbers[key]) is not None:
+            parts.append(form.format(value))
+    parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
+    return " · ".join(parts), render(
+        "trace.html.j2",
+        timeline=timeline(run),
+        history=history_chart(drawn_steps(run.steps)),
+        table=html_table(trace_table(run), exact=False),
+        job=run.job.hash,
+        directory=run.directory.name,
+        links=run_links(run, directory),
+    )
+
+
+def timeline(run: Run) -> Markup | None:
+    """The phases as a strip over the frames, with why each began; None for a policy without phases."""
+    found = bands(drawn_steps(run.steps))
+    if not found:
+        return None
+    return render(
+        "timeline.html.j2",
+        bands=found,
+        order=list(dict.fromkeys(band.phase for band in found)),
+        end=max(1, *(band.end for band in found)),
+        notes=[band for band in found if band.reason],
+    )
+
+
+def trace_table(run: Run) -> Table:
+    """A row per decision: cost, phase, target, the chosen view's terms, the runner-up, and what followed.
+
+    Of very many decisions an even choice.
+    """
+    steps, terms = run.steps, chosen_terms(run.steps)
+    phased = any((step.get("trace") or {}).get("phase") for step in steps)
+    second = any((step.get("trace") or {}).get("runner_up") for step in steps)
+    surface = any("observed" in (step.get("checkpoint") or {}) for step in steps)
+    headings = [Heading("#"), Heading("frames"), Heading("path (m)"), Heading("s")]
+    headings += [Heading("phase", numeric=False)] if phased else []
+    headings += [Heading("to x, y, z (m)", numeric=False), Heading("way (m)"), Heading("candidates")]
+    headings += [Heading(name) for name in terms]
+    headings += [Heading("runner-up")] if second else []
+    headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)")]
+    headings += [Heading("C.R. surface (%)"), Heading("observed (%)")] if surface else []
+    headings.append(Heading("PSNR"))
+    ended = run.timing.get("decisions", [])
+    rows, shown = [], drawn_decisions(len(steps))
+    for k in shown:
+        step = steps[k]
+        trace, view, graph = (step.get(name) or {} for name in ("trace", "view", "graph"))
+        check = step.get("checkpoint") or {}
+        row = [number(step.get("decision", k), 0), number(step.get("frames"), 0), number(step.get("metres"), 1)]
+        row.append(number(ended[k] - (ended[k - 1] if k else 0.0) if k < len(ended) else None, 2))
+        if phased:
+            changed = trace.get("changed")
+            row.append(Cell(f"{trace.get('phase') or ''}{' ←' if changed else ''}", note=changed or ""))
+        row += [Cell(_place(view)), number(view.get("path_length"), 1), number(step.get("candidates"), 0)]
+        row += [_term(values[k]) for values in terms.values()]
+        if second:
+            row.append(_term((trace.get("runner_up") or {}).get("total")))
+        structural, objects = graph.get("structural"), graph.get("objects")
+        planes = step.get("planes") if structural is None or objects is None else structural + objects
+        for _, key, digits in _GRAPH:
+            row.append(number(planes if key is None else graph.get(key), digits, ""))
+        row.append(number(step.get("gaussians"), 0, ""))
+        row.append(number(check.get("completion_ratio"), 1, ""))
+        if surface:
+            row += [number(check.get("tsdf_completion_ratio"), 1, ""), number(check.get("observed"), 1, "")]
+        row.append(number(check.get("psnr"), 2, ""))
+        rows.append(row)
+    title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"
+    if len(shown) < len(steps):
+        title += f" ({len(shown):,} of {len(steps):,}; all are in steps.jsonl)"
+    return Table(f"trace-{run.job.name}", title, headings, rows)
+
+
+def _place(view: Mapping[str, Any]) -> str:
+    if not {"x", "y", "z"} <= view.keys():
+        return ""
+    return ", ".join(f"{view[axis]:.1f}" for axis in "xyz")
+
+
+def _term(value: float | None) -> Cell:
+    if value is None or value != value:  # nan: this decision has no such number
+        return Cell("")
+    return Cell(f"{value:.{_DIGITS}f}", float(value))

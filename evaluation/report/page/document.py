@@ -1,0 +1,103 @@
+"""The report as one HTML file that needs nothing else: no network, no other file, no library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from activestructure_gym.errors import counted
+from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.page.convergence_section import convergence_section
+from activestructure_gym.evaluation.report.page.glance_section import glance_section
+from activestructure_gym.evaluation.report.page.method_section import method_section
+from activestructure_gym.evaluation.report.page.opening import first_sight
+from activestructure_gym.evaluation.report.page.scene_section import scene_section
+from activestructure_gym.evaluation.report.page.table_sections import (
+    costs_section,
+    differences_section,
+    published_section,
+    quality_section,
+)
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
+from activestructure_gym.evaluation.report.tables.layout import Table
+
+_ASSETS = Path(__file__).parents[1] / "assets"
+# Whatever a scene's or a policy's name may hold, the page loads nothing and sends nothing.
+CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+
+def html_page(results: Results, directory: Path | None = None, published: Sequence[Table] = ()) -> str:
+    """The whole page; with the ``directory`` it will lie in also links to the files of runs that lie beside it.
+
+    ``published`` are tables of published values, if any are to stand in it.
+    """
+    anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
+    everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
+    title = f"{everyone} on {counted(len(results.scenes), 'scene')}"
+    sections = [
+        _header(results, title, anchors[0], directory),
+        glance_section(results),
+        quality_section(results),
+        differences_section(results),
+        convergence_section(results),
+        costs_section(results),
+        published_section(published),
+        *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
+        method_section(results),
+    ]
+    named = {"glance": "At a glance", "quality": "Quality", "against": "Differences", "convergence": "Convergence"}
+    named |= {
+        "costs": "Costs",
+        "published": "Published values",
+        **dict(zip(anchors, results.scenes)),
+        "how": "How measured",
+    }
+    body = Markup().join(section for section in sections if section is not None)
+    return render(
+        "page.html.j2",
+        policy=CONTENT_POLICY,
+        title=title,
+        style=Markup(_colours()) + _asset("report.css"),
+        links=[(anchor, text) for anchor, text in named.items() if f' id="{anchor}"' in body],
+        body=body,
+        script=_asset("report.js"),
+    )
+
+
+def _asset(name: str) -> Markup:
+    """One of the page's own files, as it is."""
+    return Markup((_ASSETS / name).read_text(encoding="utf-8"))
+
+
+def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
+    first = results.runs[0]
+    facts = [
+        f"{counted(len(results.runs), 'finished run')}: {counted(len(results.scenes), 'scene')}, "
+        f"{counted(len(results.policies), 'policy', 'policies')}, {counted(len(results.seeds), 'seed')}",
+        f"{first.job.terms} terms, preset {first.job.preset}, "
+        f"{first.config['configuration']['frame_budget']} frames per run",
+        f"protocol {' and '.join(first.protocols)}",
+    ]
+    return render(
+        "header.html.j2",
+        title=title,
+        facts=facts,
+        crossed={run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])},
+        missing=results.missing,
+        first_sight=first_sight(results, anchor, directory),
+    )
+
+
+def _colours() -> str:
+    day = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
+    night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
+    chosen = "".join(f'[data-theme="dark"] .p{i}{{--c:{colour}}}' for i, colour in enumerate(COLOURS_BY_NIGHT))
+    guarded = night.replace(".p", ':root:not([data-theme="light"]) .p')
+    return f"{day}@media(prefers-color-scheme:dark){{{guarded}}}{chosen}\n"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,68 @@
+"""The part of the page that says who leads, by how much, and what the numbers mean."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.page.method_text import absences, meanings
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.tables import verdicts
+from activestructure_gym.evaluation.report.tables.columns import aspects
+from activestructure_gym.evaluation.report.tables.layout import with_interval
+from activestructure_gym.evaluation.report.tables.paper import ablation_table
+
+
+def glance_section(results: Results) -> Markup:
+    """Cards of the leaders, the meanings, and the table of all policies side by side."""
+    first, *others = [
+        html_table(ablation_table(results, aspect), colours=results.palette) for aspect in aspects(results.runs)
+    ]
+    return render(
+        "glance.html.j2",
+        cards=[_card(results, lead) for lead in verdicts.leads(results)],
+        collisions=sum(run.metrics["metrics"]["collisions"] for run in results.runs),
+        runs=len(results.runs),
+        says=_cards_say(results),
+        meanings=meanings(results),
+        first=first,
+        absences=absences(results),
+        others=others,
+    )
+
+
+def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
+    column, ahead, words, tone = lead.column, "", "", ""
+    if lead.ahead is not None and lead.runner_up is not None:
+        found = lead.ahead.difference
+        value, _, interval = with_interval(found, column.digits, signed=True).text.partition(" ")
+        ahead = f"{value} to {lead.runner_up} {interval}"
+        words, tone = verdicts.verdict(lead.ahead, column)
+    return {
+        "title": column.title,
+        "value": f"{lead.mean.value:.{column.digits}f}",
+        "unit": column.unit,
+        "winners": [(results.palette.index(policy), policy) for policy in (lead.policy, *lead.level)],
+        "shared": bool(lead.level),
+        "ahead": ahead,
+        "verdict": words,
+        "tone": tone,
+    }
+
+
+def _cards_say(results: Results) -> str:
+    """Sentences on what the cards show, and why an interval may be missing."""
+    several = len(results.scenes) > 1
+    text = "First of each metric" + (", by the mean over the scenes" if several else "")
+    if len(results.policies) > 1:
+        text += "; behind it the paired difference to the second"
+    if verdicts.can_tell(results):
+        return f"{text} with its 95 % interval."
+    if len(results.policies) == 1:
+        return f"{text}."
+    seeds = "a single seed" if len(results.seeds) == 1 else "a single pair on a scene"
+    return (
+        f"{text}. With {seeds} there are no intervals: whether a difference is chance cannot be told from these runs."
+    )

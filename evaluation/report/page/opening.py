@@ -1,0 +1,54 @@
+"""The pictures that open the page: one view and one path per policy, of one scene and one seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.page.embedding import picture
+from activestructure_gym.evaluation.report.page.legends import PLAN_KEY
+from activestructure_gym.evaluation.report.page.links import replay_link
+from activestructure_gym.evaluation.report.pictures.canvas import to_image
+from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan, flight
+from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK, typical_view
+from activestructure_gym.evaluation.report.results import Results, opened
+from activestructure_gym.evaluation.report.tables.columns import ratios_text
+from activestructure_gym.evaluation.report.tables.layout import decimal
+
+
+def first_sight(results: Results, anchor: str, directory: Path | None = None) -> Markup:
+    """The first scene's typical view, true and as every map renders it, and below it every map with its path."""
+    everyone = results.shown(results.scenes[0])
+    runs = opened(results.foremost(results.scenes[0]))
+    index = typical_view(runs)
+    where = f"{results.scenes[0]}, seed {runs[0].job.seed}"
+    if len(runs) < len(everyone):
+        where += f", the {len(runs)} policies with the highest C.R. (the baseline among them) of {len(everyone)}"
+    return render(
+        "first_sight.html.j2",
+        truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
+        plan_key=PLAN_KEY,
+        tiles=[_tile(run, index, results.palette.index(run.policy), directory) for run in runs],
+        where=where,
+        black=BLACK,
+        flight=flight([(run.trajectory, run.graph) for run in runs]),
+        anchor=anchor,
+    )
+
+
+def _tile(run: Run, index: int, number: int, directory: Path | None) -> dict[str, Any]:
+    view, plan = to_image(run.pictures["rendered"][index]), draw_plan(run.pictures, run.trajectory)
+    return {
+        "index": number,
+        "policy": run.policy,
+        "replay": replay_link(run, directory),
+        "ratios": ratios_text(run),
+        "metrics": run.metrics["metrics"],
+        "view": picture(view, f"the same view in the map of {run.policy}"),
+        "psnr": decimal(float(run.pictures["psnr"][index]), 1),
+        "plan": picture(plan, f"the map of {run.policy} from above, with the path"),
+    }

@@ -1,0 +1,138 @@
+"""The key to the pictures of the Plane Scene Graph, and the marks that both of them draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, text_width, write
+from activestructure_gym.planes.record import GraphArrays
+
+SMOOTH = 3  # everything is drawn this much larger and averaged
+_NODE = 4.0  # pixels, radius of a centroid
+_CENTRE = (2.5, 8.0)  # pixels, smallest and largest radius of a deficiency centre
+_MANY = 80  # more centres than this are drawn smaller, or they would cover what they stand on
+_TILE = 0.25  # m^2, the area that is drawn largest: a full tile of a hole
+_ROW = 24  # pixels per row of the key
+
+Painter = Callable[[ImageDraw.ImageDraw, float, float], None]  # draws around a place
+
+
+def draw_edges(
+    picture: Image.Image,
+    arrays: GraphArrays,
+    places: np.ndarray,  # [N, 2] the centroids in its pixels
+    shown: np.ndarray,  # [N] bool: planes that are in the picture
+) -> Image.Image:
+    """Edges and tree over an enlarged picture, light enough to leave the planes to be seen; between shown planes."""
+    layer = Image.new("RGBA", picture.size, (0, 0, 0, 0))
+    draw = ImageDraw.Draw(layer)
+    edges = arrays["edges"].reshape(-1, 2)
+    kept = shown[edges].all(axis=1)
+    thin, tree = (edges[kept & (arrays["edge_in_tree"] == kind)] for kind in (False, True))
+    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # hundreds of edges must not become a surface
+    for i, j in thin:
+        draw.line([*places[i], *places[j]], fill=(*style.EDGE, opacity), width=SMOOTH)
+    for i, j in tree:
+        draw.line([*places[i], *places[j]], fill=(*style.TREE, 170), width=round(1.4 * SMOOTH))
+    return Image.alpha_composite(picture.convert("RGBA"), layer).convert("RGB")
+
+
+def draw_nodes(picture: Image.Image, arrays: GraphArrays, places: np.ndarray, shown: np.ndarray) -> None:
+    """The centroids of shown planes over an enlarged picture; arguments as of `draw_edges`."""
+    draw = ImageDraw.Draw(picture)
+    for k in np.flatnonzero(shown):
+        colour = style.plane_colour(bool(arrays["structural"][k]))
+        _disc(draw, places[k, 0], places[k, 1], _NODE * SMOOTH, colour, SMOOTH)
+
+
+def draw_centres(
+    picture: Image.Image,
+    arrays: GraphArrays,
+    places: np.ndarray,  # [D, 2] pixels
+    hidden: np.ndarray,  # [D] bool: drawn as a dot only
+) -> None:
+    """Deficiency centres as white discs whose area is that of the hole they stand for."""
+    draw = ImageDraw.Draw(picture)
+    shrunk = min(1.0, max(0.35, (_MANY / max(len(places), 1)) ** 0.5))
+    for k in np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable"):  # large and hidden ones first
+        if hidden[k]:
+            _disc(draw, places[k, 0], places[k, 1], 1.6 * SMOOTH, style.FAINT_INK, 0)
+        else:
+            radius = shrunk * _CENTRE[1] * np.sqrt(min(1.0, arrays["deficiency_areas"][k] / _TILE))
+            radius = max(shrunk * _CENTRE[0], radius) * SMOOTH
+            _disc(draw, places[k, 0], places[k, 1], radius, style.PAPER, SMOOTH, ring=style.INK)
+
+
+def type_key(*, flat: bool = False) -> list[tuple[str, Painter]]:
+    """Entries of planes by type, and of the graph; with ``flat`` also of planes seen from behind."""
+
+    def outline(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
+        draw.rectangle([x - 11, y - 7, x + 11, y + 7], outline=style.FAINT_INK)
+
+    return [
+        ("structural plane", _swatch(style.STRUCTURAL)),
+        ("object plane", _swatch(style.OBJECT)),
+        ("centroid", lambda draw, x, y: _disc(draw, x, y, _NODE, style.STRUCTURAL, 1)),
+        ("spanning tree", _line(style.TREE, 2)),
+        ("other edge", _line(style.EDGE, 1)),
+        *([("facing down, as the ceiling", outline)] if flat else []),
+    ]
+
+
+def deficit_key(*, depth: bool = False) -> list[tuple[str, Painter]]:
+    """Entries of planes by deficit, and of the deficiency centres; with ``depth`` also of those out of sight."""
+    bounds = [f"{bound:g}" for bound in style.DEFICIT_BOUNDS]
+    labels = [f"deficit < {bounds[0]}", *(f"{bound} +" for bound in bounds)]
+    classes = [(label, _swatch(colour)) for label, colour in zip(labels, style.DEFICIT_COLOURS)]
+
+    def hole(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
+        _disc(draw, x, y, 6, style.PAPER, 1, ring=style.INK)
+
+    def dot(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
+        _disc(draw, x, y, 2, style.FAINT_INK, 0)
+
+    return [*classes, ("deficiency centre, by area", hole), *([("one behind a plane", dot)] if depth else [])]
+
+
+def with_key(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:
+    """The page with one line of key per row below it."""
+    widths = [[42 + text_width(label, 13) + 16 for label, _ in row] for row in rows]
+    width = max(page.width, *(2 * MARGIN + sum(own) for own in widths))
+    whole = Image.new("RGB", (width, page.height + _ROW * len(rows) + 8), style.PAPER)
+    whole.paste(page, (0, 0))
+    draw = ImageDraw.Draw(whole)
+    for number, (row, own) in enumerate(zip(rows, widths)):
+        x, y = MARGIN, page.height + _ROW * number + _ROW // 2 - 4
+        for (label, paint), wide in zip(row, own):
+            paint(draw, x + 17, y)
+            write(whole, (x + 38, y), label, size=13, anchor="lm")
+            x += wide
+    return whole
+
+
+def _swatch(colour: tuple[int, int, int]) -> Painter:
+    return lambda draw, x, y: draw.rectangle([x - 11, y - 7, x + 11, y + 7], fill=colour, outline=style.FAINT_INK)
+
+
+def _line(colour: tuple[int, int, int], width: int) -> Painter:
+    return lambda draw, x, y: draw.line([x - 15, y, x + 15, y], fill=colour, width=width)
+
+
+def _disc(
+    draw: ImageDraw.ImageDraw,
+    x: float,
+    y: float,
+    radius: float,
+    fill: tuple[int, int, int],
+    edge: int,
+    *,
+    ring: tuple[int, int, int] = style.PAPER,
+) -> None:
+    if edge:
+        whole = radius + edge
+        draw.ellipse([x - whole, y - whole, x + whole, y + whole], fill=ring)
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=fill)

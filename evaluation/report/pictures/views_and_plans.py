@@ -1,0 +1,136 @@
+"""Rendered against true views, and the plan with the path: from a run's stored arrays to pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.pictures.canvas import (
+    GAP,
+    MARGIN,
+    corner_label,
+    text_width,
+    tile_grid,
+    to_image,
+    write,
+)
+from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan, flight, legend
+from activestructure_gym.evaluation.report.tables.layout import decimal
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.store import Run
+
+_SHOWN_VIEWS = 4
+BLACK = "Black: nothing of the map is there."
+
+
+def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+    """Truth above, the run's rendering below, PSNR in the corner."""
+    shown = telling_views(arrays["true"])
+    rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
+    return _with_note(tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]]), BLACK)
+
+
+def run_plan(
+    arrays: Mapping[str, np.ndarray],
+    trajectory: Mapping[str, np.ndarray],
+    graph: Mapping[str, np.ndarray] | None,
+    *,
+    title: str,
+) -> Image.Image:
+    """The map seen from above, with what was known to be free, the path, the keyframes and the start."""
+    plan = draw_plan(arrays, trajectory)
+    return _with_note(_with_legend(tile_grid([[plan]], title=title)), flight([(trajectory, graph)]))
+
+
+def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """The same held-out views, true and as each run renders them. All runs must be of one scene and protocol."""
+    first = runs[0].pictures
+    shown = telling_views(first["true"])
+    rows = [[to_image(first["true"][i]) for i in shown]]
+    labels = [["true view"]]
+    for run in runs:
+        rows.append([_rendered_tile(run.pictures, i) for i in shown])
+        labels.append(_run_label(run, f"{run.metrics['metrics']['psnr']:.2f} dB mean"))
+    columns = [f"view {i + 1}" for i in shown]
+    return _with_note(tile_grid(rows, title=title, row_labels=labels, column_labels=columns), BLACK)
+
+
+def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """One plan per run, side by side, in one scale."""
+    plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
+    labels = [f"{run.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
+    # The plan of a closet is narrower than what stands above it.
+    width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
+    size = width, max(plan.height for plan in plans)
+    tiles = [_on_page(plan, size) for plan in plans]
+    page = _with_legend(tile_grid([tiles], title=title, column_labels=labels))
+    return _with_note(page, flight([(run.trajectory, run.graph) for run in runs]))
+
+
+def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """The typical view as it is and as each run renders it; below each its plan with the path."""
+    index = typical_view(runs)
+    truth = to_image(runs[0].pictures["true"][index])
+    plans = [draw_plan(run.pictures, run.trajectory, truth.width) for run in runs]
+    size = truth.width, truth.height + GAP + max(plan.height for plan in plans)
+    columns, labels = [_on_page(truth, size)], ["true view"]
+    for run, plan in zip(runs, plans):
+        column = _on_page(_rendered_tile(run.pictures, index), size)
+        column.paste(plan, ((truth.width - plan.width) // 2, truth.height + GAP))
+        columns.append(column)
+        labels.append(f"{run.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
+    page = _with_legend(tile_grid([columns], title=title, column_labels=labels, frames=False))
+    return _with_note(page, f"{BLACK} {flight([(run.trajectory, run.graph) for run in runs])}")
+
+
+def typical_view(runs: Sequence[Run]) -> int:
+    """The one of the `telling_views` with the median PSNR over the runs; the lower middle of an even number."""
+    psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
+    ordered = sorted(telling_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
+    return ordered[(len(ordered) - 1) // 2]
+
+
+def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
+    """The views with most detail in the true image: a white wall tells nothing. The runs have no say in it."""
+    grey = true.astype(np.float32).mean(axis=-1)
+    detail = np.abs(np.diff(grey, axis=1)).mean(axis=(1, 2)) + np.abs(np.diff(grey, axis=2)).mean(axis=(1, 2))
+    return sorted(np.argsort(-detail, kind="stable")[:_SHOWN_VIEWS].tolist())
+
+
+def _rendered_tile(arrays: Mapping[str, np.ndarray], index: int) -> Image.Image:
+    tile = to_image(arrays["rendered"][index])
+    corner_label(tile, f"{decimal(float(arrays['psnr'][index]), 1)} dB")
+    return tile
+
+
+def _run_label(run: Run, *more: str) -> list[str]:
+    return [run.policy, f"seed {run.job.seed}", *more]
+
+
+def _cost(metrics: Mapping[str, Any]) -> str:
+    return f"{metrics['frames']} frames, {metrics['metres']:.1f} m, C.R. {metrics['completion_ratio']:.1f} %"
+
+
+def _on_page(image: Image.Image, size: tuple[int, int]) -> Image.Image:
+    page = Image.new("RGB", size, style.PAPER)
+    page.paste(image, (0, 0))
+    return page
+
+
+def _with_note(page: Image.Image, note: str) -> Image.Image:
+    width = max(page.width, 2 * MARGIN + text_width(note, 13))
+    whole = _on_page(page, (width, page.height + 30))
+    write(whole, (MARGIN, page.height + 4), note, size=13, fill=style.FAINT_INK)
+    return whole
+
+
+def _with_legend(page: Image.Image) -> Image.Image:
+    key = legend()
+    whole = _on_page(page, (max(page.width, key.width), page.height + key.height))
+    whole.paste(key, (0, page.height))
+    return whole

@@ -1,0 +1,1 @@
+"""Tables as data, and their texts: Markdown, CSV, LaTeX and the terminal."""

@@ -1,0 +1,197 @@
+"""The table of a comparison: one row per scene and policy, the best of each scene marked."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive.jobs import ranked_among
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.tables import layout
+from activestructure_gym.evaluation.report.tables.columns import COLUMNS, Column, value_of
+from activestructure_gym.evaluation.report.tables.formats import spreadsheet_text
+from activestructure_gym.evaluation.report.tables.layout import Heading, Table
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+_HASH_DIGITS = 16  # of a scene's content
+AVERAGE = "average"  # the name of the last block: the mean over the scenes
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Mean and spread over the seeds."""
+
+    mean: float | None  # None: not defined in any run
+    deviation: float | None  # sample standard deviation; None with fewer than two runs
+    best: bool = False
+
+    def text(self, digits: int) -> str:
+        """``3.21 ± 0.10``, or ``n/a``."""
+        if self.mean is None:
+            return "n/a"
+        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # as many frames in every run
+            return f"{self.mean:.{digits}f}"
+        return f"{self.mean:.{digits}f} ± {self.deviation:.{digits}f}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One policy on one scene (or on the average)."""
+
+    scene: str
+    policy: str
+    runs: int
+    cells: dict[str, Cell]
+    planner: bool = True  # False: a reference or a given trajectory, which is not marked among them
+
+
+def table_rows(runs: Sequence[Run]) -> list[Row]:
+    """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
+    scenes = list(dict.fromkeys(run.scene for run in runs))
+    policies = list(dict.fromkeys(run.policy for run in runs))
+    ranked = ranked_among({run.job.policy for run in runs})
+    rows: list[Row] = []
+    for scene in scenes:
+        block = []
+        for policy in policies:
+            cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
+            if cell_runs:
+                cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
+                planner = cell_runs[0].job.policy in ranked
+                block.append(Row(scene, policy, len(cell_runs), cells, planner))
+        rows += _marked(block)
+    if len(scenes) > 1:
+        complete = [[row for row in rows if row.policy == policy] for policy in policies]
+        rows += _marked([_average(block) for block in complete if len(block) == len(scenes)])
+    return rows
+
+
+def empty_rich_table(title: str) -> RichTable:
+    """A table for a terminal, without columns."""
+    from rich.table import Table as RichTable
+
+    return RichTable(title=title)
+
+
+def styled(text: str, best: bool) -> str:
+    """The text as a terminal shows it, bold and green if it is the best."""
+    return f"[bold green]{text}[/]" if best else text
+
+
+def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
+    """Return the table with every column, scene by scene; the best numbers are bold and green."""
+    from activestructure_gym.streams import escape
+
+    table = empty_rich_table(title)
+    table.add_column("scene")
+    table.add_column("policy")
+    for column in COLUMNS:
+        table.add_column(column.title, justify="right")
+    for index, row in enumerate(rows):
+        new_scene = index == 0 or rows[index - 1].scene != row.scene
+        ends_block = index + 1 == len(rows) or rows[index + 1].scene != row.scene
+        cells = [styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in COLUMNS]
+        table.add_row(escape(row.scene) if new_scene else "", escape(row.policy), *cells, end_section=ends_block)
+    return table
+
+
+def in_terminal(table: Table) -> RichTable:
+    """A table of the report for a terminal."""
+    from activestructure_gym.streams import escape
+
+    shown = empty_rich_table(table.title)
+    for heading in table.headings:
+        shown.add_column(escape(heading.text), justify="right" if heading.numeric else "left")
+    for index, row in enumerate(table.rows):
+        cells = [styled(escape(table.shown(index, k)), cell.rank == 1) for k, cell in enumerate(row)]
+        shown.add_row(*cells, end_section=index + 1 in table.blocks)
+    return shown
+
+
+def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
+    """The table for documents: the first three of every block marked; a single scene is not named."""
+    blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
+    marked: list[list[layout.Cell]] = []
+    for start, end in zip([0, *blocks], [*blocks, len(rows)]):
+        block = rows[start:end]
+        numbers = [
+            layout.ranked(
+                [layout.Cell(row.cells[c.key].text(c.digits), row.cells[c.key].mean) for row in block],
+                c,
+                [row.planner for row in block],
+            )
+            for c in columns
+        ]
+        names = [[layout.Cell(row.scene) for row in block]] if blocks else []
+        names.append([layout.Cell(row.policy) for row in block])
+        marked += [list(cells) for cells in zip(*names, *numbers)]
+    headings = [Heading("scene", numeric=False)] if blocks else []
+    headings += [Heading("policy", numeric=False), *map(Heading.of, columns)]
+    title = "Every scene and policy" if blocks else "Numbers"
+    single = all(row.runs == 1 for row in rows if row.scene != AVERAGE)
+    caption = "One run each" if single else "Mean ± sample standard deviation over the seeds"
+    if rows and rows[-1].scene == AVERAGE:
+        caption += "; the average counts every scene the same"
+    return Table(name, title, headings, marked, caption, blocks=blocks)
+
+
+def runs_csv(runs: Sequence[Run]) -> str:
+    """One line per run with every single number, in full precision, an LPIPS that was measured later too."""
+    scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
+    names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
+    stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job"]
+    writer.writerow(map(spreadsheet_text, [*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)]))
+    for run, numbers in zip(runs, scalars):
+        job = run.job
+        identity: list[Any] = [run.scene, job.scene_hash[:_HASH_DIGITS], run.policy, job.seed, job.preset]
+        identity += [job.protocol.name, job.hash]
+        values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
+        seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
+        row = [*identity, *values, run.timing["total"], *seconds]
+        writer.writerow([spreadsheet_text(value) if isinstance(value, str) else value for value in row])
+    return text.getvalue()
+
+
+def _over_runs(values: Sequence[float | None]) -> Cell:
+    defined = [float(value) for value in values if value is not None]
+    if not defined:
+        return Cell(None, None)
+    deviation = float(np.std(defined, ddof=1)) if len(defined) > 1 else None
+    return Cell(float(np.mean(defined)), deviation)
+
+
+def _average(block: Sequence[Row]) -> Row:
+    """The mean over scenes of the means over seeds: every scene counts the same."""
+    cells = {}
+    for column in COLUMNS:
+        means = [row.cells[column.key].mean for row in block]
+        cells[column.key] = Cell(None if None in means else float(np.mean([m for m in means if m is not None])), None)
+    return Row(AVERAGE, block[0].policy, sum(row.runs for row in block), cells, block[0].planner)
+
+
+def _marked(block: Sequence[Row]) -> list[Row]:
+    """The block with the best of every column marked; equal as printed is equally good, alone is not best.
+
+    Among the planners: a reference is never best, and who is alone beside references is not either.
+    """
+    marked = [dict(row.cells) for row in block]
+    for column in COLUMNS:
+        means = {i: row.cells[column.key].mean for i, row in enumerate(block) if row.planner}
+        rounded = {i: round(mean, column.digits) for i, mean in means.items() if mean is not None}
+        if column.best is None or len(means) < 2 or not rounded:
+            continue
+        best = min(rounded.values()) if column.best == "lowest" else max(rounded.values())
+        for index, value in rounded.items():
+            cell = block[index].cells[column.key]
+            marked[index][column.key] = Cell(cell.mean, cell.deviation, best=value == best)
+    return [replace(row, cells=cells) for row, cells in zip(block, marked)]

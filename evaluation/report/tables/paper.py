@@ -1,0 +1,125 @@
+"""Tables in the layout of the paper's Tables 1 to 4."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.errors import counted
+from activestructure_gym.evaluation.report.results import Results, once
+from activestructure_gym.evaluation.report.tables.columns import Aspect, Column, aspects, reason_of
+from activestructure_gym.evaluation.report.tables.layout import (
+    MISSING,
+    NONE,
+    Cell,
+    Heading,
+    Table,
+    number,
+    ranked,
+    with_interval,
+)
+from activestructure_gym.evaluation.statistics import estimate, mean
+
+# The rungs as the paper's Table 3 names them.
+LADDER = {
+    "activestructure-a": "(A) Pixel-only",
+    "activestructure-b": "(B) + PSG gain",
+    "activestructure-c": "(C) + Anomaly detection",
+    "activestructure-d": "(D) + Deficiency targeting",
+    "activestructure": "(E) Full model",
+}
+
+
+def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
+    """Tables 1 and 2: a row per method and metric, a column per scene, and the average over the scenes."""
+    columns = aspect.columns
+    scenes = [*results.scenes, None] if average and len(results.scenes) > 1 else results.scenes
+    cells: dict[tuple[str, str, str | None], Cell] = {}
+    for column in columns:
+        for scene in scenes:
+            means = [_mean(results, policy, column, scene) for policy in results.policies]
+            block = ranked(means, column, results.planners)
+            cells |= {(policy, column.key, scene): cell for policy, cell in zip(results.policies, block)}
+    rows = [
+        [Cell(policy), Cell(column.title), *(cells[policy, column.key, scene] for scene in scenes)]
+        for policy in results.policies
+        for column in columns
+    ]
+    headings = [Heading("Method", numeric=False), Heading("Metric", numeric=False)]
+    headings += [Heading(scene or "Avg.") for scene in scenes]
+    caption = (
+        f"Means over {counted(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
+        "or not defined"
+    )
+    blocks = [k * len(columns) for k in range(1, len(results.policies))]
+    title = f"3D reconstruction and view synthesis, protocol {aspect.title}"
+    return Table(aspect.of("quality"), title, headings, rows, caption, blocks=blocks)
+
+
+@once
+def ablation_table(results: Results, aspect: Aspect) -> Table:
+    """Table 3: a row per policy, a column per metric, averaged over the scenes, with 95 % intervals."""
+    columns = aspect.columns
+    by_column = []
+    for column in columns:
+        found = []
+        for policy in results.policies:
+            strata = results.strata(policy, column.key)
+            found.append(
+                _undefined(results, policy, column, None)
+                if strata is None
+                else with_interval(estimate(strata), column.digits)
+            )
+        by_column.append(ranked(found, column, results.planners))
+    ladder = "activestructure-a" in results.policies
+    rows = [
+        [Cell(LADDER.get(policy, policy) if ladder else policy, note=policy), *(cells[k] for cells in by_column)]
+        for k, policy in enumerate(results.policies)
+    ]
+    headings = [Heading("Variant" if ladder else "Policy", numeric=False), *map(Heading.of, columns)]
+    if all(len(results.of(policy, scene)) < 2 for policy in results.policies for scene in results.scenes):
+        caption = "One run each" if len(results.scenes) == 1 else f"Means over {len(results.scenes)} scenes, a run each"
+    else:
+        caption = (
+            f"Means over {counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
+            "bootstrap intervals of 95 %; none where a scene has a single run"
+        )
+    if len(results.scenes) > 1:
+        caption += ". Only policies that finished on every scene"
+    return Table(aspect.of("variants"), f"Policies side by side, protocol {aspect.title}", headings, rows, caption)
+
+
+def time_table(results: Results) -> Table:
+    """Table 4: the wall-clock minutes of every method on every scene, without the evaluation."""
+    column = Column("seconds", "Time", "min", 2, "lowest")
+    row, groups = [Cell("Time (min)")], [("", 1)]
+    for scene in results.scenes:
+        seconds = [_mean(results, policy, column, scene).value for policy in results.policies]
+        minutes = [number(None if s is None else s / 60, column.digits, MISSING) for s in seconds]
+        row += ranked(minutes, column, results.planners)
+        groups.append((scene, len(results.policies)))
+    headings = [Heading("Method", numeric=False)]
+    headings += [Heading(policy) for _ in results.scenes for policy in results.policies]
+    caption = "Mean wall clock of an episode, without loading and evaluation"
+    return Table("time", "Computational efficiency", headings, [row], caption, groups=groups)
+
+
+def tables_like_the_papers(results: Results) -> list[Table]:
+    """Quality and ablation tables for every aspect, and the table of times."""
+    found = [table(results, aspect) for aspect in aspects(results.runs) for table in (quality_table, ablation_table)]
+    return [*found, time_table(results)]
+
+
+def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
+    """Mean on one scene, or averaged over all of them."""
+    strata = results.strata(policy, column.key, scene)
+    if strata is None:
+        return _undefined(results, policy, column, scene)
+    return number(float(mean(np.concatenate(strata), [len(values) for values in strata])), column.digits)
+
+
+def _undefined(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
+    """Text in place of a number that no run has, with the reason."""
+    if not all(results.of(policy, own) for own in ([scene] if scene else results.scenes)):
+        return Cell(MISSING)
+    reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]
+    return Cell(NONE, note=reasons[0] if reasons else "")

@@ -1,0 +1,106 @@
+"""The table of planning: how soon the surface was seen, and what the second half of the frames was worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from activestructure_gym.evaluation.report.results import Results, once
+from activestructure_gym.evaluation.report.tables.columns import LEAST, PROGRESS, Column, exceeded, measured, unreached
+from activestructure_gym.evaluation.report.tables.layout import MISSING, Cell, Heading, Table, ranked, with_interval
+from activestructure_gym.evaluation.report.tables.overview import empty_rich_table, styled
+from activestructure_gym.evaluation.statistics import estimate
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LEAST)]  # the lowest first
+
+
+@once
+def planning_table(results: Results) -> Table | None:
+    """A row per policy, a column per metric of planning, with 95 % intervals; None where no run was measured so.
+
+    Frames to a level are a mean in which the budget stands for every run that did not reach it, after a ``>`` then; a
+    policy of which no run did has no rank.
+    """
+    columns = measured(PROGRESS, results.runs)
+    if not columns:
+        return None
+    by_column = [
+        ranked([_cell(results, policy, column) for policy in results.policies], column, results.planners)
+        for column in columns
+    ]
+    rows = [[Cell(policy), *(cells[k] for cells in by_column)] for k, policy in enumerate(results.policies)]
+    caption = (
+        "Frames until that share of the observable surface was observed (> : runs that did not reach it count with the "
+        "budget). Exploration: mean height of the curve of observed surface over the frame budget. Late PSNR and "
+        "Depth: their change per 100 frames in the second half of the budget. Means over the scenes of the mean over "
+        "their runs"
+    )
+    if any(len(results.of(policy, scene)) > 1 for policy in results.policies for scene in results.scenes):
+        caption += ", 95 % stratified bootstrap intervals"
+    if missing := unreached(results.runs):
+        caption += f". {missing}"
+    headings = [Heading("Policy", numeric=False), *map(Heading.of, columns)]
+    return Table("planning", "Planning", headings, rows, caption)
+
+
+def rich_planning_table(results: Results) -> RichTable | None:
+    """The same in short for a terminal: a row per policy, the best of the planners bold and green.
+
+    A number of frames is the mean over the runs. Where some did not reach the level, the budget counts for those,
+    after a ``>`` and with how many did. A level that no run reached has no column.
+    """
+    from activestructure_gym.streams import escape
+
+    reached = [key for key in _telling(results) if not all(exceeded(run, key) for run in results.runs)]
+    columns = measured([column for column in PROGRESS if column.key in (*reached, "observed_area")], results.runs)
+    if not columns:
+        return None
+    title = "how soon the surface was observed"
+    if not reached and (missing := unreached(results.runs)):
+        title += f"; {missing[:1].lower()}{missing[1:]}"
+    table = empty_rich_table(title)
+    table.add_column("policy")
+    for column in columns:
+        table.add_column(column.title, justify="right")
+    by_column = [
+        ranked([_short_cell(results, policy, column) for policy in results.policies], column, results.planners)
+        for column in columns
+    ]
+    for policy, *cells in zip(results.policies, *by_column):
+        texts = [styled(cell.text, cell.rank == 1) for cell in cells]
+        table.add_row(escape(policy), *texts)
+    return table
+
+
+def _telling(results: Results) -> list[str]:
+    """The two levels that a terminal has room for: the highest that half of the runs reached, and the one below."""
+    reached = [sum(not exceeded(run, key) for run in results.runs) for key in _LEVELS]
+    highest = max((at for at, count in enumerate(reached) if 2 * count >= len(results.runs)), default=0)
+    return _LEVELS[max(highest - 1, 0) :][:2]
+
+
+def _short_cell(results: Results, policy: str, column: Column) -> Cell:
+    missed = [exceeded(run, column.key) for run in results.of(policy)]
+    if missed and all(missed):
+        return Cell("not reached")
+    strata = results.strata(policy, column.key)
+    if strata is None:
+        return Cell(MISSING)
+    value = estimate(strata).value
+    text = f"{value:.{column.digits}f}"
+    return Cell(f"> {text} ({len(missed) - sum(missed)} of {len(missed)} runs)" if any(missed) else text, value)
+
+
+def _cell(results: Results, policy: str, column: Column) -> Cell:
+    strata = results.strata(policy, column.key)
+    cell = with_interval(None if strata is None else estimate(strata), column.digits)
+    missed = [exceeded(run, column.key) for run in results.of(policy)]
+    if strata is None or not any(missed):
+        return cell
+    budgets = {run.config["configuration"]["frame_budget"] for run in results.of(policy)}
+    if all(missed):
+        return Cell(f"> {max(budgets)}", note="reached in no run")
+    return replace(cell, text=f"> {cell.text}", note=f"not reached in {sum(missed)} of {len(missed)} runs")

@@ -1,8 +1,8 @@
-"""Planes: detection in depth images, the Plane Scene Graph over them, its quality and its surprise.
+"""Detect planes, fuse them into the Plane Scene Graph, and assess their quality and surprise.
 
-A keyframe goes through `PlaneSceneGraph.update`: segments are found (`detection`), matched to nodes (`matching`),
-fused into them (`nodes`, `surface`), and the graph is assessed anew (`topology`, `quality`, `surprise`). An episode
-takes the last step once per decision (`integrate`, `assess`). `arrays` writes the result into an observation.
+`PlaneSceneGraph.update` processes a keyframe in four steps: segments are detected (`detection`), matched to nodes
+(`matching`) and fused into them (`nodes`, `surface`), then the graph is assessed (`topology`, `quality`, `surprise`).
+An episode runs the last step once per decision (`integrate`, `assess`). `arrays` encodes the result for observations.
 """
 
 from activestructure_gym.planes.arrays import (

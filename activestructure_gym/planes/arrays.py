@@ -1,4 +1,4 @@
-"""The graph as arrays of fixed size, for observations: names, bounds, encoding."""
+"""Encode the graph as fixed-size arrays for observations: names, bounds, values."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from activestructure_gym.planes.quality import QUALITY_MODES
 from activestructure_gym.planes.state import GraphState
 
-# Metres. Scenes lie within this of their origin; planes further out are clipped to it.
+# Metres. Planes farther from the scene's origin are clipped to this distance.
 _FAR = 1000.0
 
-# One row per column of the feature table: name, lowest and highest value. Values are clipped into the bounds.
+# One row per column of the feature table: name, lower and upper bound. Values are clipped to the bounds.
 _COLUMNS: tuple[tuple[str, float, float], ...] = (
-    ("normal_x", -1.0, 1.0),  # unit, world, towards the side the plane is seen from
+    ("normal_x", -1.0, 1.0),  # unit, world, towards the side from which the plane is seen
     ("normal_y", -1.0, 1.0),
     ("normal_z", -1.0, 1.0),
     ("offset", -_FAR, _FAR),  # metres; normal . x + offset = 0
@@ -44,21 +44,21 @@ for _bound in (PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH):
 
 @dataclass(frozen=True)
 class PlaneArrays:
-    """The graph in ``max_planes`` rows; unused rows are 0.
+    """Hold the graph in ``max_planes`` rows; unused rows are 0.
 
-    When there are more planes than rows, those with the largest area are kept. Rows follow the planes' ids, so a plane
-    keeps its place relative to the others for as long as it is kept.
+    With more planes than rows, those of largest area are kept. Rows are sorted by plane id, so the relative order of
+    planes is constant.
     """
 
     features: np.ndarray  # [max_planes, F] float32, columns PLANE_FEATURES, within PLANE_FEATURE_LOW .. HIGH
     mask: np.ndarray  # [max_planes] int8, 1 = a plane
     edge_weights: np.ndarray  # [max_planes, max_planes] float32 Eq. 4, small = reliable, 0 = no edge
     tree: np.ndarray  # [max_planes, max_planes] int8, 1 = edge of the minimum spanning forest
-    nodes: np.ndarray  # [K] int64: row k is row nodes[k] of the state
+    nodes: np.ndarray  # [K] int64: row k belongs to row nodes[k] of the state
 
 
 def plane_features(state: GraphState) -> np.ndarray:  # [N, F] float32
-    """Features of all planes, clipped into their bounds."""
+    """Return the features of all planes, clipped to their bounds."""
     columns = [
         state.normals,
         state.offsets[:, None],
@@ -82,7 +82,7 @@ def plane_features(state: GraphState) -> np.ndarray:  # [N, F] float32
 
 
 def encode_planes(state: GraphState, max_planes: int) -> PlaneArrays:
-    """The graph as arrays of fixed size."""
+    """Return the graph as arrays of fixed size."""
     if max_planes < 1:
         raise ValueError(f"max_planes must be at least 1, got {max_planes}")
     kept = np.sort(np.argsort(-state.areas, kind="stable")[:max_planes])
@@ -95,7 +95,7 @@ def encode_planes(state: GraphState, max_planes: int) -> PlaneArrays:
         pairs = np.ix_(kept, kept)
         features[:count] = plane_features(state)[kept]
         mask[:count] = 1
-        # A weight of exactly 0 would read as "no edge".
+        # A weight of exactly 0 means "no edge".
         weights[:count, :count] = np.where(state.edges[pairs], np.maximum(state.weights[pairs], 1e-6), 0.0)
         tree[:count, :count] = state.tree[pairs]
     return PlaneArrays(features, mask, weights, tree, kept.astype(np.int64))

@@ -1,7 +1,7 @@
-"""Planes in one depth image: block fits, region growing, pixel refinement, coplanar merge.
+"""Detect planes in a depth image: block fits, region growing, pixel refinement, coplanar merge.
 
-The family is PEAC ([peac]) and CAPE ([cape]): fit a plane to every small block of
-the image, join blocks that lie on one plane, then let every pixel choose. Only depth is used.
+The method follows PEAC ([peac]) and CAPE ([cape]): fit a plane to every small block of the image, join coplanar blocks,
+then assign every pixel to a plane. Only depth is used.
 """
 
 from __future__ import annotations
@@ -38,43 +38,43 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class PlaneDetectionConfig:
-    """Thresholds. Those with "sigma" are multiples of the sensor's axial noise at the depth in question."""
+    """Configure the detection. Fields with "sigma" are multiples of the sensor's axial noise at the pixel's depth."""
 
-    # Times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as the default sensor
-    # and the paper have it; for other sensors see `depth_noise_scale`. Too small breaks noisy walls into pieces, too
-    # large blurs what stands close in front of them.
+    # Factor on the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as in the default
+    # sensor and the paper; for other sensors see `depth_noise_scale`. Smaller values split noisy walls, larger ones
+    # merge walls with objects close to them.
     depth_noise_scale: float = 0.25
-    max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
-    max_incidence_deg: float = 80.0  # between ray and normal; closer to edge-on neither normal nor extent is known
-    block_columns: int = 54  # blocks across the image; above noise scale 1 divided by sqrt(depth_noise_scale)
+    max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot separate a plane from its neighbour
+    max_incidence_deg: float = 80.0  # between ray and normal; at grazing incidence normal and extent are uncertain
+    block_columns: int = 54  # blocks across the image; divided by sqrt(depth_noise_scale) for scales above 1
     min_block: int = 3  # pixels, edge of the smallest block
     block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
     block_tolerance: float = 0.002  # metres
-    block_valid_share: float = 0.9  # of the block's pixels must have a return
+    block_valid_share: float = 0.9  # fraction of the block's pixels that must have a return
     link_angle_deg: float = 12.0  # between the normals of blocks that join
-    link_sigma: float = 2.4  # of distance between a block's centroid and the other's plane
+    link_sigma: float = 2.4  # distance between a block's centroid and the other's plane
     link_tolerance: float = 0.004  # metres
-    # Where noise tilts a block's plane by more (standard deviation, degrees), the 3 x 3 blocks around it give its
-    # plane, provided that enough of their pixels are there and lie on one.
+    # If noise tilts a block's plane by more than this (standard deviation, degrees), its normal is fitted to the 3 x 3
+    # blocks around it, if enough of their pixels are valid and coplanar.
     window_tilt_deg: float = 2.5
-    window_share: float = 0.5  # of their pixels that must be there
-    window_sigma: float = 1.4  # they lie on one plane below window_sigma * sigma + window_tolerance
+    window_share: float = 0.5  # fraction of their pixels that must be valid
+    window_sigma: float = 1.4  # coplanar below window_sigma * sigma + window_tolerance
     window_tolerance: float = 0.001  # metres
-    min_pixel_share: float = 0.005  # of the image; smaller segments are dropped
+    min_pixel_share: float = 0.005  # fraction of the image; smaller segments are dropped
     segment_sigma: float = 2.0  # a segment is rejected above segment_sigma * sigma + segment_tolerance rms
     segment_tolerance: float = 0.006  # metres
     pixel_sigma: float = 3.0  # a pixel joins below pixel_sigma * sigma + pixel_tolerance
     pixel_tolerance: float = 0.004  # metres
-    explained_share: float = 0.6  # of a segment's pixels that larger planes explain: above it the segment is noise
+    explained_share: float = 0.6  # a segment is noise if larger planes explain more than this fraction of its pixels
     explained_sigma: float = 2.0  # a pixel is explained below explained_sigma * sigma + explained_tolerance
     explained_tolerance: float = 0.002  # metres
-    merge_angle_deg: float = 4.0  # coplanar segments of one image become one
-    merge_sigma: float = 1.0  # of the smaller one's centroid to the larger one's plane
+    merge_angle_deg: float = 4.0  # coplanar segments of one image are merged below this angle
+    merge_sigma: float = 1.0  # distance of the smaller one's centroid to the larger one's plane
     merge_tolerance: float = 0.005  # metres
-    merge_back: float = 3.0  # times as much from the larger one's centroid: a small piece's tilt acts on a long lever
-    # Noise tilts a slat by more than that; up to this angle its points must be near, by their root mean square.
+    merge_back: float = 3.0  # factor for the larger one's centroid: a small segment's tilt acts over a long distance
+    # Noise tilts narrow segments more. Up to this angle they merge if their points' rms distance is small.
     merge_wide_angle_deg: float = 15.0
-    merge_wide_sigma: float = 1.5  # of their rms distance to the larger one's plane
+    merge_wide_sigma: float = 1.5  # rms distance of its points to the larger one's plane
     merge_wide_tolerance: float = 0.002  # metres
     merge_reach: float = 4.0  # metres between the centroids (the graph's relaxed threshold)
     max_points: int = 256  # kept per segment
@@ -84,22 +84,22 @@ class PlaneDetectionConfig:
 
 
 def depth_noise_scale(depth_noise: DepthNoise, multiplier: float = 1.0) -> float:
-    """The scale that suits a sensor's noise model (`none`, `kinect`, `redwood`) and its multiplier.
+    """Return the scale for a sensor's noise model (`none`, `kinect`, `redwood`) and its multiplier.
 
-    Noise-free depth is not trusted to the last digit either: below 0.25 nothing gets better, and real surfaces bulge.
+    The minimum is 0.25, also for noise-free depth: smaller values bring no improvement, and real surfaces are not flat.
     """
     return max(0.25, multiplier) if depth_noise != "none" else 0.25
 
 
 @dataclass(frozen=True)
 class PlaneSegment:
-    """A planar piece of one image, in the world. Every point x on it has ``normal . x + offset = 0``."""
+    """Hold a planar segment of one image in world coordinates; all its points x satisfy ``normal . x + offset = 0``."""
 
     normal: np.ndarray  # [3] unit, world, towards the camera
     offset: float  # metres
     centroid: np.ndarray  # [3] world
     area: float  # m^2, sum of the pixels' footprints on the plane
-    rms: float  # metres, of the pixels to the plane
+    rms: float  # metres, of the pixels' distances to the plane
     pixels: int
     points: np.ndarray  # [M, 3] world, evenly subsampled in row order
     label: int  # its value in the label image
@@ -107,26 +107,26 @@ class PlaneSegment:
 
 @dataclass(frozen=True)
 class PlaneDetection:
-    """The planes of one frame, with their pixels."""
+    """Hold the planes of one frame and their pixels."""
 
     segments: tuple[PlaneSegment, ...]  # largest first; segments[k].label == k
     labels: np.ndarray  # [H, W] int32, -1 = no plane
 
 
 def detect_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> list[PlaneSegment]:
-    """The planar segments of a frame, largest (in pixels) first; empty when there are none."""
+    """Return the planar segments of a frame, largest (in pixels) first; [] if there are none."""
     return list(segment_planes(frame, config).segments)
 
 
 def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> PlaneDetection:
-    """The planar segments of a frame together with the label image."""
+    """Return the planar segments of a frame together with the label image."""
     config = config or PlaneDetectionConfig()
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     camera = frame.camera
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
 
-    # Noise tilts a small block's plane: a much noisier sensor needs larger ones.
+    # Noise tilts the plane of a small block; a noisier sensor needs larger blocks.
     columns = config.block_columns / max(config.depth_noise_scale, 1.0) ** 0.5
     size = max(config.min_block, int(camera.width / columns + 0.5))
     if min(depth.shape) < size:
@@ -140,7 +140,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
     if not len(moments):
         return nothing
-    # -1 stays -1: the last entry of the table is what index -1 reads.
+    # -1 stays -1: index -1 reads the last entry of the table.
     labels = np.append(order[new_label], -1).astype(np.int32)[labels]
     return PlaneDetection(_lift(frame, depth, lens, labels, moments, config), labels)
 
@@ -160,16 +160,16 @@ def _block_regions(
     needed = max(3.0, config.block_valid_share * size * size)
     limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
     accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
-    # The plane's distance from the camera over the block's: the cosine between ray and normal.
+    # Plane distance from the camera over block distance is the cosine between ray and normal.
     accepted &= planes[:, 3] > np.cos(np.radians(config.max_incidence_deg)) * np.linalg.norm(mean, axis=1)
-    # Standard deviation of the fitted normal in radians: sigma * sqrt(12) / (block edge * sqrt(pixels)), for a square
-    # of uniformly spread points; far blocks of a noisy sensor need it.
+    # Standard deviation of the fitted normal in radians for a square of uniformly spread points: sigma * sqrt(12) /
+    # (block edge * sqrt(pixels)). It matters for far blocks of a noisy sensor.
     edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
     tilt = _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
     unsure = accepted & (tilt > np.radians(config.window_tilt_deg))
     if unsure.any():
         _steady(moments, planes, mean, tilt, accepted, unsure, size * size, config)
-    # Flattest first; a plane that may be tilted starts no region while there is another.
+    # Flattest first; blocks with an uncertain normal start regions last.
     order = np.lexsort((planes[:, 4], unsure))
     labels = np.full(shape, -1, np.int32)
     regions = np.zeros_like(flat)
@@ -184,10 +184,10 @@ def _block_regions(
         return labels, np.zeros((0, 5))
     regions = regions[:count]
     planes, mean = kernels.fit_planes(regions)
-    # Blocks miss the rim of a plane: the pixels there come back in the refinement, so half the pixels suffice here.
+    # Blocks miss the rim of a plane; refinement adds its pixels, so half of the minimum size suffices here.
     keep = regions[:, 0] >= 0.5 * config.min_pixel_share * depth.size
     keep &= planes[:, 4] < config.segment_sigma * _noise(mean[:, 2], scale) + config.segment_tolerance
-    # Pieces of one plane that something stands in front of belong together before they are judged one by one.
+    # Merge segments of one plane that an object separates before each one is tested.
     merged, new_label = _merge_coplanar(regions[keep], config)
     table = np.full(len(regions) + 1, -1, np.int32)
     table[np.flatnonzero(keep)] = new_label
@@ -196,18 +196,18 @@ def _block_regions(
 
 def _steady(
     moments: np.ndarray,  # [By, Bx, 10]
-    planes: np.ndarray,  # [B, 5], changed
+    planes: np.ndarray,  # [B, 5], modified
     mean: np.ndarray,  # [B, 3]
-    tilt: np.ndarray,  # [B] radians, changed
+    tilt: np.ndarray,  # [B] radians, modified
     accepted: np.ndarray,  # [B] bool
-    unsure: np.ndarray,  # [B] bool, changed: those that stay unsure
-    block_pixels: int,  # in a full block
+    unsure: np.ndarray,  # [B] bool, modified: blocks that remain uncertain
+    block_pixels: int,  # number of pixels of a full block
     config: PlaneDetectionConfig,
 ) -> None:
-    """Give unsure blocks the normal of the 3 x 3 blocks around them where these lie on one plane.
+    """Replace uncertain normals by that of the surrounding 3 x 3 blocks, if these are coplanar.
 
-    Far away a block is as thick with noise as it is wide and its plane is arbitrary (36 degrees off at 5 m); larger
-    blocks everywhere would lose what is narrow.
+    Far away a block's noise is as large as its width, and its plane is arbitrary (36 degrees off at 5 m). Larger blocks
+    everywhere would lose narrow planes.
     """
     shape = moments.shape[:2]
     padded = np.pad(np.where(accepted.reshape(*shape, 1), moments, 0.0), ((1, 1), (1, 1), (0, 0)))
@@ -233,9 +233,9 @@ def _refine(
     planes: np.ndarray,
     config: PlaneDetectionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:  # labels [H, W], planes [T, 5]
-    """Pixels choose their plane; planes that larger ones explain are taken out and their pixels choose again.
+    """Assign pixels to planes, remove planes explained by larger ones, and assign their pixels again.
 
-    Noise breaks a tilted piece out of a wall now and then, and blocks across a far edge look like a chamfer.
+    Noise sometimes splits a tilted segment off a wall, and blocks across a far edge look like a chamfer.
     """
     scale = config.depth_noise_scale
     edge_on = np.cos(np.radians(config.max_incidence_deg))
@@ -256,7 +256,7 @@ def _merge_coplanar(
     moments: np.ndarray,  # [S, 10]
     config: PlaneDetectionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of every old one [S]
-    """Join segments of one plane, closest pair first, refitting after every join."""
+    """Merge coplanar segments, closest pair first, refitting after every merge."""
     limits = (
         config.merge_sigma, config.merge_tolerance, config.merge_back, cosine_deg(config.merge_angle_deg),
         config.merge_wide_sigma, config.merge_wide_tolerance, cosine_deg(config.merge_wide_angle_deg),
@@ -270,12 +270,12 @@ def _merge_coplanar(
 
 @cache
 def cosine_deg(degrees: float) -> float:
-    """Cosine of an angle in degrees, kept: thresholds are asked for again and again."""
+    """Return the cosine of an angle in degrees; cached, since thresholds are read often."""
     return float(np.cos(np.radians(degrees)))
 
 
 def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Segments with enough pixels, largest first, and the table from old to new label (last entry: -1 for none)."""
+    """Return segments with enough pixels, largest first, and the table from old to new label (last entry: -1)."""
     keep = np.flatnonzero(moments[:, 0] >= max(min_pixels, 3))
     keep = keep[np.argsort(-moments[keep, 0], kind="stable")]
     table = np.full(len(moments) + 1, -1)
@@ -292,13 +292,13 @@ def _lift(
     config: PlaneDetectionConfig,
 ) -> tuple[PlaneSegment, ...]:
     planes, mean = kernels.fit_planes(moments)
-    # 3 degrees: closer to edge-on a pixel's footprint says nothing about area.
+    # 3 degrees: nearer to edge-on, a pixel's footprint gives no reliable area.
     areas = kernels.segment_areas(depth, lens, labels, planes, np.sin(np.radians(3.0)))
     rotation = frame.world_from_camera[:3, :3]
     normals = planes[:, :3] @ rotation.T
     centroids = transform_points(frame.world_from_camera, mean)
     offsets = -np.einsum("ij,ij->i", normals, centroids)
-    # Every how many pixels one is kept, and where those of each segment begin.
+    # Pixel step of each segment, and the end of its points in the flat array.
     pixels = np.bincount(labels.ravel() + 1, minlength=len(moments) + 1)[1:]
     steps = -(-pixels // config.max_points)
     ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))

@@ -1,4 +1,4 @@
-"""The Plane Scene Graph G = (V, E): planes as nodes, observed relations as edges (Sec. 3.2 and 3.3)."""
+"""Maintain the Plane Scene Graph G = (V, E): planes as nodes, observed relations as edges (Sec. 3.2 and 3.3)."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class PlaneGraphConfig:
-    """All constants of planes, one part per step."""
+    """Configure all steps of plane processing."""
 
     detection: PlaneDetectionConfig = field(default_factory=PlaneDetectionConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     topology: TopologyConfig = field(default_factory=TopologyConfig)
     quality: QualityConfig = field(default_factory=QualityConfig)
     surprise: SurpriseConfig = field(default_factory=SurpriseConfig)
-    cell: float = 0.05  # metres, edge of a tangent grid's cell
-    # m^2; smaller segments join nodes but found none. Nothing of that size is worth a view, and slats, legs and book
-    # spines would be most of the nodes.
+    cell: float = 0.05  # metres, edge length of a tangent grid's cell
+    # m^2; smaller segments join nodes but create none. They justify no view of their own, and slats, legs and book
+    # spines would otherwise be most of the nodes.
     min_node_area: float = 0.05
     fusion_rate: float = 0.3  # of the exponential moving average of (n, d)
     normal_window: int = 10  # keyframes of normal history
@@ -72,27 +72,27 @@ NO_NODE = -1
 
 @dataclass(frozen=True)
 class GraphUpdate:
-    """Changes of the graph by one keyframe."""
+    """Hold the changes of the graph by one keyframe."""
 
     detection: PlaneDetection
-    node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now, -1 = too small for one
-    created: tuple[int, ...]  # ids of new nodes (still in the graph)
-    merged: tuple[tuple[int, int], ...]  # (id that stays, id that went)
+    node_ids: tuple[int, ...]  # per segment, the id of its node, -1 = too small for a node
+    created: tuple[int, ...]  # ids of new nodes that are still in the graph
+    merged: tuple[tuple[int, int], ...]  # (kept id, removed id)
 
 
 class PlaneSceneGraph:
-    """Planes of a scene and how they hang together, updated keyframe by keyframe.
+    """Hold the planes of a scene and their relations, updated keyframe by keyframe.
 
-    ``state`` is that of the last `assess`, which `update` ends with; so are the deficiencies, if they are asked for
-    before the next keyframe. Given the same frames the same graph results; nothing is random.
+    ``state`` is that of the last `assess`, which `update` runs at its end. The same holds for the deficiencies, if read
+    before the next keyframe. Equal frames give equal graphs; nothing is random.
     """
 
-    state: GraphState  # in the order that `nodes` had then
+    state: GraphState  # in the order of `nodes` at the last `assess`
 
     def __init__(self, config: PlaneGraphConfig | None = None) -> None:
         self.config = config or PlaneGraphConfig()
-        self.nodes: list[PlaneNode] = []  # by id
-        self.keyframes = 0  # updates so far
+        self.nodes: list[PlaneNode] = []  # sorted by id
+        self.keyframes = 0  # number of updates
         self._next_id = 0
         self._map_points: MapPoints | None
         self._coarse: SparsePatches | None
@@ -102,16 +102,16 @@ class PlaneSceneGraph:
     def update(
         self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
     ) -> GraphUpdate:
-        """Detect the planes of a keyframe, join them, and assess the graph."""
+        """Detect the planes of a keyframe, fuse them, and assess the graph."""
         joined = self.integrate(frame)
         self.assess(space_state=space_state, map_points=map_points)
         return joined
 
     def integrate(self, frame: Frame, detection: PlaneDetection | None = None) -> GraphUpdate:
-        """Join a keyframe's segments, by default those that are detected in it, and nothing else.
+        """Fuse a keyframe's segments into the nodes; by default the segments are detected in the frame.
 
-        Between two decisions an agent takes several keyframes, and only the state at a decision is looked at; so
-        `assess` is a step of its own, without which all arrays stay as they were.
+        The state is not assessed: an agent takes several keyframes between decisions, and only the state at a decision
+        is used.
         """
         detection = detection or segment_planes(frame, self.config.detection)
         first_new = self._next_id
@@ -131,14 +131,14 @@ class PlaneSceneGraph:
         return GraphUpdate(detection, tuple(ids), created, tuple(merged))
 
     def node(self, node_id: int) -> PlaneNode:
-        """The node with this id; KeyError when it was merged into another or never was."""
+        """Return the node with this id; raise KeyError if it was merged into another or never existed."""
         for node in self.nodes:
             if node.id == node_id:
                 return node
         raise KeyError(node_id)
 
     def _assign(self, frame: Frame, segments: tuple[PlaneSegment, ...]) -> list[int]:
-        """Id of the node of every segment; unmatched segments found new nodes that later ones may join."""
+        """Return the node id of every segment; unmatched segments create nodes that later segments may join."""
         eye = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 3]
         right = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 0]
         planes = stack_planes(self.nodes)
@@ -180,7 +180,7 @@ class PlaneSceneGraph:
             node.fuse(own, patches[k], moments[k], self.keyframes, self.config.fusion_rate)
 
     def _merge(self, touched: list[int]) -> list[tuple[int, int]]:
-        """Unite nodes that have come to satisfy the coplanar mode; the older id stays."""
+        """Merge nodes that now satisfy the coplanar mode; the older id is kept."""
         merged: list[tuple[int, int]] = []
         queue = list(touched)
         near = may_be_same(self.nodes, self.config.matching)
@@ -196,22 +196,22 @@ class PlaneSceneGraph:
                     self.nodes.remove(gone)
                     near = may_be_same(self.nodes, self.config.matching)
                     merged.append((kept.id, gone.id))
-                    queue.append(kept.id)  # what it has become may reach further
+                    queue.append(kept.id)  # the merged node may reach farther
                     break
         return merged
 
     def assess(self, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None) -> None:
-        """Work out edges, tree, quality, surprise, deficit and deficiencies of the nodes as they are.
+        """Compute edges, tree, quality, surprise, deficit and deficiencies of the current nodes.
 
-        ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
-        and images close a boundary (mode v). ``map_points`` are the map's Gaussians: without them only holes
-        are deficient, not what the map covers too coarsely.
+        ``space_state`` returns whether world points are unknown (0), free (1) or occupied (2). Without it only planes
+        and images close a boundary (mode v). ``map_points`` are the map's Gaussians. Without them only holes are
+        deficient, not areas that the map covers too coarsely.
         """
         self._map_points, self._coarse, self._deficiencies = map_points, None, None
         if map_points is None or default_threads() == 1:
             self._assess(space_state)
             return
-        # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
+        # Both only read the nodes, and the patch kernels release the GIL.
         with ThreadPoolExecutor(1) as aside:
             future = aside.submit(coarse_patches, self.nodes, self.config.quality, map_points)
             self._assess(space_state)
@@ -219,7 +219,7 @@ class PlaneSceneGraph:
 
     @property
     def deficiencies(self) -> Deficiencies:
-        """Holes of the planes, and what the map covers coarsely; sought when somebody first asks."""
+        """Return the planes' holes and coarsely mapped areas; computed on first use."""
         if self._deficiencies is None:
             if self._coarse is None and self._map_points is not None:
                 self._coarse = coarse_patches(self.nodes, self.config.quality, self._map_points)
@@ -259,7 +259,7 @@ class PlaneSceneGraph:
         )
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
-        """Pairs that at least one keyframe showed both of: only those relations have been observed."""
+        """Return the pairs of planes observed together in at least one keyframe; other relations are unobserved."""
         size = self.keyframes // 8 + 1  # bytes
         packed = b"".join(node.keyframes.to_bytes(size, "little") for node in self.nodes)
         shows = np.unpackbits(np.frombuffer(packed, np.uint8).reshape(len(self.nodes), size), axis=1)
@@ -269,11 +269,11 @@ class PlaneSceneGraph:
         return together
 
     def arrays(self, max_planes: int) -> PlaneArrays:
-        """The graph in fixed-size arrays; with more planes than rows the largest by area are kept."""
+        """Return the graph in fixed-size arrays; with more planes than rows, the largest by area are kept."""
         return encode_planes(self.state, max_planes)
 
     def sample_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:  # [N, count, 3], [N, count] bool
-        """Up to ``count`` points of every plane, evenly spread, for visibility tests; and which of them exist."""
+        """Return up to ``count`` evenly spread points of every plane, for visibility tests, and their validity mask."""
         points = np.zeros((len(self.nodes), count, 3))
         exists = np.zeros((len(self.nodes), count), bool)
         for k, node in enumerate(self.nodes):
@@ -283,7 +283,7 @@ class PlaneSceneGraph:
         return points, exists
 
     def as_networkx(self) -> networkx.Graph:
-        """The graph as networkx knows it: nodes by id with their values, edges with ``weight`` and ``tree``."""
+        """Return the graph for networkx: nodes by id with their values, edges with ``weight`` and ``tree``."""
         import networkx
 
         graph, state = networkx.Graph(), self.state
@@ -311,10 +311,10 @@ class PlaneSceneGraph:
 
 
 def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:  # [3, 3] rows u, v, normal
-    """Tangent frame of a segment by SVD of its points (Eq. 6), fixed by the camera where the SVD leaves it open.
+    """Return the tangent frame of a segment by SVD of its points (Eq. 6); the camera resolves its ambiguities.
 
-    The sign of u, and u itself for a patch without a long side, follow the image's right, which moves with the scene
-    under a rigid motion of everything.
+    The sign of u, and u itself for a segment without a long side, follow the image's right axis. The frame is thus
+    equivariant under rigid motions of scene and camera.
     """
     normal = segment.normal
     centred = segment.points - segment.points.mean(axis=0)
@@ -326,7 +326,7 @@ def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:
         u = u if u @ sideways >= 0 else -u
     elif length(sideways) > 1e-6:
         u = sideways
-    else:  # looking along the plane: nothing but the world's axes is left
+    else:  # looking along the plane: only the world's axes remain
         u = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     u = u / length(u)
     return np.array([u, cross(normal, u), normal])

@@ -1,4 +1,4 @@
-"""Data association: the node a new segment belongs to, and nodes that are one surface (Sec. 3.2, dual mode)."""
+"""Match segments to nodes, and find nodes of the same surface (data association, dual mode, Sec. 3.2)."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Gates of the two modes. The paper gives the criteria, not the numbers."""
+    """Configure the gates of both modes. The paper gives the criteria, not the numbers."""
 
     coplanar_angle_deg: float = 8.0  # coplanar mode: strict on the plane ...
     coplanar_distance: float = 0.05  # metres, centroid to plane
-    lever: float = 0.02  # metres per metre between the centroids: what a short segment's tilt does far away
+    lever: float = 0.02  # metres per metre between the centroids: effect of a short segment's tilt over distance
     coplanar_reach: float = 4.0  # metres between the centroids: ... relaxed on the distance
-    touch_reach: float = 0.25  # metres: surfaces that touch belong together at any distance of their centroids
+    touch_reach: float = 0.25  # metres: surfaces this close match, whatever the distance of their centroids
     near_angle_deg: float = 15.0  # near mode: relaxed on the plane ...
     near_distance: float = 0.10  # metres, centroid to plane
     near_reach: float = 0.5  # metres between the centroids: ... strict on the distance
-    depth_gap: float = 0.10  # metres between segment and node where both lie on the same rays
+    depth_gap: float = 0.10  # metres between segment and node along common rays
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
 
 
 def stack_planes(nodes: Sequence[PlaneNode]) -> np.ndarray:  # [N, 7]
-    """Normal, offset and centroid of every node, the table that `match_segment` looks through."""
+    """Return normal, offset and centroid of every node as a table for `match_segment`."""
     return np.array([node.row for node in nodes]).reshape(-1, 7)
 
 
@@ -51,7 +51,7 @@ def match_segment(
     planes: np.ndarray,  # [N, 7], see `stack_planes`
     config: MatchingConfig,
 ) -> int | None:
-    """Index of the node that the segment continues (closest plane of those that qualify), or None."""
+    """Return the index of the node that the segment continues (closest qualifying plane), or None."""
     limits = (
         cosine_deg(config.coplanar_angle_deg), config.coplanar_distance, config.lever, config.coplanar_reach,
         cosine_deg(config.near_angle_deg), config.near_distance, config.near_reach,
@@ -67,13 +67,13 @@ def match_segment(
 
 
 def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int, list[int]]:
-    """Per id of a node the indices of others that may be the same surface, if there are any.
+    """Return by node id the indices of other nodes that may be the same surface, if any.
 
-    A look at all pairs of planes before `same_surface` looks at each.
+    This tests all pairs of planes at once, before `same_surface` tests single pairs.
     """
     planes = stack_planes(nodes)
     normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
-    away = np.abs(centroids @ normals.T + offsets)  # [N, N] centroid of the row to the plane of the column
+    away = np.abs(centroids @ normals.T + offsets)  # [N, N] distance of the row's centroid to the column's plane
     near = normals @ normals.T > cosine_deg(config.coplanar_angle_deg) - 1e-9
     near &= np.minimum(away, away.T) < config.coplanar_distance + 1e-9
     np.fill_diagonal(near, False)
@@ -84,7 +84,7 @@ def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int,
 
 
 def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) -> bool:
-    """Whether two nodes have come to satisfy the coplanar mode."""
+    """Return whether two nodes satisfy the coplanar mode."""
     cosine = float(first.normal @ second.normal)
     reach = distance(first.centroid, second.centroid)
     across = abs(float(first.normal @ second.centroid + first.offset))
@@ -111,9 +111,9 @@ def _touches(points: np.ndarray, node: PlaneNode, config: MatchingConfig) -> boo
 
 
 def _depth_jumps(segment: PlaneSegment, camera_position: np.ndarray, node: PlaneNode, config: MatchingConfig) -> bool:
-    """Depth-discontinuity test: along the segment's rays, is the node's plane clearly in front or behind?
+    """Return whether the node's plane is clearly in front of or behind the segment along the segment's rays.
 
-    Only rays that meet the node's seen surface count (the overlap); without overlap there is nothing to contradict.
+    Only rays that meet the node's seen surface (the overlap) count; without overlap the result is False.
     """
     surface = node.surface
     grid = surface.frame, surface.low, surface.seen, surface.cell
@@ -122,7 +122,7 @@ def _depth_jumps(segment: PlaneSegment, camera_position: np.ndarray, node: Plane
 
 
 def _median(values: np.ndarray) -> float:
-    """`numpy.median` of one or more finite numbers, without its checks, which take longer."""
+    """Return `numpy.median` of one or more finite numbers, without its slower checks."""
     low, high = (len(values) - 1) // 2, len(values) // 2
     ordered = np.partition(values, (low, high))
     return float((ordered[low] + ordered[high]) / 2.0)

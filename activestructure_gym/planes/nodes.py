@@ -1,4 +1,4 @@
-"""One plane of the scene: a node of the Plane Scene Graph."""
+"""Represent one plane of the scene: a node of the Plane Scene Graph."""
 
 from __future__ import annotations
 
@@ -12,48 +12,48 @@ from activestructure_gym.planes.detection_kernels import MOMENTS
 from activestructure_gym.planes.surface import Patch, SurfaceGrid
 from activestructure_gym.planes.vectors import distance, length
 
-_SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # where the moments hold the matrix of the second ones
+_SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # positions of the second-moment matrix in the moments
 
 
 class PlaneNode:
-    """A plane as all keyframes so far show it (Sec. 3.2: plane, points, area, observations, centroid, normal history).
+    """Represent a plane as observed by all keyframes so far (Sec. 3.2).
 
-    Every point x of it has ``normal . x + offset = 0``; the normal points to the side it is seen from, so the two
-    faces of a thin wall are two nodes.
+    All its points x satisfy ``normal . x + offset = 0``. The normal points to the side from which it is seen, so the
+    two faces of a thin wall are two nodes.
     """
 
     def __init__(self, node_id: int, segment: PlaneSegment, axes: np.ndarray, *, cell: float, window: int) -> None:
-        self.id = node_id  # never used again for another plane
+        self.id = node_id  # unique, never reused
         self.normal = segment.normal.copy()  # [3] unit, world
         self.offset = segment.offset  # metres
         self.surface = SurfaceGrid(segment.centroid, axes, cell)
-        self.anchor = segment.centroid.copy()  # [3] world; point moments are taken about it, to keep their digits
+        self.anchor = segment.centroid.copy()  # [3] world; moments are taken about it for numerical precision
         self.moments = np.zeros(MOMENTS)
-        self.keyframes = 0  # bit t is set when keyframe t showed the plane
-        self.normals: dict[int, np.ndarray] = {}  # by keyframe [3] unit, as it showed the plane; the last ``window``
+        self.keyframes = 0  # bit t is set if keyframe t observed the plane
+        self.normals: dict[int, np.ndarray] = {}  # by keyframe [3] unit, as observed; the last ``window``
         self._window = window
-        self.shift = np.inf  # metres the centroid moved at the last update; inf: there was no update yet
+        self.shift = np.inf  # metres the centroid moved at the last update; inf before the first
         self.area_change = np.inf  # relative change of the area at the last update
 
     @property
     def observations(self) -> int:
-        """o_i: number of keyframes that showed the plane."""
+        """Return o_i: the number of keyframes that observed the plane."""
         return self.keyframes.bit_count()
 
     @property
     def area(self) -> float:
-        """a_i in square metres."""
+        """Return a_i in square metres."""
         return self.surface.area
 
     @property
     def centroid(self) -> np.ndarray:  # [3] world
-        """Mean of the seen surface."""
+        """Return the mean of the seen surface."""
         return self.surface.centroid
 
     @property
     def row(self) -> np.ndarray:  # [7]
-        """Normal, offset and centroid in one, for tables of many nodes."""
-        known = self.surface.memo.get("row")  # normal and offset never change without the surface
+        """Return normal, offset and centroid in one array, for tables of many nodes."""
+        known = self.surface.memo.get("row")  # normal and offset change only with the surface
         if not isinstance(known, np.ndarray):
             known = np.array([*self.normal.tolist(), self.offset, *self.centroid.tolist()])
             self.surface.memo["row"] = known
@@ -61,21 +61,21 @@ class PlaneNode:
 
     @property
     def points(self) -> np.ndarray:  # [K, 3] world
-        """P_i: measured points, thinned to one per cell of the tangent grid."""
+        """Return P_i: the measured points, one per cell of the tangent grid."""
         return self.surface.points()
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """``count`` of the points at even steps from first to last; some are repeated if there are fewer."""
+        """Return ``count`` of the points at even steps from first to last; some repeat if there are fewer."""
         return self.surface.spread(count)
 
     @property
     def point_count(self) -> int:
-        """|P_i|: seen cells with at least one measured point."""
+        """Return |P_i|: the number of seen cells with at least one measured point."""
         return self.surface.measured_count
 
     @property
     def rms(self) -> float:
-        """Metres; root mean square distance of every measured point to the plane as it is now."""
+        """Return the root mean square distance in metres of all measured points to the current plane."""
         count = self.moments[0]
         if count < 1:
             return 0.0
@@ -93,9 +93,9 @@ class PlaneNode:
         keyframe: int,
         rate: float,
     ) -> None:
-        """Join one keyframe's segments: exponential moving average of the plane, union of the surface.
+        """Fuse one keyframe's segments: exponential moving average of the plane, union of the surface.
 
-        The rate shrinks with the segment's share of the node's area: a glimpse of a corner must not turn a wall.
+        The rate is scaled by the segment's share of the node's area, so a view of a corner does not rotate a wall.
         """
         before = (self.centroid, self.area) if self.keyframes else None
         for segment in segments:
@@ -118,7 +118,7 @@ class PlaneNode:
             self._note_change(*before)
 
     def absorb(self, other: PlaneNode) -> None:
-        """Join another node that turned out to be the same surface; the planes are averaged by area."""
+        """Merge another node of the same surface; the planes are averaged by area."""
         before = (self.centroid, self.area)
         share = other.area / max(self.area + other.area, 1e-9)
         normal = (1.0 - share) * self.normal + share * other.normal
@@ -137,7 +137,7 @@ class PlaneNode:
         self._note_change(*before)
 
     def _forget(self) -> None:
-        """Keep the normals of the last ``window`` keyframes that showed the plane."""
+        """Keep the normals of the last ``window`` keyframes that observed the plane."""
         self.normals = dict(sorted(self.normals.items())[-self._window :])
 
     def _note_change(self, centroid: np.ndarray, area: float) -> None:
@@ -146,7 +146,7 @@ class PlaneNode:
 
 
 def _moved(moments: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """Moments of the same points about an anchor such that every point's coordinates grow by ``by`` [3]."""
+    """Return the moments of the same points after adding ``by`` [3] to all coordinates."""
     count, first = moments[0], moments[1:4]
     second = moments[_SECOND]
     second = second + np.outer(first, by) + np.outer(by, first) + count * np.outer(by, by)

@@ -1,7 +1,7 @@
-"""Quality of each plane: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
+"""Assess planes: eight failure modes, the scalar quality, and the deficiency centres (Sec. 3.3).
 
-The paper names the modes; the formulas are ours. They are kept apart on purpose: a hole inside a plane lowers mode
-viii only, a missing corner mode i only, an edge that nobody followed mode v only.
+The paper names the modes; the formulas are this project's. They are independent: a hole inside a plane lowers only mode
+viii, a missing corner only mode i, an edge with unknown space beyond only mode v.
 """
 
 from __future__ import annotations
@@ -50,24 +50,24 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class QualityConfig:
-    """Scales at which a mode becomes bad, and the weights of Eq. 7."""
+    """Configure the scales at which a mode becomes bad, and the weights of Eq. 7."""
 
     density_target: float = 400.0  # ii: points per m^2
-    fit_scale: float = 0.01  # iii: metres rms at which the score is 1/e
+    fit_scale: float = 0.01  # iii: rms in metres at which the score is 1/e
     observations_target: int = 5  # iv: keyframes
-    boundary_reach: float = 0.10  # v: metres from an edge to the other plane that closes it
-    space_step: float = 0.15  # v: metres beyond an edge at which space is asked; more than one voxel of 10 cm
-    normal_angle_deg: float = 15.0  # vi: mean deviation that scores 0
+    boundary_reach: float = 0.10  # v: metres between an edge and another plane that closes it
+    space_step: float = 0.15  # v: metres beyond an edge at which space is tested; more than one voxel of 10 cm
+    normal_angle_deg: float = 15.0  # vi: mean deviation at which the score is 0
     shift_scale: float = 0.05  # vii: metres of centroid shift
     area_scale: float = 0.10  # vii: relative change of the area
     closing_radius: int = 3  # viii: cells
-    hole_tile: int = 10  # viii: cells; a larger hole gets one centre per tile (0.5 m)
-    min_hole_cells: int = 4  # viii: smaller holes get no centre (they still lower the score)
-    min_sparse_cells: int = 20  # viii: seen cells of a tile without a fine Gaussian near, for it to get a centre
-    coarse_size: float = 1.0  # viii: of a cell; a larger Gaussian stands for more than one (plain surface: sigma .81)
-    min_hole_radius: float = 1.5  # viii: cells; a thin slit gets no centre either
-    # True is Eq. 6 to the letter. False leaves out holes that no view can fill: cells that were looked through
-    # (a window, a doorway) or that something lies on (a picture, a cupboard's back).
+    hole_tile: int = 10  # viii: cells; a hole has one centre per tile (0.5 m)
+    min_hole_cells: int = 4  # viii: smaller holes get no centre, but lower the score
+    min_sparse_cells: int = 20  # viii: minimum seen cells of a tile without a fine Gaussian nearby, for a centre
+    coarse_size: float = 1.0  # viii: of a cell; larger Gaussians are coarse (plain surface: sigma 0.81)
+    min_hole_radius: float = 1.5  # viii: cells; narrower slits get no centre
+    # True follows Eq. 6 exactly. False excludes holes that no view can fill: cells with free space behind (a window, a
+    # doorway) or covered by an object (a picture, a cupboard's back).
     count_explained_holes: bool = True
     weights_structural: tuple[float, ...] = (0.25, 0.05, 0.10, 0.05, 0.05, 0.15, 0.10, 0.25)  # Eq. 7: i, viii, vi
     weights_object: tuple[float, ...] = (0.10, 0.25, 0.10, 0.15, 0.20, 0.05, 0.05, 0.10)  # Eq. 7: ii, v, iv
@@ -82,7 +82,7 @@ class QualityConfig:
 
 @dataclass(frozen=True)
 class Quality:
-    """Scores of all planes, 1 = good."""
+    """Hold the scores of all planes, 1 = good."""
 
     modes: np.ndarray  # [N, 8] in [0, 1], columns as in QUALITY_MODES
     scores: np.ndarray  # [N] q in [0, 1]
@@ -90,14 +90,14 @@ class Quality:
 
 @dataclass(frozen=True)
 class Deficiencies:
-    """Deficiency centres of the planes: targets for the next views."""
+    """Hold the planes' deficiency centres: targets for the next views."""
 
     centres: np.ndarray  # [D, 3] world, each on an unseen cell inside a hole
     normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from
-    areas: np.ndarray  # [D] m^2 of the part of the hole the centre stands for
+    areas: np.ndarray  # [D] m^2 of the part of the hole that the centre represents
     planes: np.ndarray  # [D] int64 index of the plane
-    sizes: np.ndarray  # [D] metres, of the Gaussians on a patch that is too coarse; inf in a hole, where there are none
-    explained: np.ndarray  # [D] bool: an image showed what is there instead, and no other image will fill the hole
+    sizes: np.ndarray  # [D] metres, size of the Gaussians on a coarse patch; inf in a hole
+    explained: np.ndarray  # [D] bool: an image observed something else there, so no view will fill the hole
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -105,18 +105,18 @@ class Deficiencies:
 
 @dataclass(frozen=True)
 class Interior:
-    """Eq. 6 on one grid."""
+    """Hold the terms of Eq. 6 for one grid."""
 
     mask: np.ndarray  # [R, C] uint8: I, seen cells after closing, enclosed holes filled
     missing_share: float  # g = |I \\ O| / |I|
-    cells: int  # of I
-    hull_cells: int  # cells with their centre in the convex hull of the seen cells
-    missing: np.ndarray  # [R', C'] bool: I \\ O in the rectangle that holds the seen cells
+    cells: int  # number of cells of I
+    hull_cells: int  # cells whose centre lies in the convex hull of the seen cells
+    missing: np.ndarray  # [R', C'] bool: I \\ O in the bounding rectangle of the seen cells
     corner: np.ndarray  # [2] array cell of its first row and column
 
 
 def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
-    """Closed and filled mask of a plane, and what is missing in it (Eq. 6)."""
+    """Return the closed and filled mask of a plane, and its missing cells (Eq. 6)."""
     known = surface.memo.get(("interior", config))
     if isinstance(known, Interior):
         return known
@@ -127,7 +127,7 @@ def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
 
 def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     seen = surface.seen
-    # The rectangle that holds the seen cells; closing and filling never leave it.
+    # Bounding rectangle of the seen cells; closing and filling stay inside it.
     left, top, width, height = cv2.boundingRect(seen) if seen.size else (0, 0, 0, 0)
     if not width:
         return Interior(np.zeros_like(seen), 1.0, 0, 0, np.zeros((0, 0), bool), np.zeros(2, np.int64))
@@ -152,10 +152,10 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
 
 
 def cells_in_polygon(corners: np.ndarray) -> int:
-    """Cells whose centre lies in or on a convex polygon [N, 2] with cells as corners.
+    """Return the number of cells whose centre lies in or on a convex polygon [N, 2] with cells as corners.
 
-    By Pick's theorem: area + half of the cells on its border + 1. Drawing it would count the cells that its outline
-    touches as well, a third more on a narrow strip that runs askew.
+    By Pick's theorem: area + half of the border cells + 1. Rasterising would also count cells touched by the outline, a
+    third more on a narrow oblique strip.
     """
     steps = np.roll(corners, -1, axis=0).astype(np.int64) - corners
     doubled_area = abs(int((corners[:, 0] * steps[:, 1] - corners[:, 1] * steps[:, 0]).sum()))
@@ -164,7 +164,7 @@ def cells_in_polygon(corners: np.ndarray) -> int:
 
 
 def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:  # [D, 2] array cells, [D]
-    """One cell per tile of every hole of a plane, and how many cells each stands for."""
+    """Return one cell per tile of every hole of a plane, and the number of cells each represents."""
     known = surface.memo.get(("holes", config))
     if not isinstance(known, tuple):
         inside = interior(surface, config)
@@ -174,10 +174,13 @@ def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.n
 
 
 def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:
-    """One cell per tile of every hole: the cell nearest to the mean of the tile's cells, so never outside the hole."""
+    """Return one cell per tile of every hole, and the tile's number of cells.
+
+    It is the tile's cell nearest to their mean, so it never lies outside the hole.
+    """
     if np.count_nonzero(missing) < config.min_hole_cells:
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
-    # Work on the rectangle that holds them: most grids are large and most holes small.
+    # Use the bounding rectangle: most grids are large and most holes small.
     cells = np.ascontiguousarray(missing).view(np.uint8)
     left, top, width, height = cv2.boundingRect(cells)
     cells = np.ascontiguousarray(cells[top : top + height, left : left + width])
@@ -192,10 +195,10 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
 
 @dataclass(frozen=True)
 class _Edge:
-    """The sides of a plane's boundary cells."""
+    """Hold the sides of a plane's boundary cells."""
 
     sides: int
-    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of those beyond which the images showed nothing
+    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of sides with unobserved neighbours
 
 
 def _edge(surface: SurfaceGrid, config: QualityConfig) -> _Edge:
@@ -210,10 +213,10 @@ def _edge(surface: SurfaceGrid, config: QualityConfig) -> _Edge:
 def boundary_closure(
     nodes: Sequence[PlaneNode], config: QualityConfig, space_state: SpaceState | None = None
 ) -> np.ndarray:  # [N] in [0, 1]
-    """Share of each plane's outer edge beyond which something is known (mode v).
+    """Return the fraction of each plane's outer edge beyond which something is known (mode v).
 
-    Known is: what the images of the plane showed beside it, another plane within reach, and - given ``space_state`` -
-    space that is occupied or free. The edges of holes inside the plane belong to mode viii.
+    Known is anything that images of the plane observed next to it, another plane within reach, and, given
+    ``space_state``, occupied or free space. The edges of holes inside the plane belong to mode viii.
     """
     if not nodes:
         return np.zeros(0)
@@ -235,7 +238,7 @@ def boundary_closure(
 
 
 def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> float:
-    """Mean alignment of the window's normals with their mean, 1 = all equal, 0 = ``max_angle_deg`` off (mode vi)."""
+    """Return the mean alignment of normals with their mean: 1 = equal, 0 = ``max_angle_deg`` off (mode vi)."""
     if not len(normals):
         return 0.0
     stack = np.array(normals)
@@ -249,7 +252,7 @@ def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> f
 
 
 def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
-    """All modes but the boundary: they change only when a keyframe shows the plane."""
+    """Compute all modes except the boundary; they change only when a keyframe observes the plane."""
     known = node.surface.memo.get(("modes", config))
     if isinstance(known, np.ndarray):
         return known
@@ -259,12 +262,12 @@ def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
     hits = surface.hits[surface.seen.view(bool)]
     if len(hits):
         modes[0] = min(1.0, inside.cells / max(inside.hull_cells, 1))
-        # Per cell, so that a dense spot does not pay for a thin one.
+        # Per cell, so that dense cells do not compensate for sparse ones.
         modes[1] = np.minimum(hits / (config.density_target * surface.cell**2), 1.0).mean()
     modes[2] = np.exp(-node.rms / config.fit_scale)
     modes[3] = min(1.0, node.observations / config.observations_target)
     modes[5] = normal_consistency([*node.normals.values()], config.normal_angle_deg)
-    # A plane seen once has not shown that it stays: its change is infinite, its score 0.
+    # A plane observed once has infinite change and score 0.
     modes[6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
     modes[7] = 1.0 - inside.missing_share  # Eq. 6
     surface.memo["modes", config] = modes
@@ -278,7 +281,7 @@ def assess_quality(
     *,
     space_state: SpaceState | None = None,
 ) -> Quality:
-    """The quality vector of every plane and its weighted sum (Eq. 7). Defined for any plane, however small."""
+    """Return the quality vector of every plane and its weighted sum (Eq. 7); defined for planes of any size."""
     config = config or QualityConfig()
     modes = np.array([_own_modes(node, config) for node in nodes]).reshape(-1, 8)
     if len(nodes):
@@ -288,9 +291,9 @@ def assess_quality(
 
 
 def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: MapPoints) -> SparsePatches:
-    """The patches of all planes that were seen but that the map covers more coarsely than a plane's own cells.
+    """Return the seen patches of all planes that the map covers more coarsely than a plane's cells.
 
-    Asks nothing that `assess_quality` changes, so the two may run beside each other.
+    It reads nothing that `assess_quality` changes, so both may run in parallel.
     """
     largest = config.coarse_size * nodes[0].surface.cell if nodes else 0.0
     return sparse_patches(nodes, points, tile=config.hole_tile, least_cells=config.min_sparse_cells, largest=largest)
@@ -299,7 +302,7 @@ def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: Ma
 def find_deficiencies(
     nodes: Sequence[PlaneNode], config: QualityConfig | None = None, *, coarse: SparsePatches | None = None
 ) -> Deficiencies:
-    """The holes of all planes as points in the world (C_def), in the order of the planes; behind them ``coarse``."""
+    """Return the holes of all planes as world points (C_def), sorted by plane, followed by ``coarse``."""
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
     explained = [np.zeros(0, bool)]

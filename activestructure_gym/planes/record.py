@@ -1,4 +1,4 @@
-"""The Plane Scene Graph as a run keeps it: arrays to draw it again, and a few numbers per decision."""
+"""Record the Plane Scene Graph of a run: arrays for drawing it, and a summary per decision."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GraphArrays = Mapping[str, np.ndarray]
 
 
 def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
-    """Everything ``graph.npz`` holds, for N planes, E edges and D deficiency centres. Metres, world frame.
+    """Return the content of ``graph.npz``, for N planes, E edges and D deficiency centres. Metres, world frame.
 
     Planes: ``ids`` [N], ``normals`` [N, 3] and ``offsets`` [N] with normal . x + offset = 0, ``centroids`` [N, 3],
     ``areas`` [N] m^2, ``observations`` [N] keyframes, ``structural`` [N] bool, ``modes`` [N, 8] in the order of
@@ -26,9 +26,9 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
     Deficiency centres: ``deficiency_centres`` [D, 3], ``deficiency_normals`` [D, 3], ``deficiency_areas`` [D] m^2,
     ``deficiency_planes`` [D] rows of the planes' arrays.
 
-    Seen surface: plane k is a grid of ``patch_shapes[k]`` = (R, C) square cells of edge ``cell``; the corner of cell
-    (r, c) is ``patch_corners[k] + cell * (r * patch_axes[k, 0] + c * patch_axes[k, 1])``. Which cells were seen is
-    packed eight to a byte, row after row: ``np.unpackbits(patch_bits[patch_starts[k]:patch_starts[k + 1]])[:R * C]``.
+    Seen surface: plane k is a grid of ``patch_shapes[k]`` = (R, C) square cells of edge ``cell``. The corner of cell
+    (r, c) is ``patch_corners[k] + cell * (r * patch_axes[k, 0] + c * patch_axes[k, 1])``. The mask of seen cells is
+    packed eight to a byte, row by row: ``np.unpackbits(patch_bits[patch_starts[k]:patch_starts[k + 1]])[:R * C]``.
     """
     from activestructure_gym.planes import QUALITY_MODES
 
@@ -81,14 +81,14 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
 
 
 def seen_cells(arrays: GraphArrays, plane: int) -> np.ndarray:  # [R, C] uint8, 1 = seen
-    """The grid of one plane; where it lies in the world, see `graph_arrays`."""
+    """Return the seen cells of one plane's grid; its world position is described in `graph_arrays`."""
     rows, columns = (int(side) for side in arrays["patch_shapes"][plane])
     start, end = arrays["patch_starts"][plane : plane + 2]
     return np.unpackbits(arrays["patch_bits"][start:end])[: rows * columns].reshape(rows, columns)
 
 
 def graph_summary(graph: PlaneSceneGraph) -> dict[str, Any]:
-    """Summary of the graph for a decision's record; a mean over no planes is None."""
+    """Return a summary of the graph for a decision's record; a mean over no planes is None."""
     structural = np.asarray(graph.state.structural, dtype=bool)
     summary: dict[str, Any] = {}
     for kind, own in (("structural", structural), ("objects", ~structural)):

@@ -1,7 +1,7 @@
-"""The part of a plane that has been seen: a growing grid of cells in the plane's tangent frame.
+"""Represent the seen part of a plane: a growing grid of cells in the plane's tangent frame.
 
-Everything that asks "where on this plane" reads this grid: area, centroid, points, coverage, boundary, holes. It is
-carried with the plane, not with the world's axes, so a rigid motion of everything changes no cell.
+Area, centroid, points, coverage, boundary and holes are all read from this grid. It moves with the plane, not with the
+world's axes, so a rigid motion of everything changes no cell.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneDetection
 from activestructure_gym.planes.vectors import cross, length
 
-# Cells a grid grows by at least, so that it is not copied at every keyframe.
+# Minimum growth in cells, so that the grid is not copied at every keyframe.
 _MARGIN = 16
-# A disc of 2 cells: what counts as near to a seen cell (10 cm at 5 cm cells).
+# A disc of 2 cells: the neighbourhood of a seen cell (10 cm at 5 cm cells).
 _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 @dataclass(frozen=True)
 class Patch:
-    """The contribution of one image to one grid: arrays over a rectangle of cells."""
+    """Hold the contribution of one image to one grid: arrays over a rectangle of cells."""
 
     low: np.ndarray  # [2] int64 cell index of the first row and column
-    shown: np.ndarray  # [R, C] int32, how often a cell's centre was shown as this plane
-    denied: np.ndarray  # [R, C] int32, how often it was shown as something else
+    shown: np.ndarray  # [R, C] int32, how often the cell's centre was observed as this plane
+    denied: np.ndarray  # [R, C] int32, how often it was observed as something else
     hits: np.ndarray  # [R, C] int32 pixels per cell
     beside: np.ndarray  # [R, C] uint8, see `surface_kernels.look_up_cells`
 
 
 class SurfaceGrid:
-    """Seen cells of one plane.
+    """Hold the seen cells of one plane.
 
-    The frame is orthonormal: ``axes[0]``, ``axes[1]`` in the plane, ``axes[2]`` its normal; ``origin`` lies on the
-    plane. Cell (0, 0) of the arrays is cell ``low`` of the frame.
+    The frame is orthonormal: ``axes[0]`` and ``axes[1]`` lie in the plane, ``axes[2]`` is its normal; ``origin`` lies
+    on the plane. Array cell (0, 0) is cell ``low`` of the frame.
     """
 
     def __init__(self, origin: np.ndarray, axes: np.ndarray, cell: float) -> None:
@@ -48,23 +48,27 @@ class SurfaceGrid:
         self.axes = np.array(axes, dtype=np.float64)  # [3, 3] rows
         self.cell = cell  # metres
         self.low = np.zeros(2, np.int64)
-        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown, and not denied more often
+        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown at least once and not less often than denied
         self.shown = np.zeros((0, 0), np.int32)
         self.denied = np.zeros((0, 0), np.int32)
-        self.hits = np.zeros((0, 0), np.int32)  # [R, C] pixels that fell into the cell
-        self.beside = np.zeros((0, 0), np.uint8)  # [R, C] what unseen cells showed: unknown, open or covered
-        self.memo: dict[object, object] = {}  # results of others about this grid, dropped when it changes
+        self.hits = np.zeros((0, 0), np.int32)  # [R, C] number of pixels in the cell
+        # [R, C] observed next to the plane in unseen cells: unknown, open or covered
+        self.beside = np.zeros((0, 0), np.uint8)
+        self.memo: dict[object, object] = {}  # results computed from this grid; cleared when it changes
 
     @cached_property
     def frame(self) -> np.ndarray:  # [12] for the kernels
-        """Origin, two axes, normal."""
+        """Return origin, two axes and normal."""
         return np.concatenate([self.origin, self.axes.ravel()])
 
     def seat(self, normal: np.ndarray, offset: float) -> None:
-        """Put the frame onto the plane ``normal . x + offset = 0`` by the smallest rotation; cells keep their place."""
+        """Move the frame onto the plane ``normal . x + offset = 0`` by the smallest rotation.
+
+        Cells keep their indices.
+        """
         old = self.axes[2]
         u = self.axes[0]
-        # The shortest rotation from the old normal to the new one, applied to a vector of the old plane.
+        # Apply the shortest rotation from the old to the new normal to a vector of the old plane.
         u = u - (u @ normal) / (1.0 + old @ normal) * (old + normal)
         u = u - (u @ normal) * normal
         u = u / length(u)
@@ -73,7 +77,7 @@ class SurfaceGrid:
         self._forget()
 
     def add(self, patch: Patch) -> None:
-        """Join what one image showed."""
+        """Add the observations of one image."""
         if not patch.shown.size:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
@@ -81,11 +85,14 @@ class SurfaceGrid:
             self._votes(), kernels.Votes(patch.shown, patch.denied, patch.hits, patch.beside), row, column, self.seen
         )
         if not cv2.countNonZero(self.seen):
-            self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
+            self.seen[:] = self.hits > 0  # a sliver between all cell centres still gets a cell
         self._forget()
 
     def absorb(self, other: SurfaceGrid) -> None:
-        """Join another grid of the same plane. Each of our cells asks the other grid: no cell falls between."""
+        """Merge another grid of the same plane.
+
+        Each cell of this grid samples the other one, so that no gaps arise.
+        """
         if not other.seen.size:
             return
         corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
@@ -100,7 +107,7 @@ class SurfaceGrid:
         return kernels.Votes(self.shown, self.denied, self.hits, self.beside)
 
     def _cover(self, low: np.ndarray, height: int, width: int) -> tuple[int, int]:
-        """Grow the arrays over a rectangle from cell ``low`` on; returns the array cell it then begins at."""
+        """Grow the arrays to include a rectangle that starts at cell ``low``; return its first array cell."""
         row, column = (low - self.low).tolist()
         rows, columns = self.seen.shape
         if rows and row >= 0 and column >= 0 and row + height <= rows and column + width <= columns:
@@ -135,7 +142,7 @@ class SurfaceGrid:
         return (points - self.origin) @ self.axes[:2].T / self.cell
 
     def cell_centres(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:  # [K, 3] world
-        """Centres of array cells, on the plane."""
+        """Return the centres of array cells, on the plane."""
         cells = np.empty((len(rows), 2))
         cells[:, 0], cells[:, 1] = rows, columns
         return self._to_world(cells + self.low + 0.5)
@@ -151,7 +158,7 @@ class SurfaceGrid:
     @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
         points = self.cell_centres(*self._shown_cells)
-        points.setflags(write=False)  # everybody gets this one
+        points.setflags(write=False)  # shared by all callers
         return points
 
     @property
@@ -160,18 +167,18 @@ class SurfaceGrid:
 
     @property
     def measured_count(self) -> int:
-        """Seen cells with at least one measured point."""
+        """Return the number of seen cells with at least one measured point."""
         return len(self._measured[0])
 
     @cached_property
     def area(self) -> float:
-        """Square metres: seen cells times the area of a cell."""
+        """Return the area in m^2: seen cells times cell area."""
         return (cv2.countNonZero(self.seen) if self.seen.size else 0) * self.cell**2
 
     @cached_property
     def centroid(self) -> np.ndarray:  # [3] world
-        """Mean of the seen cells."""
-        sums = cv2.moments(self.seen) if self.seen.size else {"m00": 0.0}  # of whole numbers, so exact
+        """Return the mean of the seen cells' centres."""
+        sums = cv2.moments(self.seen) if self.seen.size else {"m00": 0.0}  # sums of integers, so exact
         if not sums["m00"]:
             return self.origin.copy()
         mean = np.array([sums["m01"] / sums["m00"], sums["m10"] / sums["m00"]])  # row, column
@@ -179,13 +186,13 @@ class SurfaceGrid:
 
     @cached_property
     def near(self) -> np.ndarray:  # [R, C] uint8
-        """Seen cells and those within two cells of them."""
+        """Return the seen cells and those within two cells of them."""
         return cv2.dilate(self.seen, _NEAR) if self.seen.size else self.seen
 
     def points(self, count: int | None = None) -> np.ndarray:  # [K, 3] world
-        """Centres of the seen cells with at least one measured point; ``count`` of them, evenly spread in row order.
+        """Return the centres of seen cells with a measured point; if given, ``count`` of them, evenly spread.
 
-        Without a count the array is kept and read-only.
+        Without a count the array is cached and read-only.
         """
         points = self._points
         if count is not None and len(points) > count:
@@ -193,7 +200,7 @@ class SurfaceGrid:
         return points
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """``count`` >= 2 of the points from the first to the last, kept until the grid changes."""
+        """Return ``count`` >= 2 of the points from first to last; cached until the grid changes."""
         known = self.memo.get(("spread", count))
         if not isinstance(known, np.ndarray):
             rows, columns = self._shown_cells
@@ -202,22 +209,22 @@ class SurfaceGrid:
         return known
 
     def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
-        """Whether the points' feet on the plane fall on seen cells, or within ``reach`` cells of one."""
+        """Return whether the points' projections onto the plane are within ``reach`` cells of a seen cell."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         return np.asarray(kernels.near_seen(points, self.frame, self.low, self.seen, self.cell, disc(reach)))
 
 
 class GridStack(NamedTuple):
-    """Frames, shapes and flat offsets of several grids, for kernels that go through all of their cells."""
+    """Hold frames, shapes and flat offsets of several grids, for kernels that loop over all cells."""
 
     frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
-    lows: np.ndarray  # [N, 2] int64 cell index of each array's first entry
+    lows: np.ndarray  # [N, 2] int64 cell index of each array's first cell
     shapes: np.ndarray  # [N, 2] int64
-    starts: np.ndarray  # [N + 1] int64, where each grid begins in a flat array
+    starts: np.ndarray  # [N + 1] int64, start of each grid in a flat array
 
 
 def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
-    """The `GridStack` of one surface or more."""
+    """Return the `GridStack` of one or more surfaces."""
     shapes = np.array([surface.seen.shape for surface in surfaces], dtype=np.int64)
     return GridStack(
         frames=np.array([surface.frame for surface in surfaces]),
@@ -228,7 +235,7 @@ def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
 
 
 def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 -> rows [K], columns [K]
-    """`numpy.nonzero` of two dimensions, many times as fast for large masks."""
+    """Return `numpy.nonzero` of a 2D mask, many times faster for large masks."""
     found = cv2.findNonZero(mask) if mask.size else None
     if found is None:
         return np.zeros(0, np.int32), np.zeros(0, np.int32)
@@ -238,20 +245,20 @@ def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 
 
 @cache
 def disc(radius: int) -> np.ndarray:
-    """A disc of so many cells around its middle, for OpenCV's morphology."""
+    """Return a disc of ``radius`` cells for OpenCV's morphology."""
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 def observe(
     frame: Frame,
     detection: PlaneDetection,
-    table: np.ndarray,  # [S] which grid each label belongs to, -1 = none
+    table: np.ndarray,  # [S] grid index of each label, -1 = none
     grids: list[SurfaceGrid],
     anchors: np.ndarray,  # [T, 3] world
     *,
     reach: float,  # metres; see `surface_kernels.look_up_cells`
 ) -> tuple[list[Patch], np.ndarray]:
-    """The patches that an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
+    """Return the patch that an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     labels, segments = detection.labels, detection.segments
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
@@ -262,7 +269,7 @@ def observe(
     table = np.asarray(table, dtype=np.int64)
     image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
     extents, moments = kernels.image_sums(image, frames, anchors, cell)
-    extents += np.array([-2, -2, 2, 2])  # look a little beyond the edge: is there something else?
+    extents += np.array([-2, -2, 2, 2])  # Include two cells beyond the edge, to observe what is next to it.
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
@@ -272,7 +279,7 @@ def observe(
     kernels.count_hits(image, rectangles, hits)
     planes = np.array([[*segment.normal, segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
-    # Which segments stand on the visible side of each grid's plane.
+    # Which segments lie on the visible side of each grid's plane.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
     kernels.look_up_cells(image, rectangles, seen, beside, reach, planes, facing)

@@ -1,4 +1,4 @@
-"""Structural surprise of planes and views, and the structural information deficit (Sec. 3.3)."""
+"""Compute the structural surprise of planes and views, and the structural information deficit (Sec. 3.3)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class SurpriseConfig:
-    """Constants of Eqs. 8 to 11; the paper names the symbols, the values are ours."""
+    """Configure Eqs. 8 to 11; the paper names the symbols, the values are this project's."""
 
     floor: float = 0.1  # phi_min of all three indicators
-    saturation_degree: int = 3  # tree degree at which a plane counts as fully anchored
+    saturation_degree: int = 3  # tree degree at which a plane is fully anchored
     radius: float = 1.5  # Eq. 8: r, metres between centroids
-    max_angle_deg: float = 45.0  # Eq. 9: theta_max; no acute angle is further from 0 and 90
-    blend: float = 0.5  # Eq. 11: eta, share of the mean against the maximum
+    max_angle_deg: float = 45.0  # Eq. 9: theta_max; no acute angle is farther from 0 and 90
+    blend: float = 0.5  # Eq. 11: eta, weight of the mean against the maximum
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -34,7 +34,7 @@ class SurpriseConfig:
 
 @dataclass(frozen=True)
 class Surprise:
-    """The three indicators and their product, each [N] in [0, 1]."""
+    """Hold the three indicators and their product, each [N] in [0, 1]."""
 
     connectivity: np.ndarray  # phi^c
     neighbourhood: np.ndarray  # phi^r
@@ -43,7 +43,7 @@ class Surprise:
 
 
 def connectivity_surprise(degree: np.ndarray, config: SurpriseConfig) -> np.ndarray:
-    """phi^c: falls with the degree in the spanning forest; a dangling plane was seen but not put into context."""
+    """Return phi^c: it falls with the degree in the spanning forest; a leaf plane lacks context."""
     return np.maximum(config.floor, 1.0 - degree / config.saturation_degree)
 
 
@@ -52,9 +52,9 @@ def neighbourhood_surprise(
     edges: np.ndarray,  # [N, N] bool
     config: SurpriseConfig,
 ) -> np.ndarray:  # [N]
-    """phi^r: share of the near planes that were never related to this one (Eq. 8; printed as phi^c, a misprint).
+    """Return phi^r: the fraction of nearby planes never related to this one (Eq. 8; printed as phi^c, a misprint).
 
-    Without a plane within the radius nothing is missing, and the floor remains.
+    Without a plane within the radius it is the floor.
     """
     near = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) < config.radius
     np.fill_diagonal(near, False)
@@ -69,9 +69,9 @@ def geometric_surprise(
     tree: np.ndarray,  # [N, N] bool
     config: SurpriseConfig,
 ) -> np.ndarray:  # [N]
-    """phi^g: how far the angles to the tree's neighbours are from 0 and 90 degrees (Eq. 9)."""
+    """Return phi^g: the mean deviation of angles to the tree's neighbours from 0 and 90 degrees (Eq. 9)."""
     angle = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0.0, 1.0)))
-    # theta is acute by its definition, so 180 degrees of the canonical set can never be the nearest.
+    # theta is acute by definition, so 180 degrees of the canonical set is never the nearest.
     deviation = np.minimum(np.minimum(angle, 90.0 - angle) / config.max_angle_deg, 1.0)
     degree = tree.sum(axis=1)
     mean = (deviation * tree).sum(axis=1) / np.maximum(degree, 1)
@@ -81,7 +81,7 @@ def geometric_surprise(
 def structural_surprise(
     normals: np.ndarray, centroids: np.ndarray, edges: np.ndarray, tree: np.ndarray, config: SurpriseConfig
 ) -> Surprise:
-    """All three indicators; their product is large only where all invariants are violated at once."""
+    """Return all three indicators; their product is large only if all invariants are violated."""
     c = connectivity_surprise(tree.sum(axis=1), config)
     r = neighbourhood_surprise(centroids, edges, config)
     g = geometric_surprise(normals, tree, config)
@@ -89,7 +89,7 @@ def structural_surprise(
 
 
 def information_deficit(quality: np.ndarray, surprise: np.ndarray) -> np.ndarray:
-    """gamma = (1 - q) Phi (Eq. 10): large where a plane is under-reconstructed and poorly integrated."""
+    """Return gamma = (1 - q) Phi (Eq. 10): large for planes that are under-reconstructed and poorly integrated."""
     return (1.0 - quality) * surprise
 
 
@@ -97,8 +97,8 @@ def view_surprise(
     surprise: np.ndarray,  # [N] Phi
     visible: np.ndarray,  # [C, N] bool
     config: SurpriseConfig | None = None,
-) -> np.ndarray:  # [C], 0 for a view that sees no plane
-    """Surprise of candidate views: blend of mean and maximum over the planes each one sees (Eq. 11)."""
+) -> np.ndarray:  # [C], 0 for a view without visible planes
+    """Return the surprise of candidate views: a blend of mean and maximum over their visible planes (Eq. 11)."""
     config = config or SurpriseConfig()
     visible = np.asarray(visible, dtype=bool)
     if not len(surprise):

@@ -1,4 +1,4 @@
-"""The graph over the planes: weights, edges, spanning forest, betweenness, structural planes (Sec. 3.2)."""
+"""Build the graph over the planes: weights, edges, spanning forest, betweenness, structural planes (Sec. 3.2)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TopologyConfig:
-    """Constants of Eqs. 4 and 5; the paper names the symbols, the values are ours."""
+    """Configure Eqs. 4 and 5; the paper names the symbols, the values are this project's."""
 
-    beta: float = 0.5  # Eq. 4: share of normal alignment against proximity, 0..1
+    beta: float = 0.5  # Eq. 4: weight of normal alignment against proximity, 0..1
     decay: float = 0.5  # Eq. 4: lambda, per metre
-    max_edge_weight: float = 0.95  # planes that support each other less than this have no edge
+    max_edge_weight: float = 0.95  # pairs with a larger weight have no edge
     min_betweenness: float = 0.15  # Eq. 5: tau_c
     min_degree: int = 3  # Eq. 5: tau_d
     min_area: float = 1.5  # Eq. 5: tau_a, m^2
@@ -39,7 +39,7 @@ def edge_weights(
     beta: float = 0.5,  # weight of normal alignment, 0..1
     decay: float = 0.5,  # lambda, per metre
 ) -> np.ndarray:  # [N, N] in [0, 1], 0 on the diagonal
-    """Affinity of every pair of planes; small means the pair supports each other (Eq. 4)."""
+    """Return the edge weight of every pair of planes; small means mutual support (Eq. 4)."""
     alignment = np.minimum((normals @ normals.T) ** 2, 1.0)
     distance = np.linalg.norm(centroids[:, None] - centroids[None], axis=2)
     weights = 1.0 - (beta * alignment + (1.0 - beta) * np.exp(-decay * distance))  # Eq. 4
@@ -51,10 +51,10 @@ def spanning_forest(
     weights: np.ndarray,  # [N, N] symmetric
     edges: np.ndarray,  # [N, N] bool symmetric
 ) -> np.ndarray:  # [N, N] bool symmetric
-    """Minimum spanning tree of every connected component.
+    """Return the minimum spanning tree of every connected component.
 
-    Weights that agree to nine digits count as equal and the pair with the lower indices wins: symmetric rooms have
-    exact ties, and the last digit of a rotation must not choose among them.
+    Weights equal to nine digits are ties, resolved by the lower indices. Symmetric rooms have exact ties, and a
+    rotation's rounding error must not change the choice.
     """
     count = len(weights)
     tree = np.zeros((count, count), bool)
@@ -62,7 +62,8 @@ def spanning_forest(
     if not len(rows):
         return tree
     order = np.lexsort((columns, rows, np.round(weights[rows, columns], 9)))
-    above, left = list(range(count)), count - 1  # Kruskal: towards the root of each one's component, joints to make
+    # Kruskal: parent of each node towards its component's root, and number of edges left to add
+    above, left = list(range(count)), count - 1
     for row, column in zip(rows[order].tolist(), columns[order].tolist()):
         one, other = _root(above, row), _root(above, column)
         if one != other:
@@ -82,10 +83,11 @@ def _root(above: list[int], node: int) -> int:
 
 
 def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, no cycles -> [N] in [0, 1]
-    """Betweenness centrality of every node of a forest, normalised as networkx does, in O(N) after the adjacency.
+    """Return the betweenness centrality of every node of a forest, normalised as in networkx.
 
-    Removing u from its tree of n nodes leaves components of sizes s_k; the pairs whose path runs through u are
-    ((n - 1)^2 - sum s_k^2) / 2. Normalised by the (N - 1)(N - 2) / 2 pairs of the whole graph.
+    Removing u from its tree of n nodes leaves components of sizes s_k; the pairs whose path crosses u are ((n - 1)^2 -
+    sum s_k^2) / 2. They are normalised by the (N - 1)(N - 2) / 2 pairs of the whole graph. The cost is O(N) after
+    building the adjacency.
     """
     count = len(tree)
     centrality = np.zeros(count)
@@ -112,7 +114,7 @@ def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, 
         below = dict.fromkeys(order, 1)
         squares = dict.fromkeys(order, 0)
         for node in reversed(order):
-            rest = size - below[node]  # everything that hangs above the node
+            rest = size - below[node]  # number of nodes not below this one
             centrality[node] = ((size - 1) ** 2 - squares[node] - rest**2) / 2.0
             if parent[node] >= 0:
                 below[parent[node]] += below[node]
@@ -127,7 +129,7 @@ def classify_structural(
     points: np.ndarray,  # [N] number of thinned points
     config: TopologyConfig | None = None,
 ) -> np.ndarray:  # [N] bool
-    """Which planes carry the layout (Eq. 5)."""
+    """Return which planes are structural, that is, define the layout (Eq. 5)."""
     config = config or TopologyConfig()
     large = (area >= config.min_area) & (points >= config.min_points)
     return (betweenness >= config.min_betweenness) | (degree >= config.min_degree) | large  # Eq. 5

@@ -1,1 +1,1 @@
-"""Generated apartments: plans, rooms, furniture, light."""
+"""Generate apartments: plans, rooms, furniture, light."""

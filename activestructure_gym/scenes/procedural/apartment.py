@@ -1,4 +1,4 @@
-"""Apartments and rooms made from a seed: closed surfaces, furniture, textures, baked light, true part labels."""
+"""Generate apartments and rooms from a seed: closed surfaces, furniture, textures, baked light, part labels."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from activestructure_gym.scenes.procedural.room_trim import add_trim
 from activestructure_gym.scenes.raycaster import RayCaster
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
-_BOX_TRIANGLES = 1900  # the box room stays under 2,000
+_BOX_TRIANGLES = 1900  # limit that keeps the box room under 2000 triangles
 
 
 def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
-    """A furnished apartment with exactly ``rooms`` rooms (1 to 7), the same for the same arguments.
+    """Return a furnished apartment with exactly ``rooms`` rooms (1 to 7), deterministic in its arguments.
 
-    The first room is a living room; with ``rooms=1`` the seed chooses living room, bedroom, study or kitchen in turn.
-    The floor is z = 0, the ceiling 2.7 m, the plan lies in x, y >= 0. ``lit=False`` leaves light and textures away,
-    which take most of the time: the same triangles in flat colours. Raises `InputError` for other arguments.
+    The first room is a living room. With ``rooms=1`` the seed selects living room, bedroom, study or kitchen in turn.
+    The floor is z = 0, the ceiling 2.7 m, and the plan lies in x, y >= 0. ``lit=False`` skips light and textures, which
+    take most of the time: the same triangles in flat colours. Raises `InputError` for invalid arguments.
     """
     _check_seed(seed)
     if isinstance(rooms, bool) or not isinstance(rooms, int | np.integer) or not 1 <= rooms <= MAX_ROOMS:
@@ -40,7 +40,7 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit
 
 
 def build_apartment(plan: ApartmentPlan, *, name: str, source: str, seed: int, lit: bool = True) -> Scene:
-    """The triangles of a plan, with materials drawn from the seed."""
+    """Return the scene of a plan, with materials drawn from the seed."""
     layout = plan.layout
     materials = Materials(seed, painted=lit)
     builder = MeshBuilder()
@@ -57,9 +57,9 @@ def build_apartment(plan: ApartmentPlan, *, name: str, source: str, seed: int, l
 
 
 def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> Scene:
-    """An empty box of width x depth x height metres with one corner in the origin: six planes, under 2,000 triangles.
+    """Return an empty box of width x depth x height metres with one corner at the origin: six planes.
 
-    Raises `InputError` for sizes outside 0.5 to 50 m.
+    It has fewer than 2000 triangles. Raises `InputError` for sizes outside 0.5 to 50 m.
     """
     _check_seed(seed)
     try:
@@ -68,7 +68,7 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
         extent = np.zeros(0)
     if extent.shape != (3,) or not np.isfinite(extent).all() or extent.min() < 0.5 or extent.max() > 50:
         raise InputError(f"a box room needs three sizes between 0.5 and 50 m (width, depth, height), got {size!r}")
-    # Two triangles per cell; the largest pitch that keeps the whole box under the limit, found from its area.
+    # Two triangles per cell; the largest pitch that keeps the box under the limit, from its area.
     pairs = extent[[1, 2, 0]] * extent[[2, 0, 1]]
     pitch = float(np.sqrt(4 * pairs.sum() / _BOX_TRIANGLES))
     while True:
@@ -76,7 +76,7 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
         if 4 * (cells[[1, 2, 0]] * cells[[2, 0, 1]]).sum() <= _BOX_TRIANGLES:
             break
         pitch *= 1.05
-    materials = Materials(int(seed), detail=0.5)  # coarser textures: they take most of the time
+    materials = Materials(int(seed), detail=0.5)  # coarser textures, which take most of the time
     builder = MeshBuilder()
     sides = {(2, -1): "floor living", (2, 1): "ceiling", (0, -1): "wall paper", (1, 1): "wall accent"}
 
@@ -107,7 +107,7 @@ def _side_name(owner: str, axis: int, sign: int) -> str:
 def _describe_side(
     layout: Layout, materials: Materials, owner: int, axis: int, sign: int
 ) -> tuple[str, Material, bool]:
-    """Name, material and fit of one flat side of a room, a doorway or a window niche."""
+    """Return name, material and texture fit of one flat side of a room, a doorway or a window niche."""
     space = layout.spaces[owner]
     if owner < layout.rooms:
         name = _side_name(f"{space.kind} {owner}", axis, sign)
@@ -117,7 +117,7 @@ def _describe_side(
     name = f"{space.kind} {owner}"
     outward = axis < 2 and space.outward[axis] == sign
     if space.kind == "window" and outward:
-        return f"{name} pane", materials[f"street {owner % 3}"], True  # three views for all windows
+        return f"{name} pane", materials[f"street {owner % 3}"], True  # all windows share three views
     if axis == 2 and sign < 0 and space.kind == "door":
         return f"{name} floor", materials[f"floor {layout.spaces[space.room].kind}"], False
     return f"{name} jamb", materials["trim"], False
@@ -126,7 +126,7 @@ def _describe_side(
 def _wall_role(space: Space, axis: int, sign: int) -> str:
     if space.kind == "bath":
         return "wall bath"
-    # One wall of the rooms to rest in has another colour: the long one farther from the origin.
+    # In living and sleeping rooms one wall has another colour: the long one farther from the origin.
     extent = np.array(space.upper) - space.lower
     accent = int(extent[0] <= extent[1]) != axis and sign > 0
     if space.kind in ("living", "bedroom", "child") and accent:
@@ -154,15 +154,15 @@ def _finish(
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
 ) -> Scene:
-    """Bakes the light and puts everything together."""
+    """Bake the light and assemble the scene."""
     caster = RayCaster(built.vertices, built.faces)
     # Linear mean colour of each texture, white for faces without one.
     mean = np.array([*([t[..., k].mean() / 255 for k in range(3)] for t in materials.textures), [1.0, 1.0, 1.0]])
     albedo = (mean[built.face_texture] * built.tint[built.faces[:, 0]]) ** 2.2
-    albedo[built.glow[built.faces[:, 0]] > 0] = 0.0  # lamps and panes are light sources; they send nothing back
+    albedo[built.glow[built.faces[:, 0]] > 0] = 0.0  # lamps and panes are light sources and reflect nothing
     light = bake_light(built, caster, face_albedo=albedo.astype(np.float32), lights=lights, windows=windows)
     scene = _scene(name, source, built, materials, (built.tint * light).astype(np.float32))
-    scene.__dict__["raycaster"] = caster  # already built for the light; the cached property would build it again
+    scene.__dict__["raycaster"] = caster  # already built for the light; avoids a second build
     return scene
 
 

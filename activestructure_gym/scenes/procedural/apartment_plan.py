@@ -1,4 +1,4 @@
-"""An apartment before it becomes triangles: the floor plan, where everything stands, and where there is air."""
+"""Plan an apartment before meshing: floor plan, furniture positions, free space."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from activestructure_gym.scenes.procedural.layout import CEILING, UNIT, Layout, 
 from activestructure_gym.scenes.procedural.room_programs import furnish_room
 from activestructure_gym.scenes.procedural.room_trim import front_door, window_frames
 
-# Free points keep this far from walls (skirting boards, casings and sills stand up to 4 cm out).
+# metres between free points and walls; skirting boards, casings and sills are up to 4 cm thick
 _FROM_WALLS = 0.05  # metres
-# And this far from the boxes of furniture, which handles and cushions overstep a little.
+# metres between free points and furniture boxes, which handles and cushions exceed slightly
 _FROM_PIECES = 0.04  # metres
 
 
 @dataclass(frozen=True)
 class ApartmentPlan:
-    """A floor plan with furniture."""
+    """Hold a floor plan with furniture."""
 
     layout: Layout
     pieces: tuple[Piece, ...]
 
     @property
     def lights(self) -> list[Light]:
-        """The lamps; an unseen one under the ceiling in rooms without furniture."""
+        """Return the lamps; rooms without furniture get an invisible one below the ceiling."""
         lights = [light for piece in self.pieces for light in lights_of(piece)]
         if not any(piece.kind == "pendant" for piece in self.pieces):
             for space in self.layout.spaces[: self.layout.rooms]:
@@ -37,7 +37,7 @@ class ApartmentPlan:
         return lights
 
     def is_free(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] bool
-        """Whether points lie in the air: inside rooms or doorways, 5 cm from any wall, outside every piece's box."""
+        """Return whether points are free: inside rooms or doorways, 5 cm from walls, outside all furniture boxes."""
         owner = self.layout.owner
         air = np.array([space.kind != "window" for space in self.layout.spaces] + [False])  # the last is for -1
         free = np.ones(len(points), dtype=bool)
@@ -55,7 +55,7 @@ class ApartmentPlan:
         return free
 
     def free_points(self, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 3] metres
-        """Uniform random points of the free space."""
+        """Sample uniform random points of the free space."""
         size = np.array(self.layout.owner.shape) * UNIT
         found = np.empty((0, 3))
         while len(found) < count:
@@ -65,13 +65,13 @@ class ApartmentPlan:
 
 
 def plan_apartment(*, seed: int, rooms: int, furnished: bool) -> ApartmentPlan:
-    """The plan that `make_apartment` builds from; every room has its own generator."""
+    """Return the plan that `make_apartment` builds; every room has its own random generator."""
     layout = plan_layout(np.random.default_rng([seed, rooms, zlib.crc32(b"layout")]), rooms=rooms, seed=seed)
     return furnish(layout, seed=seed, furnished=furnished)
 
 
 def furnish(layout: Layout, *, seed: int, furnished: bool = True) -> ApartmentPlan:
-    """A floor plan with window frames, the front door and, if so asked, furniture drawn from the seed."""
+    """Add window frames, the front door and optional furniture, drawn from the seed, to a floor plan."""
     pieces = window_frames(layout) + front_door(layout)
     if furnished:
         for room in range(layout.rooms):

@@ -1,8 +1,8 @@
-"""Light at every vertex: lamps and windows with soft shadows, three bounces between the surfaces, and an exposure.
+"""Bake light per vertex: lamps and windows with soft shadows, three bounces, and an exposure.
 
-Lamps and windows are sampled directly, because rays sent out at random would rarely meet them; what the other surfaces
-send on is gathered along a fixed set of directions per vertex. The directions are the same everywhere (in the frame of
-the normal): neighbouring vertices then make the same error, and a wall shows no grain.
+Lamps and windows are sampled directly, since random rays would rarely hit them. Light from other surfaces is gathered
+along a fixed set of directions per vertex, equal in the frame of the normal. Neighbouring vertices thus have the same
+error, and walls show no noise.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from activestructure_gym.scenes.procedural.mesh_builder import BuiltMesh
 from activestructure_gym.scenes.raycaster import RayCaster
 
 _STRATA = 7  # 7 x 7 gathering rays per vertex
-_BOUNCES = 3  # the third brings about 5 % of the light
-_REACH = 8.0  # metres, beyond which a lamp is not felt
-_CHUNK = 8192  # vertices at a time: half a million rays, 30 MB
-_OFFSET = 0.008  # metres a sample stands off its surface: more than float32 noise, less than a door's thickness
+_BOUNCES = 3  # the third adds about 5 % of the light
+_REACH = 8.0  # metres; a lamp's light is ignored beyond
+_CHUNK = 8192  # vertices per batch: half a million rays, 30 MB
+_OFFSET = 0.008  # metres between a sample and its surface: above float32 noise, below a door's thickness
 _GAMMA = 1 / 2.2
 _KEY = 0.5  # linear display value of a white surface in average light
 _WHITE = 1.08  # display factor that the brightest light approaches
@@ -28,28 +28,28 @@ _WHITE = 1.08  # display factor that the brightest light approaches
 
 @dataclass(frozen=True)
 class WindowLight:
-    """A pane that shines into one room."""
+    """Hold a window pane that lights one room."""
 
     lower: np.ndarray  # [3] metres, corners of the (flat) pane
     upper: np.ndarray  # [3]
     inward: np.ndarray  # [3] unit
-    room: np.ndarray  # [2, 3] metres, the box of the room it lights
+    room: np.ndarray  # [2, 3] metres, box of the room
     emission: tuple[float, float, float] = (8.0, 8.7, 9.6)  # linear RGB exitance; a lamp gives 2 at 1 m
 
 
 @dataclass(frozen=True)
 class _Point:
-    """A small light, as one of the samples of a lamp or a pane."""
+    """Hold a point light: one sample of a lamp or a pane."""
 
     position: np.ndarray  # [3] metres
     power: np.ndarray  # [3] linear RGB
-    facing: np.ndarray | None = None  # [3] normal of a flat light, None = shines everywhere
+    facing: np.ndarray | None = None  # [3] normal of a flat light, None = radiates in all directions
     upward: float = 1.0
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """One sample per vertex that needs light."""
+    """Hold one sample per vertex that needs light."""
 
     points: np.ndarray  # [N, 3] float32
     normals: np.ndarray  # [N, 3] float32
@@ -63,7 +63,7 @@ def bake_light(
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
 ) -> np.ndarray:  # [V, 3] float32
-    """The factor to multiply each vertex' sRGB colour with; glowing vertices get their glow."""
+    """Return the factor for each vertex' sRGB colour; glowing vertices get their glow."""
     lit = np.flatnonzero(mesh.glow == 0)
     samples = _samples(mesh, lit)
     direct = np.zeros((len(lit), 3), dtype=np.float32)
@@ -71,7 +71,7 @@ def bake_light(
         near = np.linalg.norm(samples.points - light.position, axis=1) < _REACH
         _add_light(direct, samples, caster, np.flatnonzero(near), _lamp_points(light))
     for window in windows:
-        # 0.3 m around the room's box: its niches, not the rooms next door.
+        # 0.3 m around the room's box includes its niches, but not adjacent rooms.
         inside = (samples.points > window.room[0] - 0.3) & (samples.points < window.room[1] + 0.3)
         _add_light(direct, samples, caster, np.flatnonzero(inside.all(axis=1)), _pane_points(window))
     irradiance, buried = _bounce(mesh, caster, samples, lit, direct, face_albedo)
@@ -86,9 +86,9 @@ def bake_light(
 
 
 def _fill(values: np.ndarray, known: np.ndarray, faces: np.ndarray) -> None:
-    """Gives vertices inside furniture the light of their neighbours in the same surface, up to three edges away.
+    """Fill vertices inside furniture with the light of neighbours in the same surface, up to three edges away.
 
-    Without this the dark inside of a rug or a cupboard would stain the floor one face around it.
+    Otherwise the dark inside of a rug or cupboard would darken the floor one face around it.
     """
     source = faces[:, [0, 1, 2, 0, 1, 2]].reshape(-1)
     target = faces[:, [1, 2, 0, 2, 0, 1]].reshape(-1)
@@ -104,9 +104,9 @@ def _fill(values: np.ndarray, known: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _samples(mesh: BuiltMesh, lit: np.ndarray) -> _Samples:
-    """Where light is measured: a little inside the faces around a vertex and a little in front of them.
+    """Return the sample positions: slightly inside the faces around a vertex and in front of them.
 
-    On the vertex itself a sample would lie in the plane of the neighbouring wall and see behind it.
+    A sample on the vertex itself would lie in the plane of the adjacent wall and see behind it.
     """
     centroids = sum(mesh.vertices[mesh.faces[:, k]] for k in range(3)) / 3
     corners = mesh.faces.reshape(-1)
@@ -120,7 +120,7 @@ def _samples(mesh: BuiltMesh, lit: np.ndarray) -> _Samples:
 
 
 def _lamp_points(light: Light) -> list[_Point]:
-    """Four points on the rim of a lamp, not aligned with the walls."""
+    """Return four points on the rim of a lamp, not aligned with the walls."""
     points = []
     for angle in (0.4, 2.0, 3.5, 5.1):
         offset = light.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -129,7 +129,7 @@ def _lamp_points(light: Light) -> list[_Point]:
 
 
 def _pane_points(window: WindowLight) -> list[_Point]:
-    """The middles of 3 x 3 fields of a pane; more would show in no shadow, the vertices are too far apart for that."""
+    """Return the centres of 3 x 3 fields of a pane; vertices are too far apart to resolve finer shadows."""
     extent = window.upper - window.lower
     across = int(np.argmax(extent[:2]))
     power = np.array(window.emission) * extent[across] * extent[2] / 9 / np.pi
@@ -144,7 +144,7 @@ def _pane_points(window: WindowLight) -> list[_Point]:
 
 
 def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np.ndarray, points: list[_Point]) -> None:
-    """Adds what the samples ``near`` receive from each point they see."""
+    """Add the light that the samples ``near`` receive from each visible point."""
     for point in points:
         target = point.position.astype(np.float32)
         towards = target - samples.points[near]
@@ -153,9 +153,9 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
         strength = np.maximum(np.einsum("ij,ij->i", towards, samples.normals[near]) / length, 0)
         if point.facing is not None:
             strength *= np.maximum(-(towards @ point.facing.astype(np.float32)) / length, 0)
-        elevation = 0.5 - 0.5 * towards[:, 2] / length  # of the sample, seen from the light: 0 below it, 1 above it
+        elevation = 0.5 - 0.5 * towards[:, 2] / length  # of the sample as seen from the light: 0 below, 1 above
         strength *= 1 - (1 - point.upward) * elevation
-        strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: no singularity next to it
+        strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: avoids the singularity next to it
         bright = np.flatnonzero(strength * point.power.max() > 1e-3)
         blocked = caster.occluded(samples.points[near[bright]], np.broadcast_to(target, (len(bright), 3)))
         seen = bright[~blocked]
@@ -163,11 +163,11 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
 
 
 def _directions(strata: int) -> np.ndarray:  # [strata^2, 3] float32
-    """Cosine-weighted directions around +z, one in the middle of each cell of a strata x strata grid."""
+    """Return cosine-weighted directions around +z, the centres of a strata x strata grid's cells."""
     cell = (np.arange(strata) + 0.5) / strata
     share, turn = np.meshgrid(cell, cell, indexing="ij")
     radius = np.sqrt(share).reshape(-1)
-    # Rows are turned against each other, so that the directions do not line up in spokes.
+    # Rows are rotated against each other, so that directions do not align.
     angle = (2 * np.pi * (turn + 0.382 * np.arange(strata)[:, None])).reshape(-1)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1).astype(np.float32)
 
@@ -180,7 +180,7 @@ def _bounce(
     direct: np.ndarray,
     face_albedo: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] irradiance, [N] bool
-    """Direct light plus what comes back from the surfaces each sample sees; which samples lie inside furniture."""
+    """Return direct light plus reflected light for each sample, and which samples lie inside furniture."""
     corner = mesh.vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     directions = _directions(_STRATA)
@@ -194,7 +194,7 @@ def _bounce(
         axes = (tangent, np.cross(n, tangent), n)
         rays = sum(directions[:, k, None, None] * axis[None] for k, axis in enumerate(axes))  # [D, n, 3]
         face = caster.cast(np.broadcast_to(samples.points[part], rays.shape).reshape(-1, 3), rays.reshape(-1, 3)).face
-        # The back of a face is seen from inside furniture only, where it is dark: index F.
+        # Back faces are seen only from inside furniture, where it is dark: index F.
         away = np.einsum("ij,ij->i", normal[face], rays.reshape(-1, 3))
         face[(face < 0) | (away > 0)] = len(mesh.faces)
         seen[:, part] = face.reshape(len(directions), -1)
@@ -212,17 +212,17 @@ def _bounce(
 
 
 def _vertex_area(mesh: BuiltMesh) -> np.ndarray:  # [V] m^2
-    """A third of the area of the faces around each vertex."""
+    """Return a third of the area of the faces around each vertex."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return np.bincount(mesh.faces.reshape(-1), np.repeat(area / 3, 3), minlength=len(mesh.vertices))
 
 
 def _expose(irradiance: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """Display factors from irradiance: white balance half way, brightness to a fixed key, soft shoulder, gamma.
+    """Return display factors from irradiance: half white balance, fixed brightness key, soft shoulder, gamma.
 
-    ``area`` [N] in m^2 weighs the vertices in the average that is exposed for.
-    Colours are multiplied in sRGB: (albedo * light)^(1/2.2) = albedo^(1/2.2) * light^(1/2.2), so only light is raised.
+    ``area`` [N] in m^2 weights the vertices in the exposure average. Colours are multiplied in sRGB: (albedo *
+    light)^(1/2.2) = albedo^(1/2.2) * light^(1/2.2), so only light is converted.
     """
     share = area / area.sum()
     luminance = irradiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The catalogue: every kind of furniture by name, and how one placed piece becomes part of the mesh."""
+"""List all kinds of furniture by name, and add a placed piece to the mesh."""
 
 from __future__ import annotations
 
@@ -52,27 +52,27 @@ BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
     "washing machine": fixtures.washing_machine,
     "window frame": decor.window_frame,
 }
-# Parts of the building rather than things in it.
+# Parts of the building, not objects in it.
 STRUCTURAL_KINDS = frozenset({"front door", "window frame"})
-# Metres that vases, pots and books stand above the piece they belong to.
+# Metres by which vases, pots and books extend above their piece.
 _ON_TOP = {"bathtub": 0.13, "coffee table": 0.08, "dining table": 0.27, "dresser": 0.31, "kitchen run": 0.26}
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One piece of furniture where it stands."""
+    """Hold one placed piece of furniture."""
 
     kind: str
     x: float  # metres, centre of the footprint
     y: float
     yaw: float  # radians; 0 = front towards +y
-    size: Size  # metres: width, depth, height before turning
+    size: Size  # metres: width, depth, height before rotation
     base: float = 0.0  # metres above the floor
-    seed: int = 0  # of its own small variations
+    seed: int = 0  # of small variations
 
     @property
     def box(self) -> np.ndarray:  # [2, 3] metres
-        """Axis-aligned box around the turned piece and what stands on it."""
+        """Return the axis-aligned box of the rotated piece, including objects on it."""
         cos, sin = abs(np.cos(self.yaw)), abs(np.sin(self.yaw))
         half_x = (cos * self.size[0] + sin * self.size[1]) / 2
         half_y = (sin * self.size[0] + cos * self.size[1]) / 2
@@ -86,23 +86,23 @@ class Piece:
 
 @dataclass(frozen=True)
 class Light:
-    """A small lamp that the light baker samples."""
+    """Hold a small lamp that the light baker samples."""
 
     position: tuple[float, float, float]  # metres
-    radius: float  # metres, horizontal spread: softness of the shadows
+    radius: float  # metres, horizontal extent: softness of shadows
     power: tuple[float, float, float]  # linear RGB; irradiance at 1 m below, facing it
-    upward: float = 1.0  # share of that straight up: below 1 for lamps with a shade that is not part of the mesh
+    upward: float = 1.0  # fraction radiated straight up; below 1 for lamps whose shade is not in the mesh
 
 
 def draw_piece(builder: MeshBuilder, materials: Materials, piece: Piece) -> None:
-    """Adds a piece to the mesh as a part of its own."""
+    """Add a piece to the mesh as a part of its own."""
     builder.part(piece.kind, structural=piece.kind in STRUCTURAL_KINDS)
     with builder.placed((piece.x, piece.y, piece.base), piece.yaw):
         BUILDERS[piece.kind](Pen(builder, materials, seed=piece.seed), piece.size)
 
 
 def lights_of(piece: Piece) -> list[Light]:
-    """The light a piece gives: lamps shine below (pendant) or above (all others) their shade."""
+    """Return a piece's lights: below a pendant's shade, above all other shades."""
     warm = np.array([1.0, 0.80, 0.58])  # about 3000 K, white-balanced halfway to daylight
     if piece.kind == "pendant":
         return [Light((piece.x, piece.y, piece.base - 0.06), 0.12, tuple(1.3 * warm))]

@@ -1,4 +1,4 @@
-"""Lamps, plants, rugs, pictures, curtains, radiators. Sizes are (width, depth, height) in metres."""
+"""Draw lamps, plants, rugs, pictures, curtains, radiators. Sizes are (width, depth, height) in metres."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from activestructure_gym.scenes.procedural import mesh_shapes
 from activestructure_gym.scenes.procedural.furniture_pen import Pen
 from activestructure_gym.scenes.procedural.furniture_storage import Size
 
-PICTURES = 6  # different paintings in an apartment
+PICTURES = 6  # number of different paintings in an apartment
 SHADE = (1.0, 0.94, 0.82)  # colour of a lit lamp shade
 
 
 def floor_lamp(pen: Pen, size: Size) -> None:
-    """Standing lamp with a shade."""
+    """Draw a standing lamp with a shade."""
     height = size[2]
     pen.turned([(0, 0), (0.14, 0), (0.14, 0.015), (0.03, 0.03), (0, 0.03)], "dark metal", segments=20)
     pen.round(0, 0, 0.02, height - 0.2, "dark metal", radius=0.018)
@@ -22,7 +22,7 @@ def floor_lamp(pen: Pen, size: Size) -> None:
 
 
 def pendant(pen: Pen, size: Size) -> None:
-    """Lamp hanging from the ceiling; drawn from its lower rim (z = 0) up to the ceiling."""
+    """Draw a lamp hanging from the ceiling, from its lower rim (z = 0) up to the ceiling."""
     radius, height = size[0] / 2, size[2]
     shade = pen.materials.glowing(SHADE, 1.05)
     pen.turned([(0, 0.02), (radius, 0.0), (0.55 * radius, 0.2), (0.1, 0.24), (0, 0.24)], shade, segments=20)
@@ -31,7 +31,7 @@ def pendant(pen: Pen, size: Size) -> None:
 
 
 def plant(pen: Pen, size: Size) -> None:
-    """Rubber plant in a pot: a stem and thick leaves."""
+    """Draw a rubber plant in a pot: a stem and thick leaves."""
     width, _, height = size
     tub = 0.30
     pot = [
@@ -60,19 +60,19 @@ def plant(pen: Pen, size: Size) -> None:
 
 
 def rug(pen: Pen, size: Size) -> None:
-    """Carpet lying on the floor."""
+    """Draw a carpet on the floor."""
     width, depth, height = size
     pen.panel((-width / 2, -depth / 2, 0.0), (width / 2, depth / 2, height), pen.materials["rug"])
 
 
 def mat(pen: Pen, size: Size) -> None:
-    """Bath mat."""
+    """Draw a bath mat."""
     width, depth, height = size
     pen.box((-width / 2, -depth / 2, 0.0), (width / 2, depth / 2, height), "mat")
 
 
 def picture(pen: Pen, size: Size) -> None:
-    """Framed painting, its lower edge on z = 0."""
+    """Draw a framed painting with its lower edge at z = 0."""
     width, depth, height = size
     x, y, rim = width / 2, depth / 2, 0.035
     frame = ("dark wood", "light wood", "dark metal")[pen.rng.integers(3)]
@@ -84,7 +84,7 @@ def picture(pen: Pen, size: Size) -> None:
 
 
 def curtain(pen: Pen, size: Size) -> None:
-    """Pleated curtain, closed all around, 4 cm thick."""
+    """Draw a pleated, closed curtain, 4 cm thick."""
     width, depth, height = size
     count = max(9, round(width / 0.02))
     x = np.linspace(-width / 2, width / 2, count)
@@ -95,7 +95,7 @@ def curtain(pen: Pen, size: Size) -> None:
 
 
 def curtain_rod(pen: Pen, size: Size) -> None:
-    """Rod with knobs at its ends."""
+    """Draw a rod with knobs at its ends."""
     width, _, _ = size
     pen.box((-width / 2, -0.0125, 0.0), (width / 2, 0.0125, 0.025), "dark metal")
     for sign in (-1, 1):
@@ -103,7 +103,7 @@ def curtain_rod(pen: Pen, size: Size) -> None:
 
 
 def radiator(pen: Pen, size: Size) -> None:
-    """Panel radiator with ribs; stands 10 cm above the floor."""
+    """Draw a panel radiator with ribs, 10 cm above the floor."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.box((-x, -y + 0.02, 0.10), (x, y - 0.015, height), "white")
@@ -116,7 +116,7 @@ def radiator(pen: Pen, size: Size) -> None:
 
 
 def window_frame(pen: Pen, size: Size) -> None:
-    """Frame with a mullion, its lower edge on z = 0."""
+    """Draw a frame with a mullion and its lower edge at z = 0."""
     width, depth, height = size
     x, y, bar = width / 2, depth / 2, 0.05
     pen.box((-x, -y, 0.0), (-x + bar, y, height), "trim")
@@ -128,7 +128,7 @@ def window_frame(pen: Pen, size: Size) -> None:
 
 
 def front_door(pen: Pen, size: Size) -> None:
-    """The closed entrance door: leaf with panels, frame and handle."""
+    """Draw the closed entrance door: leaf with panels, frame and handle."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.box((-x, -y, 0.0), (-x + 0.07, y, height), "trim")

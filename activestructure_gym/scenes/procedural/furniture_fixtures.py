@@ -1,4 +1,4 @@
-"""Kitchen and bathroom fittings. Sizes are (width, depth, height) in metres."""
+"""Draw kitchen and bathroom fittings. Sizes are (width, depth, height) in metres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MODULE = 0.6  # metres, width of a kitchen unit (EN 1116)
 
 
 def kitchen_run(pen: Pen, size: Size) -> None:
-    """Base units with worktop, sink, hob and oven, tiled behind."""
+    """Draw base units with worktop, sink, hob and oven."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     count = round(width / MODULE)
@@ -49,7 +49,7 @@ def kitchen_run(pen: Pen, size: Size) -> None:
 
 
 def wall_units(pen: Pen, size: Size) -> None:
-    """Cupboards on the wall, drawn from z = 0 up; hung by whoever places them."""
+    """Draw wall cupboards from z = 0 up; the caller sets their height."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     count = round(width / MODULE)
@@ -60,13 +60,13 @@ def wall_units(pen: Pen, size: Size) -> None:
 
 
 def splashback(pen: Pen, size: Size) -> None:
-    """Tiles on the wall above a worktop."""
+    """Draw tiles on the wall above a worktop."""
     width, depth, height = size
     pen.box((-width / 2, -depth / 2, 0.0), (width / 2, depth / 2, height), "backsplash")
 
 
 def bathtub(pen: Pen, size: Size) -> None:
-    """Bathtub: a panelled block with a rim and a hollow."""
+    """Draw a bathtub: a panelled block with a rim and a hollow."""
     width, depth, height = size
     x, y, rim, floor = width / 2, depth / 2, 0.07, 0.2
     pen.box((-x + 0.01, -y + 0.01, 0.0), (x - 0.01, y - 0.01, floor), "ceramic")
@@ -85,7 +85,7 @@ def bathtub(pen: Pen, size: Size) -> None:
 
 
 def toilet(pen: Pen, size: Size) -> None:
-    """Toilet with cistern."""
+    """Draw a toilet with cistern."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.soft((-x, -y, 0.36), (x, -y + 0.18, height), "ceramic", radius=0.03)
@@ -97,7 +97,7 @@ def toilet(pen: Pen, size: Size) -> None:
 
 
 def vanity(pen: Pen, size: Size) -> None:
-    """Wash basin on a cupboard with a mirror above it; the height is the mirror's."""
+    """Draw a wash basin on a cupboard with a mirror above; ``size``'s height is the mirror's top."""
     width, depth, top = size
     x, y, height = width / 2, depth / 2, 0.84
     pen.box((-x, -y, 0.2), (x, y - 0.02, height - 0.04), "light wood")
@@ -113,7 +113,7 @@ def vanity(pen: Pen, size: Size) -> None:
 
 
 def washing_machine(pen: Pen, size: Size) -> None:
-    """Front loader."""
+    """Draw a front-loading washing machine."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.soft((-x, -y, 0.02), (x, y - 0.03, height), "white", radius=0.015)
@@ -126,7 +126,7 @@ def washing_machine(pen: Pen, size: Size) -> None:
 
 
 def towel_rail(pen: Pen, size: Size) -> None:
-    """Heated rail on the wall with a towel over it."""
+    """Draw a heated wall rail with a towel over it."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     for sign in (-1, 1):

@@ -1,7 +1,7 @@
-"""The pen furniture is drawn with: solids by corner points and material roles, in the piece's own frame.
+"""Draw furniture from solids, given by corner points and material roles in the piece's own frame.
 
-A piece stands with the centre of its footprint at the origin, its back at y = -depth / 2, its front towards +y, its
-feet on z = 0. Nothing free-standing is thinner than 2.5 cm, so that an occupancy grid does not miss it.
+The centre of a piece's footprint is the origin, its back at y = -depth / 2, its front towards +y, its feet on z = 0.
+Free-standing parts are at least 2.5 cm thick, so that an occupancy grid includes them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Point = Sequence[float]
 
 
 class Pen:
-    """Draws solids into a mesh builder."""
+    """Draw solids into a mesh builder."""
 
     def __init__(self, builder: MeshBuilder, materials: Materials, *, seed: int) -> None:
         self.builder = builder
@@ -30,33 +30,33 @@ class Pen:
         self.rng = np.random.default_rng([seed, zlib.crc32(b"piece")])
 
     def add(self, shape: Shape, role: str | Material, *, shift: bool = True) -> None:
-        """Any shape; ``shift`` moves the texture by a random amount, so that equal pieces do not look alike."""
+        """Add any shape; ``shift`` offsets the texture randomly, so that equal pieces look different."""
         material = self.materials[role] if isinstance(role, str) else role
         if shift and material.texture >= 0:
             shape = replace(shape, uv=shape.uv + self.rng.random(2))
         self.builder.add(shape, material)
 
     def box(self, lower: Point, upper: Point, role: str | Material, *, max_edge: float = mesh_shapes.MAX_EDGE) -> None:
-        """A box with sharp edges."""
+        """Draw a box with sharp edges."""
         self.add(mesh_shapes.box(np.array(lower), np.array(upper), max_edge=max_edge), role)
 
     def panel(self, lower: Point, upper: Point, role: str | Material) -> None:
-        """A box with a picture stretched over its sides."""
+        """Draw a box with an image stretched over each side."""
         self.add(mesh_shapes.box(np.array(lower), np.array(upper), fit=True), role, shift=False)
 
     def soft(
         self, lower: Point, upper: Point, role: str | Material, *, radius: float = 0.04, puff: float = 0.0
     ) -> None:
-        """A box with round edges and, with ``puff`` metres, bulging sides."""
+        """Draw a box with round edges and, with ``puff`` metres, bulging sides."""
         self.add(mesh_shapes.rounded_box(np.array(lower), np.array(upper), radius=radius, puff=puff), role)
 
     def post(self, x: float, y: float, bottom: float, top: float, role: str | Material, *, width: float = 0.04) -> None:
-        """A square upright: a leg."""
+        """Draw a square upright, such as a leg."""
         half = width / 2
         self.box((x - half, y - half, bottom), (x + half, y + half, top), role)
 
     def legs(self, width: float, depth: float, top: float, role: str | Material, *, thick: float = 0.05) -> None:
-        """Four legs at the corners of a width x depth footprint."""
+        """Draw four legs at the corners of a width x depth footprint."""
         x, y = width / 2 - thick / 2, depth / 2 - thick / 2
         for sign_x in (-1, 1):
             for sign_y in (-1, 1):
@@ -65,7 +65,7 @@ class Pen:
     def turned(
         self, profile: Sequence[Point], role: str | Material, *, at: Point = (0, 0, 0), segments: int = 16
     ) -> None:
-        """A solid of revolution from its (radius, height) profile."""
+        """Draw a solid of revolution from its (radius, height) profile."""
         with self.builder.placed(tuple(at)):  # type: ignore[arg-type]
             self.add(mesh_shapes.lathe(np.array(profile), segments=segments), role)
 
@@ -81,7 +81,7 @@ class Pen:
         top_radius: float | None = None,
         segments: int = 12,
     ) -> None:
-        """An upright cylinder or cone."""
+        """Draw an upright cylinder or cone."""
         with self.builder.placed((x, y, 0.0)):
             self.add(
                 mesh_shapes.cylinder(radius, bottom, top, top_radius=top_radius, segments=segments),

@@ -1,4 +1,4 @@
-"""Puts furniture into one room: along walls, in the middle, on the walls; nothing overlaps and no door is blocked."""
+"""Place furniture in a room, along and on walls or in the middle, without overlaps and blocked doors."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from activestructure_gym.scenes.procedural.layout import UNIT, Layout
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1 in metres
 
-GAP = 0.04  # metres between pieces and between a piece and the wall behind it
+GAP = 0.04  # metres between pieces, and between a piece and its wall
 DOOR_CLEARANCE = 0.9  # metres kept free in front of a door
-PASSAGE = 0.6  # metres: width of the narrowest passage between pieces
-_GRID = 0.1  # metres, resolution of the passage test
+PASSAGE = 0.6  # metres: minimum width of passages between pieces
+_GRID = 0.1  # metres: resolution of the passage test
 
 
 @dataclass(frozen=True)
 class Wall:
-    """One wall of a room. ``along`` runs counter-clockwise around the room, so the inside is on its left."""
+    """Describe one wall of a room. ``along`` runs counter-clockwise, so the inside is on its left."""
 
     index: int  # 0: low y, 1: high x, 2: high y, 3: low x
     start: np.ndarray  # [2] metres, the corner at along = 0
@@ -29,36 +29,36 @@ class Wall:
     inward: np.ndarray  # [2] unit
     length: float  # metres
     openings: tuple[tuple[float, float], ...]  # door openings: intervals along the wall
-    doors: tuple[tuple[float, float], ...]  # the openings and the front door
+    doors: tuple[tuple[float, float], ...]  # the openings plus the front door
     windows: tuple[tuple[float, float, float], ...]  # intervals and sill height
 
     @property
     def yaw(self) -> float:
-        """Turns a piece's front into the room."""
+        """Return the yaw that turns a piece's front into the room."""
         return self.index * np.pi / 2
 
     def point(self, along: float, away: float) -> np.ndarray:  # [2]
-        """The point at a distance along the wall and away from it."""
+        """Return the point at the given distances along the wall and from it."""
         return self.start + along * self.along + away * self.inward
 
     def rect(self, start: float, end: float, near: float, far: float) -> Rect:
-        """The rectangle start..end along the wall, near..far away from it."""
+        """Return the rectangle start..end along the wall, near..far from it."""
         a, b = self.point(start, near), self.point(end, far)
         return (min(a[0], b[0]), min(a[1], b[1]), max(a[0], b[0]), max(a[1], b[1]))
 
 
 @dataclass(frozen=True)
 class Spot:
-    """A place at a wall."""
+    """Describe a position at a wall."""
 
     wall: Wall
     centre: float  # metres along the wall
     footprint: Rect
-    front: Rect | None  # the free floor before it
+    front: Rect | None  # free floor in front
 
 
 def _ends_a_row(spots: list[Spot], i: int) -> bool:
-    """Whether a run of neighbouring spots starts or ends here: next to a corner or to another piece."""
+    """Return whether a run of adjacent spots starts or ends here: next to a corner or to another piece."""
     before, after = spots[i - 1] if i else None, spots[i + 1] if i + 1 < len(spots) else None
     return any(
         s is None or s.wall is not spots[i].wall or abs(s.centre - spots[i].centre) > 0.15 for s in (before, after)
@@ -66,7 +66,7 @@ def _ends_a_row(spots: list[Spot], i: int) -> bool:
 
 
 def overlap(a: Rect, b: Rect, gap: float = 0.0) -> bool:
-    """Whether two rectangles come closer than ``gap``."""
+    """Return whether two rectangles are closer than ``gap``."""
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
@@ -99,7 +99,7 @@ def walls_of(layout: Layout, room: int) -> list[Wall]:
 
 
 class RoomPlanner:
-    """The state of one room while it fills up."""
+    """Hold the state of one room while furniture is placed."""
 
     def __init__(self, layout: Layout, room: int, rng: np.random.Generator) -> None:
         (x0, y0, _), (x1, y1, _) = layout.spaces[room].box
@@ -107,30 +107,30 @@ class RoomPlanner:
         self.walls = walls_of(layout, room)
         self.rng = rng
         self.pieces: list[Piece] = []
-        self.solid: list[Rect] = []  # nothing else may stand here
-        self.clear: list[Rect] = []  # has to stay free: in front of doors and cupboards
+        self.solid: list[Rect] = []  # occupied
+        self.clear: list[Rect] = []  # must stay free: in front of doors and cupboards
         for wall in self.walls:
             for a, b in wall.doors:
                 self.clear.append(wall.rect(a - 0.1, b + 0.1, 0.0, DOOR_CLEARANCE))
 
     @property
     def area(self) -> float:
-        """Floor area in m^2."""
+        """Return the floor area in m^2."""
         return (self.room[2] - self.room[0]) * (self.room[3] - self.room[1])
 
     def piece(self, kind: str, x: float, y: float, yaw: float, size: Size, *, base: float = 0.0) -> Piece:
-        """A piece with a seed of its own; not yet in the room."""
+        """Make a piece with its own seed, without adding it to the room."""
         return Piece(kind, float(x), float(y), float(yaw), size, base, int(self.rng.integers(2**31)))
 
     def at_wall(
         self, wall: Wall, kind: str, centre: float, size: Size, *, base: float = 0.0, gap: float = GAP
     ) -> Piece:
-        """A piece with its back at a wall, its middle at ``centre`` metres along it."""
+        """Make a piece with its back at a wall and its middle at ``centre`` metres along it."""
         x, y = wall.point(centre, gap + size[1] / 2)
         return self.piece(kind, x, y, wall.yaw, size, base=base)
 
     def fits(self, rect: Rect, *, gap: float = GAP) -> bool:
-        """Whether a footprint lies inside the room and on free floor."""
+        """Return whether a footprint lies inside the room and on free floor."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )
@@ -141,14 +141,14 @@ class RoomPlanner:
         )
 
     def free_of_furniture(self, rect: Rect) -> bool:
-        """Whether people can stand there: inside the room and no furniture on it."""
+        """Return whether a person can stand there: inside the room and free of furniture."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )
         return inside and not any(overlap(rect, r) for r in self.solid)
 
     def add(self, pieces: Iterable[Piece], *, clear: Iterable[Rect] = (), solid: bool = True) -> None:
-        """Takes pieces into the room; ``solid=False`` for what one can walk on or under."""
+        """Add pieces to the room; ``solid=False`` for pieces one can walk on or under."""
         for piece in pieces:
             self.pieces.append(piece)
             if solid:
@@ -157,7 +157,7 @@ class RoomPlanner:
         self.clear.extend(clear)
 
     def passable(self, extra: Iterable[Rect] = (), *, fronts: Iterable[Rect] = ()) -> bool:
-        """Whether all doors and fronts could still be reached past ``extra`` furniture, through 0.6 m wide passages."""
+        """Return whether all doors and fronts remain reachable around ``extra`` furniture, by 0.6 m wide passages."""
         from scipy.ndimage import label
 
         targets = [*self.clear, *fronts]
@@ -173,7 +173,7 @@ class RoomPlanner:
             free[np.ix_((x > r[0] - half) & (x < r[2] + half), (y > r[1] - half) & (y < r[3] + half))] = False
         labels, _ = label(free)
         common: set[int] | None = None
-        reach = 0.15  # metres a person may stand off a target and still use it
+        reach = 0.15  # metres from which a person can use a target
         for r in targets:
             inside = labels[np.ix_((x > r[0] - reach) & (x < r[2] + reach), (y > r[1] - reach) & (y < r[3] + reach))]
             found = set(np.unique(inside)) - {0}
@@ -181,9 +181,9 @@ class RoomPlanner:
         return bool(common)
 
     def wall_spots(self, size: Size, *, front: float, step: float = 0.1) -> list[Spot]:
-        """Places at walls for a piece of this size with ``front`` metres of free floor before it.
+        """Return positions at walls for a piece of this size with ``front`` metres of free floor in front.
 
-        Things as high as a window sill do not stand in front of windows.
+        Pieces higher than a window sill are not placed in front of windows.
         """
         width, depth, height = size
         spots = []
@@ -201,7 +201,7 @@ class RoomPlanner:
         return spots
 
     def choose(self, spots: list[Spot], *, corner: bool = False) -> Spot | None:
-        """One of the spots that leave the room passable; with ``corner`` one at the end of a row of spots."""
+        """Return a random spot that keeps the room passable; with ``corner``, at the end of a row of spots."""
         if corner:
             spots = [s for i, s in enumerate(spots) if _ends_a_row(spots, i)]
         for i in self.rng.permutation(len(spots)):
@@ -211,7 +211,7 @@ class RoomPlanner:
         return None
 
     def try_at_wall(self, kind: str, size: Size, *, front: float = 0.6, corner: bool = True) -> Piece | None:
-        """Places a piece at some wall, or does nothing if there is no room for it."""
+        """Place a piece at a wall and return it, or None if it does not fit."""
         spot = self.choose(self.wall_spots(size, front=front), corner=corner)
         if spot is None:
             return None
@@ -220,7 +220,7 @@ class RoomPlanner:
         return piece
 
     def roomiest(self, width: float, depth: float, *, margin: float) -> tuple[float, float] | None:
-        """The middle of the free rectangle of this size that is farthest from everything; None if under ``margin``."""
+        """Return the centre of the most distant free rectangle of this size; None if it is closer than ``margin``."""
         x = np.arange(self.room[0] + width / 2, self.room[2] - width / 2 + 1e-9, _GRID)[:, None]
         y = np.arange(self.room[1] + depth / 2, self.room[3] - depth / 2 + 1e-9, _GRID)[None, :]
         if not x.size or not y.size:
@@ -234,7 +234,7 @@ class RoomPlanner:
             distance = np.minimum(distance, _distance(rect, r))
         for r in self.clear:
             distance = np.where(_distance(rect, r) < 0, -np.inf, distance)
-        # Rounded, so that equally good places are told apart by their order and not by the last bit.
+        # Rounded, so that ties are resolved by order and not by the last bit.
         best = np.unravel_index(np.argmax(distance.round(6)), distance.shape)
         if distance[best] < margin - 1e-6:
             return None
@@ -242,5 +242,5 @@ class RoomPlanner:
 
 
 def _distance(a: tuple[np.ndarray, ...], b: Rect) -> np.ndarray:
-    """Metres between rectangles (arrays of sides) and one other, along the axis that parts them; below 0 inside."""
+    """Return the distance in metres between rectangles (arrays of sides) and another; negative if they overlap."""
     return np.maximum(np.maximum(a[0] - b[2], b[0] - a[2]), np.maximum(a[1] - b[3], b[1] - a[3]))

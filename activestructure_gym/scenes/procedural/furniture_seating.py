@@ -1,4 +1,4 @@
-"""Things to sit and lie on, and the tables in front of them. Sizes are (width, depth, height) in metres."""
+"""Draw seats and beds, and the tables in front of them. Sizes are (width, depth, height) in metres."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _upholstered(pen: Pen, size: Size, *, seats: int, role: str) -> None:
 
 
 def sofa(pen: Pen, size: Size) -> None:
-    """Sofa with two or three seats and loose cushions."""
+    """Draw a sofa with two or three seats and loose cushions."""
     width, depth, _ = size
     _upholstered(pen, size, seats=3 if width > 1.9 else 2, role="sofa")
     for sign in (-1, 1):
@@ -39,12 +39,12 @@ def sofa(pen: Pen, size: Size) -> None:
 
 
 def armchair(pen: Pen, size: Size) -> None:
-    """A single upholstered seat."""
+    """Draw a single upholstered seat."""
     _upholstered(pen, size, seats=1, role="textile")
 
 
 def bed(pen: Pen, size: Size) -> None:
-    """Bed with headboard at the back, mattress, pillows and a bedspread."""
+    """Draw a bed with headboard, mattress, pillows and a bedspread."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.box((-x, -y, 0.0), (x, -y + 0.07, height), "light wood")
@@ -66,7 +66,7 @@ def bed(pen: Pen, size: Size) -> None:
 
 
 def chair(pen: Pen, size: Size) -> None:
-    """Kitchen chair: seat at 0.45 m, back with three slats."""
+    """Draw a kitchen chair: seat at 0.45 m, back with three slats."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     role = "dark wood" if pen.materials["table wood"] == pen.materials["dark wood"] else "light wood"
@@ -80,7 +80,7 @@ def chair(pen: Pen, size: Size) -> None:
 
 
 def office_chair(pen: Pen, size: Size) -> None:
-    """Swivel chair: five feet, a column, seat and back."""
+    """Draw a swivel chair: five feet, a column, seat and back."""
     _, depth, height = size
     pen.round(0, 0, 0.04, 0.42, "dark metal", radius=0.035)
     for spoke in range(5):
@@ -93,7 +93,7 @@ def office_chair(pen: Pen, size: Size) -> None:
 
 
 def pouf(pen: Pen, size: Size) -> None:
-    """A round upholstered stool."""
+    """Draw a round upholstered stool."""
     radius, height = size[0] / 2, size[2]
     profile = [(0, 0), (0.85 * radius, 0), (radius, 0.2 * height), (radius, 0.8 * height), (0.8 * radius, height)]
     pen.turned([*profile, (0, 1.03 * height)], "cushion", segments=20)
@@ -105,7 +105,7 @@ def _top(pen: Pen, size: Size, role: str) -> None:
 
 
 def coffee_table(pen: Pen, size: Size) -> None:
-    """Low table with a shelf, a bowl and a few books."""
+    """Draw a low table with a shelf, a bowl and a few books."""
     width, depth, height = size
     _top(pen, size, "table wood")
     pen.legs(width - 0.06, depth - 0.06, height - 0.035, "table wood")
@@ -119,7 +119,7 @@ def coffee_table(pen: Pen, size: Size) -> None:
 
 
 def dining_table(pen: Pen, size: Size) -> None:
-    """Table with an apron and a vase or a fruit bowl."""
+    """Draw a table with an apron and a vase or a fruit bowl."""
     width, depth, height = size
     _top(pen, size, "table wood")
     pen.legs(width - 0.06, depth - 0.06, height - 0.035, "table wood", thick=0.06)

@@ -1,4 +1,4 @@
-"""Cupboards, shelves, desks and everything else that keeps things. Sizes are (width, depth, height) in metres."""
+"""Draw cupboards, shelves, desks and other storage. Sizes are (width, depth, height) in metres."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SPINES = np.array(
 def cupboard_front(
     pen: Pen, x0: float, x1: float, y: float, z0: float, z1: float, role: str, *, handle: str = "bar"
 ) -> None:
-    """A door or drawer front with a gap around it and a handle; its face is 2 cm in front of y."""
+    """Draw a door or drawer front with a gap around it and a handle; its face is 2 cm in front of y."""
     pen.box((x0 + 0.004, y - 0.001, z0 + 0.004), (x1 - 0.004, y + 0.02, z1 - 0.004), role)
     middle = (x0 + x1) / 2
     if handle == "bar":
@@ -35,7 +35,7 @@ def cupboard_front(
 
 
 def _books(pen: Pen, x0: float, x1: float, back: float, depth: float, z: float, height: float) -> None:
-    """A row of books from x0 to about x1, standing close."""
+    """Draw a dense row of books from x0 to about x1."""
     x = x0
     while x < x1 - 0.05:
         thick = pen.rng.uniform(0.028, 0.055)
@@ -47,7 +47,7 @@ def _books(pen: Pen, x0: float, x1: float, back: float, depth: float, z: float, 
 
 
 def shelf(pen: Pen, size: Size) -> None:
-    """Bookcase with a back, books and a few ornaments."""
+    """Draw a bookcase with a back, books and a few ornaments."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     role = "shelf wood"
@@ -67,7 +67,7 @@ def shelf(pen: Pen, size: Size) -> None:
 
 
 def media_bench(pen: Pen, size: Size) -> None:
-    """Low bench with doors; a television stands on it."""
+    """Draw a low bench with doors and a television on it."""
     width, depth, height = size
     x, y, top = width / 2, depth / 2, 0.48
     pen.box((-x + 0.05, -y + 0.05, 0.0), (x - 0.05, y - 0.06, 0.09), "dark metal")
@@ -82,7 +82,7 @@ def media_bench(pen: Pen, size: Size) -> None:
 
 
 def wardrobe(pen: Pen, size: Size) -> None:
-    """Tall cupboard with doors."""
+    """Draw a tall cupboard with doors."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.box((-x + 0.03, -y + 0.03, 0.0), (x - 0.03, y - 0.06, 0.08), "dark metal")
@@ -94,7 +94,7 @@ def wardrobe(pen: Pen, size: Size) -> None:
 
 
 def dresser(pen: Pen, size: Size) -> None:
-    """Chest of drawers with a vase and a box on top."""
+    """Draw a chest of drawers with a vase and a box on top."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.legs(width - 0.04, depth - 0.08, 0.12, "light wood")
@@ -109,7 +109,7 @@ def dresser(pen: Pen, size: Size) -> None:
 
 
 def nightstand(pen: Pen, size: Size) -> None:
-    """Bedside cupboard with a lamp."""
+    """Draw a bedside cupboard with a lamp."""
     width, depth, _ = size
     x, y, top = width / 2, depth / 2, 0.5
     pen.legs(width - 0.02, depth - 0.04, 0.14, "light wood", thick=0.04)
@@ -123,7 +123,7 @@ def nightstand(pen: Pen, size: Size) -> None:
 
 
 def desk(pen: Pen, size: Size) -> None:
-    """Writing desk with drawers, a monitor, a keyboard and a few books."""
+    """Draw a desk with drawers, a monitor, a keyboard and a few books."""
     width, depth, height = size
     x, y, top = width / 2, depth / 2, 0.74
     pen.box((-x, -y, top - 0.03), (x, y, top), "table wood")
@@ -141,7 +141,7 @@ def desk(pen: Pen, size: Size) -> None:
 
 
 def fridge(pen: Pen, size: Size) -> None:
-    """Fridge and freezer with two doors."""
+    """Draw a fridge and freezer with two doors."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     pen.box((-x + 0.02, -y, 0.0), (x - 0.02, y - 0.08, 0.06), "dark metal")

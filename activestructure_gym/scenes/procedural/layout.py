@@ -1,7 +1,7 @@
-"""Floor plans: rooms, doors, windows and the shell around them, on a lattice of whole decimetres.
+"""Plan floors: rooms, doors, windows and the shell around them, on a lattice of 0.1 m.
 
 A plan is a set of boxes of air on the lattice: one per room, one tunnel through the wall per door, one niche per
-window. The shell is the boundary between air and everything else, so it is closed whatever the plan.
+window. The shell is the boundary between air and everything else, so it is always closed.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Literal
 import numpy as np
 
 UNIT = 0.1  # metres per lattice step
-CEILING = 27  # lattice steps: 2.7 m, a usual height of rooms in flats
+CEILING = 27  # lattice steps: 2.7 m, a common room height in apartments
 DOOR_HEAD = 21  # 2.1 m
 _WINDOW_SILL, WINDOW_HEAD = 9, 22  # 0.9 m and 2.2 m
-NICHE = 2  # 0.2 m from the inner face of an outer wall to the window pane
-_WALL = 1  # lattice steps a room keeps from its cell's border: inner walls are 0.2 m thick
+NICHE = 2  # 0.2 m from the inner face of an outer wall to the pane
+_WALL = 1  # lattice steps between a room and its cell's border: inner walls are 0.2 m thick
 
 RoomKind = Literal["living", "bedroom", "kitchen", "bath", "study", "child", "dining"]
-# Usual floor areas in m^2, walls included.
+# Typical floor areas in m^2, walls included.
 _AREAS: dict[RoomKind, float] = {
     "living": 21.0, "bedroom": 15.0, "kitchen": 12.5, "bath": 7.0, "study": 11.5, "child": 12.0, "dining": 13.0
 }  # fmt: skip
@@ -32,8 +32,8 @@ _PROGRAMS: dict[int, tuple[RoomKind, ...]] = {
     6: ("living", "bedroom", "kitchen", "bath", "study", "child"),
     7: ("living", "bedroom", "kitchen", "bath", "study", "child", "dining"),
 }
-_SINGLE: tuple[RoomKind, ...] = ("living", "bedroom", "study", "kitchen")  # rooms=1 takes these in turn, by seed
-_PRIVATE = ("bedroom", "bath", "child")  # nobody walks through these if it can be helped
+_SINGLE: tuple[RoomKind, ...] = ("living", "bedroom", "study", "kitchen")  # selected in turn by seed for rooms=1
+_PRIVATE = ("bedroom", "bath", "child")  # not used as passages if avoidable
 MAX_ROOMS = max(_PROGRAMS)
 
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in lattice steps
@@ -41,23 +41,23 @@ Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in lattice steps
 
 @dataclass(frozen=True)
 class Space:
-    """A box of air."""
+    """Describe a box of air."""
 
     kind: RoomKind | Literal["door", "window"]
     lower: tuple[int, int, int]  # lattice steps
     upper: tuple[int, int, int]
-    room: int  # index of the room it is or belongs to (for a door: the first of the two)
-    outward: tuple[int, int] = (0, 0)  # doors and windows: direction through the wall, away from the room
+    room: int  # index of the room itself, or of the opening's room (for a door: the first of two)
+    outward: tuple[int, int] = (0, 0)  # doors and windows: direction through the wall, out of the room
 
     @property
     def box(self) -> np.ndarray:  # [2, 3] metres
-        """Lower and upper corner."""
+        """Return lower and upper corner."""
         return np.array([self.lower, self.upper]) * UNIT
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A floor plan. The first ``rooms`` spaces are the rooms."""
+    """Hold a floor plan. The first ``rooms`` spaces are the rooms."""
 
     spaces: tuple[Space, ...]
     rooms: int
@@ -67,7 +67,7 @@ class Layout:
 
     @cached_property
     def owner(self) -> np.ndarray:  # [X, Y, Z] int16
-        """Which space each lattice cell belongs to, -1 = outside the air. Cell (i, j, k) starts at (i, j, k) * UNIT."""
+        """Return the space of each lattice cell, -1 = no air. Cell (i, j, k) starts at (i, j, k) * UNIT."""
         size = np.max([space.upper for space in self.spaces], axis=0) + 1
         owner = np.full(size, -1, dtype=np.int16)
         for index, space in enumerate(self.spaces):
@@ -76,7 +76,7 @@ class Layout:
         return owner
 
     def openings(self, room: int) -> list[Space]:
-        """The doors and windows in the walls of a room."""
+        """Return the doors and windows in the walls of a room."""
         lower, upper = np.array(self.spaces[room].lower), np.array(self.spaces[room].upper)
         return [
             space
@@ -86,10 +86,10 @@ class Layout:
 
 
 def plan_layout(rng: np.random.Generator, *, rooms: int, seed: int) -> Layout:
-    """A floor plan with exactly ``rooms`` rooms, all connected by doors.
+    """Return a floor plan with exactly ``rooms`` rooms, all connected by doors.
 
-    A rectangle is cut in two again and again, each cut in proportion to what the rooms on both sides need; plans with
-    narrow rooms or rooms that no door can reach are thrown away (about half of them; the loop ends in practice).
+    A rectangle is split recursively, in proportion to the areas of the rooms on both sides. Plans with narrow or
+    unreachable rooms are rejected (about half of them; the loop ends in practice).
     """
     kinds = _PROGRAMS[rooms] if rooms > 1 else (_SINGLE[seed % len(_SINGLE)],)
     while True:
@@ -108,7 +108,7 @@ def plan_layout(rng: np.random.Generator, *, rooms: int, seed: int) -> Layout:
     entrance = None
     if free_walls:
         room, wall, length = free_walls[0]
-        entrance = (room, wall, int(rng.choice([3, length - 13])))  # 3 decimetres from either corner
+        entrance = (room, wall, int(rng.choice([3, length - 13])))  # 0.3 m from either corner
     return Layout(tuple(spaces + doors + windows), rooms, entrance)
 
 
@@ -128,21 +128,21 @@ def _split(cell: Box, kinds: list[RoomKind], rng: np.random.Generator) -> list[t
 
 
 def _usable(kind: RoomKind, box: Box) -> bool:
-    """Whether the room is wide enough for its furniture and not a corridor."""
+    """Return whether the room is wide enough for its furniture and not a corridor."""
     short, long = sorted((box[2] - box[0], box[3] - box[1]))
     least = {"bath": 19, "living": 34, "bedroom": 29}.get(kind, 27)  # decimetres
     return short >= least and long <= 2.0 * short
 
 
 def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator) -> list[Space] | None:
-    """Tunnels that connect all rooms: a random spanning tree and a quarter of the other possible ones."""
+    """Return door tunnels that connect all rooms: a random spanning tree and a quarter of the remaining pairs."""
     pairs = []
     for i, a in enumerate(boxes):
         for j, b in enumerate(boxes[:i]):
             for axis in range(2):
                 low, high = max(a[1 - axis], b[1 - axis]), min(a[3 - axis], b[3 - axis])
                 touching = a[axis] - b[axis + 2] == 2 * _WALL or b[axis] - a[axis + 2] == 2 * _WALL
-                # A door of 0.9 m with 0.2 m of wall on either side.
+                # A door of 0.9 m with 0.2 m of wall on both sides.
                 if touching and high - low >= 13:
                     private = (kinds[i] in _PRIVATE) + (kinds[j] in _PRIVATE)
                     pairs.append((private + rng.random(), j, i, axis, low, high))
@@ -156,7 +156,7 @@ def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generat
         open_plan = cost < 1.0 and high - low >= 22 and rng.random() < 0.4
         width = 16 if open_plan else int(rng.choice([9, 9, 10]))  # decimetres; 1.6 m is an open passage
         left, right = low + 2, high - 2 - width
-        # Near a corner most of the time: that leaves long pieces of wall for furniture.
+        # Usually near a corner, which leaves long stretches of wall for furniture.
         start = int(rng.integers(left, right + 1)) if rng.random() < 0.2 else int(rng.choice([left, right]))
         near, far = (j, i) if boxes[j][axis] < boxes[i][axis] else (i, j)
         lower, upper, outward = [start, start, 0], [start + width, start + width, DOOR_HEAD], [0, 0]
@@ -168,7 +168,7 @@ def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generat
 def _windows(
     boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator
 ) -> tuple[list[Space], list[tuple[int, int, int]]]:
-    """Window niches in outer walls, at most two per room, and the outer walls (room, wall, length) left without."""
+    """Return window niches in outer walls, at most two per room, and outer walls without (room, wall, length)."""
     edge = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
     windows: list[Space] = []
     free_walls = []
@@ -176,7 +176,7 @@ def _windows(
         outer = [wall for wall, side in enumerate((1, 2, 3, 0)) if box[side] == edge[side]]
         count = 0
         for wall in rng.permutation(outer).astype(int):
-            axis = 0 if wall in (0, 2) else 1  # the axis along the wall
+            axis = 0 if wall in (0, 2) else 1  # axis along the wall
             length = box[axis + 2] - box[axis]
             if length < 18 or count == 2 or (count == 1 and (kinds[room] == "bath" or rng.random() < 0.5)):
                 if length >= 24 and kinds[room] in ("living", "kitchen", "dining", "study"):

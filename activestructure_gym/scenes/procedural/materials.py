@@ -1,4 +1,4 @@
-"""The materials of one apartment: a colour scheme drawn from the seed, textures painted when first asked for."""
+"""Define an apartment's materials: a colour scheme drawn from the seed, textures painted on first use."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from activestructure_gym.scenes.procedural.textures import Color
 
 @dataclass(frozen=True)
 class Scheme:
-    """Colours that go together (sRGB)."""
+    """Define matching colours (sRGB)."""
 
-    walls: tuple[Color, Color, Color]  # rooms take these in turn
+    walls: tuple[Color, Color, Color]  # used by rooms in turn
     accent: Color  # one wall of living room and bedroom
     sofa: Color
     textile: Color  # bedspread, armchair
@@ -70,7 +70,7 @@ FLOOR_WOODS: tuple[Color, ...] = ((0.66, 0.50, 0.35), (0.55, 0.40, 0.28), (0.72,
 LIGHT_WOODS: tuple[Color, ...] = ((0.76, 0.62, 0.45), (0.70, 0.54, 0.37), (0.80, 0.70, 0.56))
 DARK_WOODS: tuple[Color, ...] = ((0.42, 0.29, 0.20), (0.50, 0.34, 0.22), (0.36, 0.29, 0.25))
 
-# Surfaces of one colour: smooth lacquer, metal, ceramics, paper.
+# Surfaces of a single colour: lacquer, metal, ceramics, paper.
 PLAIN: dict[str, Color] = {
     "trim": (0.88, 0.87, 0.84),
     "white": (0.86, 0.85, 0.82),
@@ -86,11 +86,11 @@ PLAIN: dict[str, Color] = {
 
 
 class Materials:
-    """Materials by role; ``textures`` grows as roles are used for the first time."""
+    """Provide materials by role; ``textures`` grows as roles are first used."""
 
     def __init__(self, seed: int, *, detail: float = 1.0, painted: bool = True) -> None:
         self._detail = detail  # factor on the size of all textures
-        self._painted = painted  # False: every texture is one white texel; the same surfaces have one
+        self._painted = painted  # False: every texture is a single white texel
         self.textures: list[np.ndarray] = []
         self._seed = seed
         self._index: dict[str, int] = {}
@@ -101,12 +101,12 @@ class Materials:
         self._dark = DARK_WOODS[rng.integers(len(DARK_WOODS))]
         warm = rng.uniform(-0.04, 0.04)
         self._tile: Color = (0.74 + warm, 0.72, 0.69 - warm)
-        # Kitchen fronts are white, painted in the accent colour or wooden.
+        # Kitchen fronts are white, wooden or painted in the accent colour.
         self._table_role, self._shelf_role = rng.permutation(["light wood", "dark wood"])
         self._front_role = ("white", "accent paint", "light wood")[rng.integers(3)]
 
     def _texture(self, key: str, paint: Callable[..., np.ndarray], *, size: int = 256, **options: Any) -> int:
-        """The index of a texture of about size x size texels, painted on first use with a generator of its own."""
+        """Return the index of a texture of about size x size texels, painted on first use with its own generator."""
         if key not in self._index:
             self._index[key] = len(self.textures)
             if self._painted:
@@ -117,7 +117,7 @@ class Materials:
         return self._index[key]
 
     def __getitem__(self, role: str) -> Material:
-        """The material for a role: a plain colour's name, ``wall 2``, ``floor bath``, ``light wood`` ..."""
+        """Return the material for a role: a plain colour's name, ``wall 2``, ``floor bath``, ``light wood`` ..."""
         if role in PLAIN:
             return Material(tint=PLAIN[role])
         kind, _, detail = role.partition(" ")
@@ -126,11 +126,11 @@ class Materials:
         return getattr(self, "_" + role.replace(" ", "_"))()
 
     def tinted(self, role: str, tint: Color) -> Material:
-        """A role's texture under another tint."""
+        """Return a role's material with another tint."""
         return replace(self[role], tint=tint)
 
     def glowing(self, tint: Color, glow: float) -> Material:
-        """A lamp's shade."""
+        """Return the material of a lamp's shade."""
         return Material(tint=tint, glow=glow)
 
     def _wall(self, detail: str) -> Material:
@@ -236,5 +236,5 @@ class Materials:
         return Material(self._texture(f"picture {detail}", paint))
 
     def _street(self, detail: str) -> Material:
-        # The pane is the room's sky: as bright as the display allows, whatever the exposure.
+        # The pane shows the sky: as bright as the display allows, whatever the exposure.
         return Material(self._texture(f"street {detail}", pictures.street), glow=1.08)

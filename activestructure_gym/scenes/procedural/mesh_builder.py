@@ -1,4 +1,4 @@
-"""Collects shapes, materials and part names into the arrays of a scene."""
+"""Collect shapes, materials and part names into the arrays of a scene."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from activestructure_gym.scenes.procedural.mesh_shapes import Shape
 
 @dataclass(frozen=True)
 class Material:
-    """Appearance of a surface without light: texture times tint."""
+    """Define the unlit appearance of a surface: texture times tint."""
 
     texture: int = -1  # index into the textures of the scene, -1 = none
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)  # sRGB factor
-    repeats: float = 1.0  # texture repeats per metre of surface; 1 for pictures that are stretched over 0..1
-    glow: float = 0.0  # > 0: the surface shines; the display value of its tint, unaffected by the baked light
-    turned: bool = False  # exchanges u and v: grain and planks run across
+    repeats: float = 1.0  # texture repeats per metre of surface; 1 for images stretched over 0..1
+    glow: float = 0.0  # > 0: emissive; display value of its tint, unaffected by baked light
+    turned: bool = False  # swaps u and v: grain and planks run across
 
 
 @dataclass(frozen=True)
 class BuiltMesh:
-    """Everything the light baker and the scene need, in world coordinates."""
+    """Hold all data for the light baker and the scene, in world coordinates."""
 
     vertices: np.ndarray  # [V, 3] float32 metres
-    normals: np.ndarray  # [V, 3] float32 unit, towards the free space
+    normals: np.ndarray  # [V, 3] float32 unit, towards free space
     faces: np.ndarray  # [F, 3] int32
     uv: np.ndarray  # [V, 2] float32
     tint: np.ndarray  # [V, 3] float32 sRGB factor
-    glow: np.ndarray  # [V] float32, 0 where light has to be baked
+    glow: np.ndarray  # [V] float32, 0 = light is baked
     face_texture: np.ndarray  # [F] int32
     face_part: np.ndarray  # [F] int32
     part_names: tuple[str, ...]
@@ -39,7 +39,7 @@ class BuiltMesh:
 
 
 class MeshBuilder:
-    """An append-only mesh. Shapes are added to the current part, through the current placement."""
+    """Build an append-only mesh. Shapes are added to the current part with the current placement."""
 
     def __init__(self) -> None:
         self._shapes: list[Shape] = []
@@ -51,15 +51,15 @@ class MeshBuilder:
         self._offset = np.zeros(3)
 
     def part(self, name: str, *, structural: bool = False) -> None:
-        """Starts a new part: the shapes added from here on belong to it."""
+        """Start a new part; the shapes added next belong to it."""
         self._names.append(name)
         self._structural.append(structural)
 
     @contextmanager
     def placed(self, offset: tuple[float, float, float], yaw: float = 0.0) -> Iterator[None]:
-        """Adds shapes turned by ``yaw`` radians around z and moved by ``offset`` metres; placements nest."""
+        """Rotate added shapes by ``yaw`` radians around z and move them by ``offset`` metres; placements nest."""
         before = self._rotation, self._offset
-        # Quarter turns are made exact, so that furniture at a wall stays parallel to it to the last bit.
+        # Quarter turns are rounded to exact values, so that furniture stays exactly parallel to its wall.
         cos, sin = np.round(np.cos(yaw), 12), np.round(np.sin(yaw), 12)
         moved = np.array(offset, dtype=float)
         moved[:2] = self._rotation @ moved[:2]
@@ -71,7 +71,7 @@ class MeshBuilder:
             self._rotation, self._offset = before
 
     def add(self, shape: Shape, material: Material) -> None:
-        """One shape of one material, into the current part."""
+        """Add a shape with a material to the current part."""
         if not self._names:
             raise ValueError("start a part before adding shapes to it")
         vertices, normals = shape.vertices.copy(), shape.normals.copy()
@@ -83,7 +83,7 @@ class MeshBuilder:
         self._parts.append(len(self._names) - 1)
 
     def build(self) -> BuiltMesh:
-        """The whole mesh; parts that stayed empty keep their number."""
+        """Return the whole mesh; empty parts keep their number."""
         shapes, materials = self._shapes, self._materials
         vertex_count = [len(shape.vertices) for shape in shapes]
         face_count = [len(shape.faces) for shape in shapes]

@@ -1,7 +1,7 @@
-"""Closed solids the procedural scenes are made of: box, rounded box, solid of revolution, extrusion, leaf.
+"""Make the closed solids of procedural scenes: box, rounded box, solid of revolution, extrusion, leaf.
 
-Every function returns a `Shape` in local metres with outward normals, counter-clockwise faces (seen from outside) and
-texture coordinates in metres along the surface, so that a material's repeats per metre mean the same everywhere.
+Every function returns a `Shape` in local metres with outward normals and faces counter-clockwise from outside. Texture
+coordinates are metres along the surface, so that a material's repeats per metre are the same on all shapes.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from functools import lru_cache
 
 import numpy as np
 
-# Longest edge of a face: light is baked per vertex, so this bounds how coarse a shadow on furniture gets.
+# Longest edge of a face; light is baked per vertex, so this bounds the resolution of shadows on furniture.
 MAX_EDGE = 0.25  # metres
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A closed triangle mesh."""
+    """Hold a closed triangle mesh."""
 
     vertices: np.ndarray  # [V, 3] metres
     normals: np.ndarray  # [V, 3] unit, outward
     faces: np.ndarray  # [F, 3] int
-    uv: np.ndarray  # [V, 2] metres along the surface (0..1 for shapes that say so)
+    uv: np.ndarray  # [V, 2] metres along the surface (0..1 where stated)
 
 
 def join(shapes: list[Shape]) -> Shape:
-    """Several shapes as one."""
+    """Join several shapes into one."""
     offsets = np.cumsum([0] + [len(shape.vertices) for shape in shapes[:-1]])
     return Shape(
         vertices=np.concatenate([shape.vertices for shape in shapes]),
@@ -38,19 +38,19 @@ def join(shapes: list[Shape]) -> Shape:
 
 @lru_cache(maxsize=1024)
 def grid_faces(rows: int, columns: int) -> np.ndarray:  # [2 (rows - 1)(columns - 1), 3]
-    """Two triangles per cell of a row-major grid of vertices; counter-clockwise if rows x columns point outward."""
+    """Return two triangles per cell of a row-major vertex grid; counter-clockwise if rows x columns point outward."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
 
 
 def lines(start: float, end: float, max_edge: float = MAX_EDGE) -> np.ndarray:
-    """Evenly spaced coordinates from start to end, at most ``max_edge`` metres apart."""
+    """Return evenly spaced coordinates from start to end, at most ``max_edge`` metres apart."""
     return np.linspace(start, end, max(1, int(np.ceil((end - start) / max_edge - 1e-9))) + 1)
 
 
 def _cube_sides(axis_lines: list[np.ndarray]) -> list[tuple[int, int, int, np.ndarray]]:
-    """The six sides of a lattice box as (axis, row axis, column axis, grid [R, C, 3]) with outward winding."""
+    """Return the six sides of a lattice box as (axis, row axis, column axis, grid [R, C, 3]), winding outward."""
     sides = []
     for axis in range(3):
         for top in (False, True):
@@ -64,7 +64,7 @@ def _cube_sides(axis_lines: list[np.ndarray]) -> list[tuple[int, int, int, np.nd
 
 
 def _side_uv(grid: np.ndarray, row: int, column: int, *, fit: bool) -> np.ndarray:
-    """Texture coordinates of one side: u along its longer edge (the grain of wood), or the whole picture once.
+    """Return texture coordinates of one side: u along its longer edge (wood grain), or the whole image once.
 
     With ``fit``, u runs along the horizontal axis and v down the vertical one, both 0..1.
     """
@@ -80,7 +80,7 @@ def _side_uv(grid: np.ndarray, row: int, column: int, *, fit: bool) -> np.ndarra
 
 
 def box(lower: np.ndarray, upper: np.ndarray, *, max_edge: float = MAX_EDGE, fit: bool = False) -> Shape:
-    """An axis-aligned box with sharp edges; ``fit`` stretches a picture once over every side."""
+    """Return an axis-aligned box with sharp edges; ``fit`` stretches an image once over each side."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     if not (upper > lower).all():
         raise ValueError(f"a box needs upper > lower, got {lower} and {upper}")
@@ -105,10 +105,10 @@ def rounded_box(
     upper: np.ndarray,
     *,
     radius: float,  # metres, of edges and corners
-    puff: float = 0.0,  # metres the middle of every side bulges out: cushions, pillows
+    puff: float = 0.0,  # metres by which the middle of each side bulges out: cushions, pillows
     max_edge: float = MAX_EDGE,
 ) -> Shape:
-    """A box with round edges: cushions, mattresses, ceramics."""
+    """Return a box with round edges: cushions, mattresses, ceramics."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     half, centre = (upper - lower) / 2, (upper + lower) / 2
     radius = min(radius, 0.999 * float(half.min()))
@@ -135,9 +135,10 @@ def rounded_box(
 
 
 def lathe(profile: np.ndarray, *, segments: int = 16) -> Shape:
-    """The closed profile [P, 2] of (radius, height) turned around the z axis; it starts and ends on the axis.
+    """Return the solid of revolution around z of a profile [P, 2] of (radius, height).
 
-    The profile runs from the bottom up along the outside. Points given twice make a sharp edge.
+    The profile starts and ends on the axis, and runs from the bottom up along the outside. Duplicate points make a
+    sharp edge.
     """
     profile = np.asarray(profile, dtype=float)
     if profile[0, 0] != 0 or profile[-1, 0] != 0:
@@ -164,7 +165,7 @@ def lathe(profile: np.ndarray, *, segments: int = 16) -> Shape:
 
 
 def _without_slivers(shape: Shape) -> Shape:
-    """Drops triangles without area (at the poles and sharp edges of a lathe) and the vertices only they used."""
+    """Remove triangles without area (poles and sharp edges of a lathe) and their unused vertices."""
     corner = shape.vertices[shape.faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     faces = shape.faces[area > 1e-10]
@@ -173,7 +174,7 @@ def _without_slivers(shape: Shape) -> Shape:
 
 
 def lying(shape: Shape) -> Shape:
-    """The shape tipped over: what pointed up points along +y."""
+    """Tip a shape over: +z becomes +y."""
     return replace(shape, vertices=_tip(shape.vertices), normals=_tip(shape.normals))
 
 
@@ -182,7 +183,7 @@ def _tip(vectors: np.ndarray) -> np.ndarray:
 
 
 def cylinder(radius: float, bottom: float, top: float, *, top_radius: float | None = None, segments: int = 12) -> Shape:
-    """A closed cylinder or truncated cone on the z axis."""
+    """Return a closed cylinder or truncated cone on the z axis."""
     upper = radius if top_radius is None else top_radius
     sides = lines(bottom, top)
     profile = [[0, bottom], [radius, bottom]]
@@ -191,9 +192,9 @@ def cylinder(radius: float, bottom: float, top: float, *, top_radius: float | No
 
 
 def extrusion(outline: np.ndarray, bottom: float, top: float, *, max_edge: float = MAX_EDGE) -> Shape:
-    """A wall of height bottom..top over an open strip outline: [N, 2, 2] pairs of (front, back) points in x, y.
+    """Return a wall of height bottom..top over a strip [N, 2, 2]: pairs of (front, back) points in x, y.
 
-    Used for curtains: the front and back follow the pleats, the ends and edges are closed.
+    It is used for curtains: front and back follow the pleats; ends and edges are closed.
     """
     front, back = outline[:, 0], outline[:, 1]
     levels = lines(bottom, top, max_edge)
@@ -223,7 +224,7 @@ def extrusion(outline: np.ndarray, bottom: float, top: float, *, max_edge: float
 
 
 def leaf(length: float, width: float, thickness: float, droop: float) -> Shape:
-    """A lens-shaped leaf from the origin along +y, bent down by ``droop`` metres at its tip."""
+    """Return a lens-shaped leaf from the origin along +y, with its tip ``droop`` metres lower."""
     rows, around = 9, 7
     t = np.linspace(0, 1, rows)
     outline = np.sin(np.pi * t**0.7) ** 0.8

@@ -1,4 +1,4 @@
-"""Pictures seen once over 0..1: paintings, the view from a window, a screen, the front of an oven."""
+"""Paint images shown once over 0..1: paintings, the view from a window, a screen, an oven's front."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from activestructure_gym.scenes.procedural.textures import Color, finish, noise,
 
 
 def landscape(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
-    """A painting of hills in front of an evening sky."""
+    """Paint hills in front of an evening sky."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     sky = np.array([0.86, 0.72, 0.56]) * (v / 0.6)[..., None] + np.array([0.42, 0.56, 0.70]) * (1 - v / 0.6)[..., None]
@@ -22,7 +22,7 @@ def landscape(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
 
 
 def abstract(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
-    """A painting of flat coloured cells (nearest of a few random points) with dark lines between them."""
+    """Paint flat coloured cells (nearest of a few random points) with dark lines between them."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     points = rng.random((14, 2))
@@ -37,7 +37,7 @@ def abstract(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
 
 
 def still_life(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
-    """A painting of overlapping discs on a dim ground."""
+    """Paint overlapping discs on a dim ground."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     image = np.array([0.72, 0.68, 0.60]) * (1.05 - 0.3 * v)[..., None]
@@ -51,7 +51,7 @@ def still_life(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
 
 
 def street(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
-    """What a window shows: bright sky, houses across the street, trees."""
+    """Paint the view from a window: bright sky, houses across the street, trees."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     cloud = np.clip(noise(rng, shape, falloff=1.9, stretch=0.5, smallest=6), -1, 2)
@@ -71,7 +71,7 @@ def street(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
 
 
 def screen(rng: np.random.Generator, *, size: int = 128) -> np.ndarray:
-    """A dark television or monitor with a faint reflection of the room."""
+    """Paint a dark television or monitor with a faint reflection of the room."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     reflection = np.exp(-(((u - rng.uniform(0.2, 0.8)) / 0.18) ** 2 + ((v - 0.4) / 0.3) ** 2))
@@ -79,7 +79,7 @@ def screen(rng: np.random.Generator, *, size: int = 128) -> np.ndarray:
 
 
 def appliance(rng: np.random.Generator, *, color: Color, size: int = 128) -> np.ndarray:
-    """The front of an oven or washing machine: a dark window in a plain face with a row of knobs."""
+    """Paint the front of an oven or washing machine: a dark window in a plain face with a row of knobs."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     image = np.broadcast_to(np.array(color), (*shape, 3)).copy()

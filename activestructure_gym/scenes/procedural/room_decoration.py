@@ -1,4 +1,4 @@
-"""Decoration of rooms: curtains, radiators under windows, the lamp, pictures on free stretches of wall."""
+"""Decorate rooms: curtains, radiators under windows, the lamp, pictures on free stretches of wall."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from activestructure_gym.scenes.procedural.layout import CEILING, UNIT, WINDOW_H
 
 
 def hang_curtains(planner: RoomPlanner) -> None:
-    """Curtains left and right of every window, on a rod."""
+    """Place curtains left and right of every window, on a rod."""
     for wall in planner.walls:
         for a, b, _ in wall.windows:
             sides = [side for side in (a - 0.16, b + 0.16) if 0.17 < side < wall.length - 0.17]
@@ -27,7 +27,7 @@ def hang_curtains(planner: RoomPlanner) -> None:
 
 
 def add_radiators(planner: RoomPlanner) -> None:
-    """A radiator under most windows that have nothing else below them."""
+    """Place a radiator under most windows with free space below."""
     for wall in planner.walls:
         for a, b, sill in wall.windows:
             width = min(b - a, 1.2)
@@ -37,7 +37,7 @@ def add_radiators(planner: RoomPlanner) -> None:
 
 
 def hang_lamp(planner: RoomPlanner) -> None:
-    """A lamp over the dining table, or in the middle of the room; its rim 2.05 m above the floor."""
+    """Place a lamp over the dining table or in the middle of the room, its rim 2.05 m above the floor."""
     tables = [piece for piece in planner.pieces if piece.kind == "dining table"]
     x, y = (planner.room[0] + planner.room[2]) / 2, (planner.room[1] + planner.room[3]) / 2
     if tables and planner.area < 18:
@@ -48,7 +48,7 @@ def hang_lamp(planner: RoomPlanner) -> None:
 
 
 def hang_pictures(planner: RoomPlanner, *, most: int) -> None:
-    """Pictures in the free stretches of wall between 1.25 and 2.0 m, over low furniture first."""
+    """Place pictures on free stretches of wall between 1.25 and 2.0 m, over low furniture first."""
     rng = planner.rng
     low = [p for p in planner.pieces if p.kind in ("sofa", "bed", "dresser", "nightstand", "coffee table", "armchair")]
     motifs = rng.permutation(PICTURES)

@@ -1,4 +1,4 @@
-"""Furniture by kind of room, in the order in which it is placed."""
+"""Furnish rooms by kind, in placement order."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from activestructure_gym.scenes.procedural.furniture_fixtures import MODULE
 from activestructure_gym.scenes.procedural.furniture_placement import GAP, RoomPlanner, Wall
 from activestructure_gym.scenes.procedural.room_decoration import add_radiators, hang_curtains, hang_lamp, hang_pictures
 
-# Metres. Thinner than the light samples stand off the floor (baked_light): a rug must not shade what is around it.
+# Metres. Below the light samples' distance from the floor (baked_light), so that a rug casts no shadow around it.
 RUG = 0.006
 
 
 def furnish_room(planner: RoomPlanner, kind: str) -> list[Piece]:
-    """All pieces of a room, its window dressing and the pictures on its walls."""
+    """Furnish a room with its window dressing and pictures; return all pieces."""
     if kind not in ("bath", "kitchen"):
         hang_curtains(planner)
     _PROGRAMS[kind](planner)
@@ -40,7 +40,7 @@ def _living(planner: RoomPlanner) -> None:
 
 
 def _media_corner(planner: RoomPlanner) -> None:
-    """Television and sofa face to face, a rug and a coffee table between them."""
+    """Place television and sofa face to face, with a rug and a coffee table between."""
     rng = planner.rng
     sofa = (float(rng.choice([2.1, 2.1, 1.8])), 0.92, 0.84)
     bench = (1.6, 0.40, 1.22)
@@ -49,7 +49,7 @@ def _media_corner(planner: RoomPlanner) -> None:
     for i in rng.permutation(len(spots)):
         wall, centre = spots[i].wall, spots[i].centre
         depth = planner.room[3] - planner.room[1] if wall.index in (0, 2) else planner.room[2] - planner.room[0]
-        # At the opposite wall if that is within 4.6 m; otherwise the sofa stands free with a passage behind it.
+        # At the opposite wall if within 4.6 m; otherwise the sofa is free-standing with a passage behind it.
         back = depth - GAP if depth < 4.6 else min(3.9, depth - 1.0)
         rect = wall.rect(centre - sofa[0] / 2, centre + sofa[0] / 2, back - sofa[1], back)
         if planner.fits(rect) and planner.passable([rect, spots[i].footprint]):
@@ -74,18 +74,18 @@ def _media_corner(planner: RoomPlanner) -> None:
     near, far = max(0.5, away - 0.75), back - sofa[1] + 0.25
     x, y = wall.point(float(np.clip(centre, wide / 2 + 0.2, wall.length - wide / 2 - 0.2)), (near + far) / 2)
     planner.add([planner.piece("rug", x, y, wall.yaw, (wide, far - near, RUG))], solid=False)
-    # Between television and table people walk; everything else keeps out of the view.
+    # Keep the space between television and table free.
     planner.clear.append(wall.rect(centre - 0.8, centre + 0.8, GAP + bench[1] + 0.01, away - table[1] / 2 - 0.05))
 
 
 def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
-    """A table with chairs around it, where there is most room, else at a wall."""
+    """Place a table with chairs in the most open position, else at a wall."""
     rng = planner.rng
     sizes = [(1.4, 0.8), (1.2, 0.75)] if seats > 2 else [(0.8, 0.75), (0.75, 0.7)]
-    # First with room to walk around the table, then with the chairs of one side at a wall.
+    # First with space to walk around the table, then with the chairs of one side at a wall.
     for margin, (width, depth) in [(margin, size) for margin in (0.24, 0.0) for size in sizes]:
         for turned in rng.permutation([0, 1]):
-            # The group's footprint: chairs pushed in half way stand up to 0.32 m out on both long sides.
+            # Footprint of the group: half pushed-in chairs extend up to 0.32 m on both long sides.
             outer = (width + 0.05, depth + 0.64)
             group = outer[::-1] if turned else outer
             middle = planner.roomiest(*group, margin=margin)
@@ -116,7 +116,7 @@ def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
 
 
 def _bed_group(planner: RoomPlanner, *, double: bool) -> None:
-    """The bed with its headboard at a wall and a nightstand on each side that has room for one."""
+    """Place the bed with its headboard at a wall, and a nightstand on each side with enough space."""
     stand = (0.45, 0.40, 0.90)
     widths = [1.6, 1.4] if double else [1.0, 0.9]
     for width in widths:
@@ -165,10 +165,10 @@ def _child(planner: RoomPlanner) -> None:
 
 
 def _desk_group(planner: RoomPlanner) -> None:
-    """Desk with a swivel chair half under it."""
+    """Place a desk with a swivel chair half under it."""
     size = (1.4, 0.68, 1.16) if planner.area > 9 else (1.2, 0.65, 1.16)
     spots = planner.wall_spots((size[0], size[1], 0.75), front=0.85)
-    # The chair, turned by any angle, must not stand in a doorway.
+    # The chair, at any rotation, must not block a doorway.
     seats = [s.wall.rect(s.centre - 0.2, s.centre + 0.6, size[1], size[1] + 0.62) for s in spots]
     spot = planner.choose([s for s, seat in zip(spots, seats) if planner.fits(seat, gap=0.0)])
     if spot is None:
@@ -201,9 +201,9 @@ def _kitchen(planner: RoomPlanner) -> None:
 
 
 def _kitchen_line(planner: RoomPlanner) -> None:
-    """Fridge and base units in one line, cupboards above where no window is."""
+    """Place fridge and base units in one line, with cupboards above outside windows."""
     tall = 0.66
-    for units, free in ((5, 0.8), (4, 0.8), (3, 0.8), (3, 0.6), (2, 0.6)):  # free: metres before the units
+    for units, free in ((5, 0.8), (4, 0.8), (3, 0.8), (3, 0.6), (2, 0.6)):  # free: metres in front of the units
         width = units * MODULE
         found = None
         spots = planner.wall_spots((width + tall, 0.66, 0.89), front=free)
@@ -231,7 +231,7 @@ def _kitchen_line(planner: RoomPlanner) -> None:
 
 
 def _kitchen_wall(planner: RoomPlanner, wall: Wall, start: float, end: float) -> None:
-    """Tiles and cupboards over the worktop, in the stretches between windows."""
+    """Place tiles and cupboards over the worktop between windows."""
     edges = [(start, end)]
     for a, b, _ in wall.windows:
         edges = [

@@ -1,7 +1,7 @@
-"""The closed surface around a set of lattice cells: walls, floors, ceilings, jambs and window panes in one go.
+"""Build the closed surface around a set of lattice cells: walls, floors, ceilings, jambs and panes.
 
-Every side of an air cell that touches a cell without air becomes two triangles. The boundary of a set of cells is
-closed by construction, and all its edges lie on the same lattice, so there are no T-junctions a ray could slip through.
+Every side of an air cell next to a cell without air becomes two triangles. The boundary of a set of cells is closed by
+construction. All edges lie on the same lattice, so there are no T-junctions for rays to pass.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 from activestructure_gym.scenes.procedural.mesh_builder import Material, MeshBuilder
 from activestructure_gym.scenes.procedural.mesh_shapes import Shape
 
-# (owner, axis, sign of the outward side) -> part name, material, whether the texture spans the side once
+# (owner, axis, sign of the outward side) -> part name, material, whether the texture covers the side once
 Describe = Callable[[int, int, int], tuple[str, Material, bool]]
 
 
 def add_shell(builder: MeshBuilder, owner: np.ndarray, lines: Sequence[np.ndarray], describe: Describe) -> None:
-    """Adds one structural part per flat side of every space.
+    """Add one structural part per flat side of every space.
 
-    ``owner`` [X, Y, Z] holds the space each cell belongs to (-1 = no air); ``lines`` are the lattice coordinates in
-    metres, one more than cells per axis. Normals point into the air.
+    ``owner`` [X, Y, Z] holds the space of each cell (-1 = no air); ``lines`` are the lattice coordinates in metres, one
+    more than cells per axis. Normals point into the air.
     """
     padded = np.pad(owner, 1, constant_values=-1)
     for axis in range(3):
@@ -43,14 +43,14 @@ def _side(
     cells: np.ndarray,  # [S, 2] lattice cells of a flat side, along the two other axes in order
     axis: int,
     sign: int,
-    level: int,  # lattice line the side lies on
+    level: int,  # lattice line of the side
     lines: Sequence[np.ndarray],
     *,
     fit: bool,
 ) -> Shape:
     first, second = (k for k in range(3) if k != axis)
     width = len(lines[second])
-    # Corners of every cell in turn around it, as ids of lattice points.
+    # Corners of every cell, in order, as ids of lattice points.
     corner = np.stack(
         [(cells[:, 0] + i) * width + cells[:, 1] + j for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1
     )
@@ -67,7 +67,7 @@ def _side(
     normals[:, axis] = -sign
     uv = vertices[:, [first, second]].copy()
     if axis != 2:
-        uv[:, 1] = -uv[:, 1]  # images run down
+        uv[:, 1] = -uv[:, 1]  # image rows run down
     if fit:
         uv = (uv - uv.min(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
     faces = np.concatenate([corner[:, [0, 1, 2]], corner[:, [0, 2, 3]]])

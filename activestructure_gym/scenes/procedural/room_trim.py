@@ -1,4 +1,4 @@
-"""Trim of the walls of every room: skirting boards, door casings, window frames and sills, the front door."""
+"""Add trim to the walls of every room: skirting boards, door casings, window frames and sills, front door."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from activestructure_gym.scenes.procedural.mesh_shapes import box
 
 _SKIRTING = (0.08, 0.015)  # metres: height, thickness
 _CASING = (0.07, 0.02)  # metres: width of the frame around a door, thickness
-_SILL = (0.03, 0.04)  # metres: thickness of a window board, how far it stands into the room
+_SILL = (0.03, 0.04)  # metres: thickness of a window board, its depth into the room
 
 
 def window_frames(layout: Layout) -> list[Piece]:
-    """One frame per window, right in front of its pane."""
+    """Return one frame per window, directly in front of its pane."""
     pieces = []
     for room in range(layout.rooms):
         for wall in walls_of(layout, room):
@@ -30,7 +30,7 @@ def window_frames(layout: Layout) -> list[Piece]:
 
 
 def front_door(layout: Layout) -> list[Piece]:
-    """The closed entrance door on the inner face of an outer wall, if the plan has one."""
+    """Return the closed entrance door on the inner face of an outer wall, or [] if the plan has none."""
     if layout.entrance is None:
         return []
     room, index, step = layout.entrance
@@ -40,7 +40,7 @@ def front_door(layout: Layout) -> list[Piece]:
 
 
 def add_trim(builder: MeshBuilder, materials: Materials, layout: Layout) -> None:
-    """Adds skirting boards, casings and window boards as structural parts."""
+    """Add skirting boards, casings and window boards as structural parts."""
     for room in range(layout.rooms):
         kind = layout.spaces[room].kind
         for wall in walls_of(layout, room):

@@ -1,15 +1,15 @@
-"""Tileable pictures painted from noise: plaster, wood, tiles, cloth, rugs, paintings, the view from a window.
+"""Paint tileable textures from noise: plaster, wood, tiles, cloth, rugs, stone.
 
-Noise is made in the frequency domain (random phases under a power law), which tiles by itself and costs one FFT.
-Every function takes its own generator, so a texture does not depend on which others were painted before it.
+Noise is generated in the frequency domain (random phases under a power law), which tiles and costs one FFT. Every
+function takes its own generator, so a texture is independent of those painted before.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-# All patterns deviate from their mean by this factor of what the prototype had: with it the renderings carry about as
-# much fine detail as real rooms do (PSNR between a 320x240 image and its sigma 1.5 px blur: 29 to 32 dB).
+# Contrast of all patterns. With it the renderings have about as much fine detail as real rooms (PSNR between a 320x240
+# image and its sigma 1.5 px blur: 29 to 32 dB).
 CONTRAST = 0.75
 
 Color = tuple[float, float, float]  # sRGB, 0..1
@@ -21,9 +21,9 @@ def noise(
     *,
     falloff: float = 1.6,  # amplitude ~ frequency^-falloff; 1 = rough, 2 = cloudy
     stretch: float = 1.0,  # > 1: features are this many times longer along u
-    smallest: float = 0.0,  # features below this many pixels are left out
+    smallest: float = 0.0,  # features below this many pixels are removed
 ) -> np.ndarray:  # [h, w] zero mean, unit deviation
-    """Tileable noise with a power-law spectrum."""
+    """Return tileable noise with a power-law spectrum."""
     rows = np.fft.fftfreq(shape[0])[:, None]
     columns = np.fft.rfftfreq(shape[1])[None, :] * stretch
     frequency = np.hypot(rows, columns)
@@ -38,7 +38,7 @@ def noise(
 
 
 def finish(image: np.ndarray) -> np.ndarray:
-    """Lowers the contrast and rounds to bytes."""
+    """Lower the contrast and convert to bytes."""
     image = np.atleast_3d(image)
     mean = np.array([image[..., k].mean() for k in range(image.shape[2])])
     image = np.clip(mean + CONTRAST * (image - mean), 0.0, 1.0)
@@ -46,20 +46,20 @@ def finish(image: np.ndarray) -> np.ndarray:
 
 
 def pixel_grid(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """u and v of the pixel centres, 0..1."""
+    """Return u and v of the pixel centres, 0..1."""
     v, u = np.meshgrid((np.arange(shape[0]) + 0.5) / shape[0], (np.arange(shape[1]) + 0.5) / shape[1], indexing="ij")
     return u, v
 
 
 def plaster(rng: np.random.Generator, *, color: Color, stains: float = 0.011, size: int = 256) -> np.ndarray:
-    """Painted wall: soft stains, roller marks and a little grain."""
+    """Paint a painted wall: soft stains, roller marks and a little grain."""
     shape = (size, size)
     value = stains * noise(rng, shape, falloff=1.8) + 0.012 * noise(rng, shape, falloff=0.6, smallest=3)
     return finish(np.array(color) * (1.0 + value[..., None]))
 
 
 def wallpaper(rng: np.random.Generator, *, color: Color, second: Color, size: int = 256) -> np.ndarray:
-    """Stripes with a row of diamonds on every other one."""
+    """Paint stripes, every other one with a row of diamonds."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     stripe = 0.5 + 0.5 * np.tanh(6 * np.sin(2 * np.pi * 4 * u))
@@ -70,7 +70,7 @@ def wallpaper(rng: np.random.Generator, *, color: Color, second: Color, size: in
 
 
 def planks(rng: np.random.Generator, *, color: Color, rows: int = 8, size: int = 512) -> np.ndarray:
-    """Wooden floor: boards along u in random lengths, grain, dark joints."""
+    """Paint a wooden floor: boards along u in random lengths, grain, dark joints."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     row = np.floor(v * rows).astype(int)
@@ -79,7 +79,7 @@ def planks(rng: np.random.Generator, *, color: Color, rows: int = 8, size: int =
     tone = rng.normal(0, 0.07, 2 * rows)[board]
     hue = rng.normal(0, 0.02, 2 * rows)[board]
     grain = noise(rng, shape, falloff=1.3, stretch=14.0, smallest=2)
-    # Every board shows another piece of the grain.
+    # Every board shows another part of the grain.
     move = rng.integers(0, size, 2 * rows)
     grain = grain[np.arange(size)[:, None], (np.arange(size)[None, :] + move[board]) % size]
     along = 0.5 - np.abs((v * rows) % 1 - 0.5)  # 0 at the joint, in board widths
@@ -92,7 +92,7 @@ def planks(rng: np.random.Generator, *, color: Color, rows: int = 8, size: int =
 
 
 def wood(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndarray:
-    """Furniture wood: year rings cut along u, fine pores."""
+    """Paint furniture wood: year rings cut along u, fine pores."""
     shape = (size, size)
     _, v = pixel_grid(shape)
     bend = noise(rng, shape, falloff=2.2, stretch=5.0)
@@ -106,7 +106,7 @@ def wood(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndarr
 def tiles(
     rng: np.random.Generator, *, color: Color, grout: Color, count: tuple[int, int] = (4, 4), size: int = 256
 ) -> np.ndarray:
-    """Ceramic tiles with joints; every tile has its own tone."""
+    """Paint ceramic tiles with joints; each tile has its own tone."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     row, column = np.floor(v * count[0]).astype(int), np.floor(u * count[1]).astype(int)
@@ -122,7 +122,7 @@ def tiles(
 def fabric(
     rng: np.random.Generator, *, color: Color, size: int = 256, threads: int = 48, strength: float = 1.0
 ) -> np.ndarray:
-    """Woven cloth: warp and weft, with wear."""
+    """Paint woven cloth: warp and weft, with wear."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     weave = np.sin(2 * np.pi * threads * u) * np.sin(2 * np.pi * threads * v)
@@ -135,7 +135,7 @@ def fabric(
 
 
 def checked_fabric(rng: np.random.Generator, *, color: Color, second: Color, size: int = 256) -> np.ndarray:
-    """A bedspread with crossing bands."""
+    """Paint a bedspread with crossing bands."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     bands = 0.5 * (np.sin(2 * np.pi * 3 * u) > 0.2) + 0.5 * (np.sin(2 * np.pi * 3 * v) > 0.2)
@@ -144,7 +144,7 @@ def checked_fabric(rng: np.random.Generator, *, color: Color, second: Color, siz
 
 
 def stone(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndarray:
-    """Worktop: speckles and veins."""
+    """Paint a worktop: speckles and veins."""
     shape = (size, size)
     vein = np.exp(-((noise(rng, shape, falloff=1.9) / 0.12) ** 2))
     speckle = noise(rng, shape, falloff=0.4, smallest=2.5)
@@ -152,7 +152,7 @@ def stone(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndar
 
 
 def rug(rng: np.random.Generator, *, colors: list[Color], size: int = 256) -> np.ndarray:
-    """A carpet seen once over 0..1: border bands and a field of diamonds."""
+    """Paint a carpet shown once over 0..1: border bands and a field of diamonds."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     rim = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))

@@ -1,1 +1,1 @@
-"""Scenes from files: meshes, published datasets, datasets configured for Habitat, posed sequences."""
+"""Load scenes from files: meshes, published datasets, datasets configured for Habitat, posed sequences."""

@@ -1,9 +1,9 @@
-"""Limits on what one scene may read and allocate, since files may be made by anybody.
+"""Limit what one scene may read and allocate, since files may come from anyone.
 
-A file of a few kilobytes can ask for gigabytes or hours: by the counts in its header, by placing one mesh a million
-times, by pictures of one colour, by naming a device. Whoever reads a scene asks its one budget before anything is
-allocated. A limit is an allowance plus a share per byte of the files that were read, so a large scan passes and a
-small file stays a small scene; the allowances together stay below 2 GB of memory and a minute of one core.
+A file of a few kilobytes can request gigabytes or hours: by counts in its header, by placing one mesh a million times,
+by single-colour images, or by naming a device. Every reader takes from the scene's one budget before it allocates. A
+limit is an allowance plus a share per byte read, so large scans pass and small files stay small scenes. All allowances
+together stay below 2 GB of memory and a minute on one core.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MOST_BYTES = 4 << 30  # of all files of a scene; they are held in memory while t
 
 @dataclass(frozen=True)
 class Limit:
-    """At most ``allowance + per_byte * bytes read``, and never more than ``ceiling``."""
+    """Define a limit: ``allowance + per_byte * bytes read``, at most ``ceiling``."""
 
     allowance: int
     per_byte: float
@@ -31,8 +31,8 @@ class Limit:
         return min(self.ceiling, self.allowance + int(self.per_byte * bytes_read))
 
 
-# Per byte: more than any file needs that says everything once (a triangle of 16-bit indices has 6 bytes, a quantised
-# vertex 4, a picture rarely less than half a bit per pixel). Allowances: what instances may multiply.
+# Per byte: more than any file without repetition needs (a triangle of 16-bit indices has 6 bytes, a quantised vertex 4,
+# an image rarely less than half a bit per pixel). Allowances: what instances may multiply.
 LIMITS = {
     "triangles": Limit(3_000_000, 0.25, 50_000_000, "decimate its meshes or place fewer copies of them"),
     "vertices": Limit(5_000_000, 0.5, 150_000_000, "decimate its meshes or place fewer copies of them"),
@@ -46,19 +46,19 @@ LIMITS = {
 
 
 class LimitError(UnreadableMesh):
-    """A scene asks for more than it may; the message is the rest of a sentence that begins with the file."""
+    """Report that a scene exceeds a limit; the message completes a sentence that begins with the file."""
 
 
 @dataclass
 class SceneBudget:
-    """Counters of what a scene has read and allocated, against `LIMITS`."""
+    """Count what a scene has read and allocated, against `LIMITS`."""
 
     bytes_read: int = 0
     taken: dict[str, int] = field(default_factory=dict)
-    _files: set[tuple[int, int]] = field(default_factory=set)  # device and inode: a file counts once
+    _files: set[tuple[int, int]] = field(default_factory=set)  # device and inode: each file counts once
 
     def read(self, path: Path) -> bytes:
-        """The content of a regular file; devices, pipes and the like are not opened."""
+        """Return the content of a regular file; devices and pipes are refused."""
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
             raise LimitError(f"'{path.name}' is a device or a pipe and no file")
@@ -68,10 +68,10 @@ class SceneBudget:
         if self.bytes_read > MOST_BYTES:
             raise LimitError(f"its files have more than {MOST_BYTES >> 30} GB; decimate its meshes or split it")
         with open(path, "rb") as stream:
-            return stream.read(status.st_size)  # what /proc calls a file has no size, and may never end
+            return stream.read(status.st_size)  # files in /proc have size 0 and may never end
 
     def take(self, what: str, count: int) -> None:
-        """Note that ``count`` more of ``what`` (a key of `LIMITS`) will be held; raises `LimitError` if too many."""
+        """Count ``count`` more of ``what`` (a key of `LIMITS`); raise `LimitError` above the limit."""
         total = self.taken.get(what, 0) + count
         limit = LIMITS[what]
         if total > (most := limit.at(self.bytes_read)):

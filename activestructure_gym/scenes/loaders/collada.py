@@ -1,9 +1,8 @@
-"""Reader for COLLADA (`.dae`), with the standard library's XML parser.
+"""Read COLLADA (`.dae`) with the standard library's XML parser.
 
-pycollada, which trimesh needs for it, reads less of what exporters write, and rounds (docs/notebook/groundwork.md).
-
-Only what a still scene needs: triangles and polygons, node transforms, instances, skins and morphs as they stand,
-diffuse colours and textures, the declared unit and up axis. Specification: [collada].
+pycollada, which trimesh needs for it, supports less of what exporters write, and rounds (docs/notebook/groundwork.md).
+Supported is what a still scene needs: triangles and polygons, node transforms, instances, skins and morphs in their
+stored pose, diffuse colours and textures, unit and up axis. Specification: [collada].
 """
 
 from __future__ import annotations
@@ -39,18 +38,18 @@ _POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 @dataclass(frozen=True)
 class ColladaFile:
-    """The parts in file units, and what the file says about them."""
+    """Hold the parts in file units, with the declared unit and up axis."""
 
     parts: list[MeshPart]
     metres_per_unit: float
-    up: str  # "x", "y" or "z", or whatever else the file says
+    up: str  # "x", "y" or "z", or any other declared value
 
 
 def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
-    """All triangles of the instantiated visual scene."""
+    """Read all triangles of the instantiated visual scene."""
     root = ElementTree.fromstring(textures.budget.read(path))
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]  # the namespace differs between 1.4 and 1.5
+        element.tag = element.tag.rpartition("}")[2]  # the namespace differs between versions 1.4 and 1.5
     if root.tag != "COLLADA":
         raise UnreadableMesh(f"its root element is <{root.tag}>, not <COLLADA>")
     unit = root.find("asset/unit")
@@ -76,7 +75,7 @@ class _Document:
     root: Element
     textures: TextureStore
     by_id: dict[str, Element] = field(default_factory=dict)
-    # What was made of an element: instances may be many, and the arrays they share long.
+    # Results by element: many instances can share long arrays.
     _made: dict[tuple[str, Any], Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -86,7 +85,7 @@ class _Document:
         return self.by_id.get((url or "").removeprefix("#"))
 
     def _once(self, make: Callable[..., Any], of: Element | str, *more: Any) -> Any:
-        """``make(of, *more)``, which depends on ``of`` alone."""
+        """Return ``make(of, *more)``, cached by ``of`` alone."""
         key = (make.__name__, of)
         if key not in self._made:
             self._made[key] = make(of, *more)
@@ -97,7 +96,7 @@ class _Document:
         scene = self.target(shown.get("url")) if shown is not None else None
         if scene is None:
             scene = self.root.find("library_visual_scenes/visual_scene")
-        if scene is None:  # geometry only: everything at the origin
+        if scene is None:  # geometry without a scene: everything at the origin
             for geometry in self.root.iterfind("library_geometries/geometry"):
                 yield from self._geometry(geometry, np.eye(4), {})
             return
@@ -114,7 +113,7 @@ class _Document:
     def _posed(
         self, scene: Element, shape: Controlled, instance: Element, positions: np.ndarray, world_from_node: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions in the pose of their controllers, and the transform that is left to do."""
+        """Return positions in the pose of their controllers, and the transform still to be applied."""
         self.textures.budget.take("numbers in arrays", 40 * len(positions))
         try:
             worlds = self._once(self._worlds, scene) if shape.skin is not None else {}
@@ -127,7 +126,7 @@ class _Document:
         return moved, np.eye(4) if shape.skin is not None else world_from_node
 
     def _worlds(self, scene: Element) -> dict[Element, np.ndarray]:
-        """The world matrix of every node, for joints; of a node that is placed often the first one."""
+        """Return the world matrix of every node, for joints; the first one of a node placed several times."""
         worlds: dict[Element, np.ndarray] = {}
         for node, world_from_node in self._placed_nodes(scene):
             worlds.setdefault(node, world_from_node)
@@ -171,7 +170,7 @@ class _Document:
             self.textures.budget.take("vertices", len(corners))
             vertex, world = inputs["VERTEX"], world_from_node
             if pose is not None:
-                if id(vertex.values) not in posed:  # primitives share their positions
+                if id(vertex.values) not in posed:  # primitives share positions
                     posed[id(vertex.values)] = pose(vertex.values, world)
                 values, world = posed[id(vertex.values)]
                 vertex = replace(vertex, values=values)
@@ -182,7 +181,7 @@ class _Document:
             if texture >= 0 and uv is None:
                 self.textures.without_uv.append(symbol or "without a name")
                 texture = -1
-            # A texture is all that is seen of a surface: exporters leave its vertex colours at black.
+            # A texture replaces vertex colours, which exporters often write as black.
             painted = "COLOR" in inputs and texture < 0
             if color is None:
                 color = np.full(3, 1.0 if painted else PLAIN_GREY)
@@ -199,19 +198,19 @@ class _Document:
             )
 
     def _opacity(self, bound: _Binding, sets: dict[int, Input], corners: np.ndarray) -> Opacity | None:
-        """Opacity of the corners; None where the material says nothing of it."""
+        """Return the opacity of the corners; None if the material does not define it."""
         said, picture = self._once(self._transparency, bound.material)
         if said is None:
             return None
         if picture is None:
             return Opacity(said.plain)
-        if not sets:  # the picture has no place here
+        if not sets:  # the image cannot be placed
             return None
         uv = self._coordinates(sets, corners, said.lies, bound.sets)
         return Opacity(picture=picture, uv=uv, wrap=said.lies.wrap)
 
     def _transparency(self, name: str) -> tuple[ColladaOpacity | None, np.ndarray | None]:
-        """What a material says of its opacity, and the picture of it."""
+        """Return a material's opacity, and its opacity image."""
         shader, parameters = self._shader(name)
         said = opacity_of(shader, parameters) if shader is not None else None
         if said is None or said.lies is None:
@@ -220,14 +219,14 @@ class _Document:
         picture = None
         if reference is not None:
             picture = self.textures.opacity_of_file(self.path.parent, reference, said.channel)
-        if picture is None and (said.channel, said.start) != ("alpha", 0.0):  # not readable, which is noted
+        if picture is None and (said.channel, said.start) != ("alpha", 0.0):  # unreadable; a note was added
             return None, None
         return said, said.of(picture) if picture is not None else None
 
     def _coordinates(
         self, sets: dict[int, Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
     ) -> np.ndarray:  # [C, 2], v down
-        """Texture coordinates of the corners in the set that the material uses, placed as its texture says."""
+        """Return the corners' texture coordinates in the material's set, transformed by its texture's settings."""
         chosen, certain = chosen_set(sets, lies.texcoord, bound)
         if not certain:
             self._ignore(f"UV set {lies.texcoord}", lies)
@@ -240,7 +239,7 @@ class _Document:
         self.textures.ignored.append(f"{setting[:60]} of {lies.image[:60]}")
 
     def _inputs(self, primitives: Element) -> tuple[dict[str, Input], dict[int, Input], int]:
-        """The first set of each semantic, the sets of texture coordinates, and the number of columns in <p>."""
+        """Return the first set of each semantic, the sets of texture coordinates, and the columns of <p>."""
         inputs: dict[str, Input] = {}
         sets: dict[int, Input] = {}
         width = 0
@@ -270,10 +269,10 @@ class _Document:
         return self._once(_array, source)
 
     def _material(self, name: str) -> tuple[np.ndarray | None, int, ColladaTexture]:
-        """Diffuse colour [3], None where it has none, and texture of a material; the colours are display-referred."""
+        """Return a material's diffuse colour [3] (None if undefined) and texture; colours are display-referred."""
         nothing = ColladaTexture("")
         shader, parameters = self._shader(name)
-        # <constant> has no diffuse; its emission is all one sees.
+        # <constant> has no diffuse colour; its emission is its visible colour.
         channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
         if channel is None:
             return None, -1, nothing
@@ -288,7 +287,7 @@ class _Document:
         return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1, nothing
 
     def _shader(self, name: str) -> tuple[Element | None, dict[str, Element]]:
-        """The shader of a material, and the parameters that it may refer to by name."""
+        """Return the shader of a material, and its parameters by name."""
         material = self.target(name)
         instance = material.find("instance_effect") if material is not None else None
         effect = self.target(instance.get("url")) if instance is not None else None
@@ -305,7 +304,7 @@ class _Document:
         return self.textures.add_file(self.path.parent, reference) if reference is not None else -1
 
     def _reference(self, name: str) -> str | None:
-        """The file of an image."""
+        """Return the file of an image."""
         image = self.by_id.get(name)
         if image is None:
             self.textures.note_unreadable(name)
@@ -328,14 +327,14 @@ _SHADERS = ("phong", "lambert", "blinn", "constant")
 
 @dataclass(frozen=True)
 class _Binding:
-    """What an instance binds to a material symbol of its geometry."""
+    """Hold the material that an instance binds to a symbol of its geometry."""
 
     material: str  # id
-    sets: dict[str, int] = field(default_factory=dict)  # of texture coordinates, by the name that effects use
+    sets: dict[str, int] = field(default_factory=dict)  # texture coordinate sets by the name used in effects
 
 
 def _bindings(instance: Element) -> dict[str, _Binding]:
-    """Bindings of an instance by material symbol."""
+    """Return the bindings of an instance by material symbol."""
     return {
         bound.get("symbol", ""): _Binding(
             bound.get("target", "").removeprefix("#"),

@@ -1,8 +1,7 @@
-"""Skins and morphs of COLLADA: where their vertices are in the pose that the file shows.
+"""Apply skins and morphs of COLLADA in the stored pose.
 
-A vertex of a skin follows its joints: v' = sum of weight x joint's world matrix x inverse bind matrix x bind shape
-matrix x v ([collada], chapter 4, "Skin Deformation (or Skinning) in COLLADA"). The node that shows the skin does not
-move it.
+A skin's vertex follows its joints: v' = sum of weight x joint's world matrix x inverse bind matrix x bind shape matrix
+x v ([collada], chapter 4, "Skin Deformation (or Skinning) in COLLADA"). The node of the skin does not move it.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed,
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
 Element = ElementTree.Element
-Target = Callable[[str | None], Element | None]  # the element that a url names
+Target = Callable[[str | None], Element | None]  # returns the element of a url
 
 
 @dataclass(frozen=True)
 class Controlled:
-    """A geometry and what its controllers make of its vertices."""
+    """Hold a geometry and the controllers of its vertices."""
 
     geometry: Element
     skin: Element | None = None
@@ -30,15 +29,15 @@ class Controlled:
 
     @property
     def controls(self) -> bool:
-        """Whether anything but its node places the geometry."""
+        """Return whether a controller moves the geometry."""
         return self.skin is not None or self.morph is not None
 
     def positions(
         self, values: np.ndarray, target: Target, worlds: Mapping[Element, np.ndarray], instance: Element
     ) -> np.ndarray:  # [N, 3] -> [N, 3]
-        """Return the moved vertices, in the world where there is a skin, else in the node's axes.
+        """Return the moved vertices: in the world frame with a skin, else in the node's frame.
 
-        Raises `UnreadableMesh` where the controllers are damaged.
+        Raises `UnreadableMesh` if the controllers are damaged.
         """
         if values.shape[1] != 3:
             raise UnreadableMesh(f"its positions have {values.shape[1]} numbers")
@@ -50,7 +49,7 @@ class Controlled:
 
 
 def controlled(url: str | None, target: Target) -> Controlled | None:
-    """Return the geometry behind the controllers that a url names, None where there is none."""
+    """Return the geometry behind the controllers of a url, or None."""
     element, found = target(url), {}
     while element is not None and element.tag == "controller":
         control = next((child for child in element if child.tag in ("skin", "morph")), None)
@@ -69,7 +68,7 @@ def _input(holder: Element | None, semantic: str) -> Element:
 
 
 def _array(holder: Element | None, semantic: str, target: Target) -> Element:
-    """The array that an input names: of numbers or of names."""
+    """Return the array of an input: numbers or names."""
     source = target(_input(holder, semantic).get("source"))
     found = next((child for child in source if child.tag.endswith("_array")), None) if source is not None else None
     if found is None:
@@ -78,7 +77,7 @@ def _array(holder: Element | None, semantic: str, target: Target) -> Element:
 
 
 def _morphed(morph: Element, values: np.ndarray, target: Target) -> np.ndarray:
-    """Blend the vertices with those of the targets, by their weights."""
+    """Blend the vertices with the targets by their weights."""
     targets = morph.find("targets")
     names = (_array(targets, "MORPH_TARGET", target).text or "").split()
     weights = floats(_array(targets, "MORPH_WEIGHT", target).text)
@@ -119,7 +118,7 @@ def _skinned(
 def _joints(
     names: list[str], target: Target, worlds: Mapping[Element, np.ndarray], instance: Element
 ) -> list[np.ndarray]:
-    """World matrices of joints, which are named by sid under the instance's skeletons, by id or by name."""
+    """Return joints' world matrices; joints are named by sid under the instance's skeletons, by id or by name."""
     roots = [root for root in (target(element.text) for element in instance.findall("skeleton")) if root is not None]
     near = [node for root in roots for node in root.iter("node") if node in worlds]
     known: dict[str, Element] = {}
@@ -135,7 +134,7 @@ def _joints(
 def _weights(
     holder: Element | None, vertices: int, joints: int, target: Target
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertex, joint and weight of every influence; the joint -1 leaves a vertex where the bind shape has it."""
+    """Return vertex, joint and weight of every influence; joint -1 keeps the bind shape's position."""
     values = floats(_array(holder, "WEIGHT", target).text)
     if holder is None:
         raise UnreadableMesh("a skin has no weights")

@@ -1,4 +1,4 @@
-"""Transforms of COLLADA nodes."""
+"""Compute transforms of COLLADA nodes."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def node_matrix(node: ElementTree.Element) -> np.ndarray:  # [4, 4] parent_from_
 
 
 def _skew(numbers: np.ndarray) -> np.ndarray:  # [7] -> [3, 3]
-    """Shear along the second axis, so that the first one turns towards it by the angle (as RenderMan does)."""
+    """Shear along the second axis so that the first one turns towards it by the angle (as in RenderMan)."""
     degrees, turned, along = numbers[0], _unit(numbers[1:4], "skew"), _unit(numbers[4:7], "skew")
     across = _unit(turned - (turned @ along) * along, "skew")
-    before = np.arctan2(turned @ across, turned @ along)  # radians between the two axes
+    before = np.arctan2(turned @ across, turned @ along)  # angle between the two axes, radians
     after = before - np.radians(degrees)
     if not 1e-6 < after < np.pi - 1e-6:
         raise UnreadableMesh(f"a <skew> of {degrees:g} degrees turns one of its axes beyond the other")
@@ -49,7 +49,7 @@ def _skew(numbers: np.ndarray) -> np.ndarray:  # [7] -> [3, 3]
 
 
 def _lookat(rows: np.ndarray) -> np.ndarray:  # [3, 3] eye, point looked at, up -> [4, 4]
-    """Place a node at the eye, its -z axis to the point and its y axis up."""
+    """Return the transform of a node at the eye, with -z towards the point and y up."""
     eye, point, up = rows
     back = _unit(eye - point, "lookat")
     right = _unit(np.cross(up, back), "lookat")

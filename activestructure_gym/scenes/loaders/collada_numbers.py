@@ -1,4 +1,4 @@
-"""Numbers in the text of COLLADA elements and attributes, with words for those that are none."""
+"""Parse numbers in the text of COLLADA elements and attributes, with clear errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def floats(text: str | None) -> np.ndarray:
 
 
 def fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
-    """Return the numbers of a <name>, which must be so many."""
+    """Return the numbers of a <name>, which must be ``count`` many."""
     values = floats(text)
     if len(values) != count:
         raise UnreadableMesh(f"a <{name}> has {len(values)} numbers instead of {count}")
@@ -23,7 +23,7 @@ def fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
 
 
 def attribute(element: ElementTree.Element, name: str, default: int = 0) -> int:
-    """Return the value of an attribute that must be a whole number from 0 on."""
+    """Return the value of an attribute, which must be a non-negative integer."""
     text = element.get(name, str(default)).strip()
     if not text.isdecimal() or len(text) > 9:
         raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
@@ -31,7 +31,7 @@ def attribute(element: ElementTree.Element, name: str, default: int = 0) -> int:
 
 
 def integers(text: str | None) -> np.ndarray:
-    """Return the whole numbers of a text."""
+    """Return the integers of a text."""
     return _numbers(text, np.int64)
 
 

@@ -1,7 +1,7 @@
-"""What a COLLADA effect says about its opacity: <transparent> and <transparency>.
+"""Read the opacity of a COLLADA effect: <transparent> and <transparency>.
 
-Specification: [collada], "Determining Transparency". Their product is the opacity in the modes A_ONE (the default) and
-RGB_ONE, and 1 minus it in A_ZERO and RGB_ZERO; of a colour the modes take its alpha or its luminance.
+Specification: [collada], "Determining Transparency". In the modes A_ONE (the default) and RGB_ONE their product is the
+opacity, in A_ZERO and RGB_ZERO it is 1 minus it. A modes use a colour's alpha, RGB modes its luminance.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from activestructure_gym.scenes.loaders.collada_numbers import floats
 from activestructure_gym.scenes.loaders.collada_textures import ColladaTexture, texture_of
 
 Element = ElementTree.Element
-_LUMINANCE = (0.212671, 0.715160, 0.072169)  # as the specification has it
+_LUMINANCE = (0.212671, 0.715160, 0.072169)  # from the specification
 
 
 @dataclass(frozen=True)
 class ColladaOpacity:
-    """The opacity of an effect: ``start + slope * x``, where x is the value of a picture, or 1 without one."""
+    """Hold the opacity of an effect: ``start + slope * x``, where x is the value of an image, or 1 without one."""
 
     start: float = 0.0
     slope: float = 1.0
-    channel: str = "alpha"  # of the picture
-    lies: ColladaTexture | None = None  # the picture
+    channel: str = "alpha"  # of the image
+    lies: ColladaTexture | None = None  # the image
 
     @property
     def plain(self) -> float:
-        """The opacity of an effect without a picture."""
+        """Return the opacity of an effect without an image."""
         return self.start + self.slope
 
     def of(self, picture: np.ndarray) -> np.ndarray:  # [h, w] uint8 -> [h, w] uint8
-        """Return the picture as opacity."""
+        """Return the image converted to opacity."""
         values = 255.0 * self.start + self.slope * picture.astype(np.float32)
         return np.rint(np.clip(values, 0.0, 255.0)).astype(np.uint8)
 
 
 def opacity_of(shader: Element, parameters: Mapping[str, Element]) -> ColladaOpacity | None:
-    """Read the opacity of a shader; None where it says nothing."""
+    """Read the opacity of a shader; None if undefined."""
     transparent, transparency = shader.find("transparent"), shader.find("transparency")
     if transparent is None and transparency is None:
         return None
@@ -69,7 +69,7 @@ def _number(element: Element | None, parameters: Mapping[str, Element]) -> float
 
 
 def _text(element: Element, kind: str, parameters: Mapping[str, Element]) -> str | None:
-    """The numbers of an element: its own, or those of the parameter that it refers to."""
+    """Return the numbers of an element, or of the parameter that it refers to."""
     reference = element.find("param")
     if reference is None:
         return element.findtext(kind)

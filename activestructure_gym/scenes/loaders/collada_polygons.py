@@ -1,4 +1,4 @@
-"""The polygons of a COLLADA <mesh> as triangles over its corners."""
+"""Convert the polygons of a COLLADA <mesh> to triangles over its corners."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Element = ElementTree.Element
 
 @dataclass(frozen=True)
 class Input:
-    """One property of the corners: where its index stands in a row of <p>, and its values."""
+    """Hold one property of the corners: the column of its index in <p>, and its values."""
 
     semantic: str
     column: int
@@ -32,7 +32,10 @@ class Input:
 
 
 def corners_and_triangles(primitives: Element, width: int, positions: Input) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners [C, width] (rows of <p>) and triangles [F, 3] over them; concave polygons and holes stay open."""
+    """Return corners [C, width] (rows of <p>) and triangles [F, 3] over them.
+
+    Concave outlines and holes of polygons are preserved.
+    """
     rows = [_rows(p, width) for p in primitives.findall("p")]
     corners = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
     sizes = np.array([len(row) for row in rows], dtype=np.int64)
@@ -65,7 +68,7 @@ def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
 
 
 def _strips(sizes: np.ndarray, *, fans: bool) -> np.ndarray:  # [F, 3]
-    """Triangles of strips one after the other; those of a fan have its first corner in common."""
+    """Return the triangles of concatenated strips; the triangles of a fan share its first corner."""
     counts = np.maximum(sizes - 2, 0)
     starts = np.repeat(np.cumsum(sizes) - sizes, counts)
     k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

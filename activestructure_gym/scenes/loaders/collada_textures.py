@@ -1,8 +1,8 @@
-"""What a COLLADA file says about a texture: its image, the set of coordinates it uses, and where it lies.
+"""Read a COLLADA texture: its image, the set of coordinates it uses, and its placement.
 
-The image stands behind parameters: sampler, surface and image in 1.4, sampler and image in 1.5, or nothing between in
-sloppy files. Where the texture lies stands in the <extra> of a <texture>, under names of Maya's node place2dTexture,
-which the exporters of 3ds Max and XSI use too.
+The image is referenced through parameters: sampler, surface and image in 1.4, sampler and image in 1.5, or directly in
+nonconforming files. The placement is in the <extra> of a <texture>, under names of Maya's node place2dTexture, which
+the exporters of 3ds Max and XSI use too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 Element = ElementTree.Element
 
-# BORDER and NONE show a colour outside of the picture; its edge is the nearest there is.
+# BORDER and NONE show a colour outside the image; clamping to its edge is the closest mode.
 _WRAPS = {"WRAP": REPEAT, "MIRROR": MIRROR, "MIRROR_ONCE": MIRROR, "CLAMP": CLAMP, "BORDER": CLAMP, "NONE": CLAMP}
 _AS_NEAR_AS_POSSIBLE = ("MIRROR_ONCE", "BORDER", "NONE")
 _NEUTRAL = {
@@ -31,17 +31,17 @@ _TRUE, _FALSE = ("true", "1"), ("false", "0")
 
 @dataclass(frozen=True)
 class ColladaTexture:
-    """A <texture> of an effect."""
+    """Hold a <texture> of an effect."""
 
-    image: str  # the id of its image, or whatever the last parameter names
-    texcoord: str = ""  # what <bind_vertex_input> calls its set of coordinates
+    image: str  # id of its image, or the name in the last parameter
+    texcoord: str = ""  # name of its coordinate set in <bind_vertex_input>
     wrap: tuple[int, int] = (REPEAT, REPEAT)  # across and down
-    place: tuple[tuple[str, float], ...] = ()  # those of `_NEUTRAL` that have another value
-    ignored: tuple[str, ...] = ()  # settings that change the picture and are not read
-    bounded: tuple[str, ...] = ()  # the same, where coordinates leave the picture
+    place: tuple[tuple[str, float], ...] = ()  # entries that differ from `_NEUTRAL`
+    ignored: tuple[str, ...] = ()  # unsupported settings that change the appearance
+    bounded: tuple[str, ...] = ()  # the same, if coordinates leave the image
 
     def placed(self, uv: np.ndarray) -> np.ndarray:  # [V, 2] -> [V, 2], v up
-        """The coordinates in the picture, in Maya's order: the frame is turned and moved, then what is in it."""
+        """Return the coordinates in the image, in Maya's order: frame transform first, then its content's."""
         if not self.place:
             return uv
         value = {**_NEUTRAL, **dict(self.place)}
@@ -55,7 +55,7 @@ class ColladaTexture:
 
 
 def texture_of(texture: Element, parameters: Mapping[str, Element]) -> ColladaTexture:
-    """Read a <texture> element; ``parameters`` are the <newparam> and <setparam> elements it may refer to, by name."""
+    """Read a <texture> element; ``parameters`` are the <newparam> and <setparam> elements by name."""
     name, wraps, extras = texture.get("texture", ""), ["WRAP", "WRAP"], []
     for _ in range(3):
         parameter = parameters.get(name)
@@ -82,7 +82,7 @@ def texture_of(texture: Element, parameters: Mapping[str, Element]) -> ColladaTe
 
 
 def _place(said: Mapping[str, str]) -> tuple[tuple[tuple[str, float], ...], list[str]]:
-    """Numbers that move the texture, and settings that cannot be followed."""
+    """Return the numbers that transform the texture, and the unsupported settings."""
     place, ignored = {}, []
     for name, neutral in _NEUTRAL.items():
         if name not in said:
@@ -91,7 +91,7 @@ def _place(said: Mapping[str, str]) -> tuple[tuple[tuple[str, float], ...], list
             value = float(said[name])
         except ValueError:
             value = np.nan
-        # A picture that covers a part of its frame leaves the rest to a plain colour.
+        # An image that covers part of its frame would leave the rest to a plain colour.
         odd = not np.isfinite(value) or name.startswith("noise") or name.startswith("coverage") and 0 <= value < 1
         if odd and value != neutral:
             ignored.append(f"{name} {said[name][:20]}")
@@ -103,17 +103,17 @@ def _place(said: Mapping[str, str]) -> tuple[tuple[tuple[str, float], ...], list
 
 
 def _wrap(wrap: str, axis: str, said: Mapping[str, str], place: Mapping[str, float]) -> int:
-    """How the texture goes on along an axis, by the sampler and by Maya's switches, which stand at their defaults."""
+    """Return the wrap mode along an axis from the sampler and Maya's switches."""
     if said.get(f"mirror{axis}", "").lower() in _TRUE:
         return MIRROR
-    once = abs(place.get(f"repeat{axis}", 1.0)) <= 1.0  # a frame that is shown once still holds all repeats
+    once = abs(place.get(f"repeat{axis}", 1.0)) <= 1.0  # a frame shown once still contains all repeats
     if said.get(f"wrap{axis}", "").lower() in _FALSE and once:
         return CLAMP
     return _WRAPS.get(wrap, REPEAT)
 
 
 def _turned(uv: np.ndarray, degrees: float) -> np.ndarray:
-    """Coordinates turned counter-clockwise around the middle of the picture."""
+    """Rotate coordinates counter-clockwise around the centre of the image."""
     if not degrees:
         return uv
     sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
@@ -121,14 +121,14 @@ def _turned(uv: np.ndarray, degrees: float) -> np.ndarray:
 
 
 def leaves_picture(uv: np.ndarray) -> bool:
-    """Whether coordinates lie outside of the picture, by more than rounding."""
+    """Return whether coordinates lie outside the image by more than rounding."""
     return bool((np.abs(uv - 0.5) > 0.5 + 1e-4).any())
 
 
 def chosen_set(sets: Mapping[int, object], texcoord: str, bound: Mapping[str, int]) -> tuple[int, bool]:
-    """The set of coordinates that a texture uses, and whether that is certain.
+    """Return the coordinate set that a texture uses, and whether it is certain.
 
-    ``bound`` has the sets by name, from <bind_vertex_input>; without it a number at the end of the name tells.
+    ``bound`` maps names to sets, from <bind_vertex_input>; without an entry the number at the end of the name is used.
     """
     digits = texcoord[len(texcoord.rstrip("0123456789")) :]
     wanted = bound.get(texcoord, int(digits[:9]) if digits else -1)

@@ -1,8 +1,8 @@
-"""Take out of a mesh what is transparent, so that rays, voxels and samples of its surface agree on what is there.
+"""Remove transparent surfaces from a mesh, so that rays, voxels and surface samples agree.
 
-Faces below the cutoff everywhere are left out. Faces below it in parts are split in halves until a piece is on one
-side of the cutoff, or small; small pieces are cut along the straight line between their corners. So the outline of a
-picture is followed to a quarter of its pixels, but in steps of at least 1 cm.
+Faces entirely below the opacity cutoff are removed. Faces partly below it are bisected until a piece is on one side of
+the cutoff or small. Small pieces are cut along the straight line between their corners. An image's outline is thus
+followed to a quarter of its pixels, in steps of at least 1 cm.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ import numpy as np
 from activestructure_gym.scenes.loaders.mesh_parts import MeshPart
 from activestructure_gym.scenes.loaders.opacity import Opacity, OpacityPicture
 
-FINEST = 0.01  # metres: edges of pieces are not split below this
-_PER_PIXEL = 4.0  # edges are not split below this share of a pixel
-_MOST_PIECES = 300_000  # of a file; where there would be more, FINEST is doubled
-_FEWEST_SQUARE_METRES = 1e-12  # of a piece; smaller ones are dropped
-_FARTHEST = 1e6  # pixels from the corner of the picture that are told apart
-_PICTURES_AT_ONCE = 4  # whose lookups are held: 20 MB each
-_OPAQUE = 0.99  # from here on a point is not called translucent
+FINEST = 0.01  # metres: shorter edges of pieces are not split
+_PER_PIXEL = 4.0  # edges shorter than 1 / this, in pixels, are not split
+_MOST_PIECES = 300_000  # per file; above it, FINEST is doubled
+_FEWEST_SQUARE_METRES = 1e-12  # per piece; smaller ones are dropped
+_FARTHEST = 1e6  # pixels: coordinates are clipped to this distance from the image's corner
+_PICTURES_AT_ONCE = 4  # number of images whose lookup tables are kept: 20 MB each
+_OPAQUE = 0.99  # points below it are translucent
 
 
 @dataclass(frozen=True)
 class CutOut:
-    """Numbers of faces that are transparent, and how finely those were cut that are so in parts."""
+    """Count transparent faces, and describe the cut of partly transparent ones."""
 
     gone: int = 0
     cut: int = 0
     pieces: int = 0
-    translucent: int = 0  # solid here
+    translucent: int = 0  # treated as solid
     finest: float = FINEST  # metres
 
     def notes(self) -> list[str]:
-        """Return the sentences on it for the user."""
+        """Return the messages for the user."""
         said = []
         if self.gone:
             said.append(f"{self.gone} faces are transparent in the file and are left out")
@@ -50,11 +50,11 @@ class CutOut:
 
 
 class _TooMany(Exception):
-    """The pieces would be more than `_MOST_PIECES`."""
+    """Signal that there would be more than `_MOST_PIECES` pieces."""
 
 
 def cut_out(parts: Sequence[MeshPart], metres_per_unit: float = 1.0) -> tuple[list[MeshPart], CutOut]:
-    """Return the solid parts, and what was found; parts that are solid everywhere come back unchanged."""
+    """Return the solid parts and the counts; entirely solid parts are unchanged."""
     finest = FINEST
     while True:
         try:
@@ -66,7 +66,7 @@ def cut_out(parts: Sequence[MeshPart], metres_per_unit: float = 1.0) -> tuple[li
 def _cut_all(parts: Sequence[MeshPart], metres_per_unit: float, finest: float) -> tuple[list[MeshPart], CutOut]:
     kept: list[MeshPart] = []
     found = CutOut(finest=finest)
-    pictures: dict[tuple[int, tuple[int, int]], OpacityPicture] = {}  # many parts in a row share one
+    pictures: dict[tuple[int, tuple[int, int]], OpacityPicture] = {}  # consecutive parts often share one
     for part in parts:
         if part.opacity is None:
             kept.append(part)
@@ -83,7 +83,7 @@ _COUNTED = ("gone", "cut", "pieces", "translucent")
 
 def _cut(part: MeshPart, opacity: Opacity, view: _View, finest: float, most: int) -> tuple[MeshPart, CutOut]:
     whole = np.arange(len(part.faces))
-    corners = np.tile(np.eye(3), (len(whole), 1, 1))  # of each piece, as shares of the corners of its face
+    corners = np.tile(np.eye(3), (len(whole), 1, 1))  # of each piece, as barycentric weights of its face's corners
     lowest, highest = view.bounds(whole, corners)
     solid, mixed = lowest >= opacity.threshold, (lowest < opacity.threshold) & (highest >= opacity.threshold)
     face, corners = view.pieces(whole[mixed], corners[mixed], finest, most)
@@ -113,12 +113,12 @@ def _cut(part: MeshPart, opacity: Opacity, view: _View, finest: float, most: int
 
 @dataclass(frozen=True)
 class _View:
-    """A part with the lookups of its opacity."""
+    """Hold a part with the lookup tables of its opacity."""
 
     faces: np.ndarray  # [F, 3]
     positions: np.ndarray  # [V, 3] metres
-    values: np.ndarray  # [V] opacity without the picture
-    pixels: np.ndarray  # [V, 2] places in the picture
+    values: np.ndarray  # [V] opacity without the image
+    pixels: np.ndarray  # [V, 2] positions in the image
     picture: OpacityPicture | None
     threshold: float
 
@@ -150,7 +150,7 @@ class _View:
         )
 
     def interpolated(self, values: np.ndarray, face: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Return values [V, K] or [V] of the vertices at the corners of pieces: [P, 3, K] or [P, 3]."""
+        """Interpolate vertex values [V, K] or [V] at the corners of pieces: [P, 3, K] or [P, 3]."""
         if values.ndim == 1:
             return np.einsum("pij,pj->pi", corners, values[self.faces[face]])
         return np.einsum("pij,pjk->pik", corners, np.asarray(values[self.faces[face]], dtype=np.float64))
@@ -166,12 +166,12 @@ class _View:
         return lowest * low, highest * high
 
     def pieces(self, face: np.ndarray, corners: np.ndarray, finest: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the solid pieces of mixed faces: the face of each [P], and its corners [P, 3, 3] as shares."""
-        most += 2 * len(face)  # a cut through every face, at least
+        """Return the solid pieces of mixed faces: each one's face [P], and corners as barycentric weights [P, 3, 3]."""
+        most += 2 * len(face)  # at least one cut per face
         done: list[tuple[np.ndarray, np.ndarray]] = []
         total = 0
         while len(face):
-            edge = self._edges(face, corners, finest)  # [P, 3], above 1 where an edge is to be split
+            edge = self._edges(face, corners, finest)  # [P, 3], above 1 for edges to split
             small = edge.max(axis=1) <= 1.0
             done.append(
                 _clipped(face[small], corners[small], self._opacity(face[small], corners[small]), self.threshold)
@@ -193,11 +193,11 @@ class _View:
         return face[has_area], corners[has_area]
 
     def _edges(self, face: np.ndarray, corners: np.ndarray, finest: float) -> np.ndarray:
-        """Return how many times longer than the least each edge is, in metres or pixels, whichever is less: [P, 3].
+        """Return each edge's length relative to the minimum, in metres or pixels, whichever is smaller: [P, 3].
 
         Edge k runs from corner k to the next one.
         """
-        if self.picture is None:  # the opacity is linear: one cut is exact
+        if self.picture is None:  # linear opacity: one cut is exact
             return np.zeros((len(face), 3))
         metres, pixels = (
             np.linalg.norm(np.roll(ends, -1, axis=1) - ends, axis=2)
@@ -213,7 +213,7 @@ class _View:
 
 
 def _halves(face: np.ndarray, corners: np.ndarray, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split each piece at the middle of one of its edges."""
+    """Split each piece at the midpoint of one of its edges."""
     a, b, c = _from(corners, edge)
     middle = 0.5 * (a + b)
     halves = [np.stack(half, axis=1) for half in ((a, middle, c), (middle, b, c))]
@@ -223,13 +223,13 @@ def _halves(face: np.ndarray, corners: np.ndarray, edge: np.ndarray) -> tuple[np
 def _clipped(
     face: np.ndarray, corners: np.ndarray, opacity: np.ndarray, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what of each piece is solid, where the opacity is linear between its corners."""
+    """Return the solid part of each piece, for opacity linear between its corners."""
     solid = opacity >= threshold
     count = solid.sum(axis=1)
     found = [(face[count == 3], corners[count == 3])]
-    for number in (1, 2):  # of solid corners
+    for number in (1, 2):  # number of solid corners
         some = count == number
-        odd = (solid[some] if number == 1 else ~solid[some]).argmax(axis=1)  # the corner that is alone on its side
+        odd = (solid[some] if number == 1 else ~solid[some]).argmax(axis=1)  # the only corner on its side
         a, b, c = _from(corners[some], odd)
         at_a, at_b, at_c = _from(opacity[some][:, :, None], odd)
         on_ab, on_ac = (a + (threshold - at_a) / (at - at_a) * (end - a) for end, at in ((b, at_b), (c, at_c)))
@@ -241,7 +241,7 @@ def _clipped(
 
 
 def _from(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the three corners [P, K] of each piece in turn, beginning with the one that is named."""
+    """Return the three corners [P, K] of each piece in order, starting at corner ``first``."""
     row = np.arange(len(corners))
     one, two, three = (corners[row, (first + k) % 3] for k in range(3))
     return one, two, three

@@ -1,4 +1,4 @@
-"""Damage of mesh files, in words that a user can act on."""
+"""Describe damage of mesh files in messages that tell users what to do."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from xml.etree import ElementTree
 
 
 class UnreadableMesh(ValueError):
-    """A damaged file; the message ends a sentence: "it is cut off", "its nodes form a loop"."""
+    """Report a damaged file; the message ends a sentence: "it is cut off", "its nodes form a loop"."""
 
 
-# What Python and numpy say of text that is no number.
+# Parts of Python's and numpy's messages for text that is not a number.
 _NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched data")
 
 
 def in_words(error: Exception) -> str:
-    """The cause of a reader's exception, in words about the file."""
+    """Return the cause of a reader's exception as a message about the file."""
     if isinstance(error, UnreadableMesh):
         reason = str(error)
     elif isinstance(error, json.JSONDecodeError):

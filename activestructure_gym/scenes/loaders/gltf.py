@@ -1,10 +1,9 @@
-"""Reader for glTF 2.0 (`.glb` and `.gltf`).
+"""Read glTF 2.0 (`.glb` and `.gltf`).
 
-trimesh reads glTF too, but takes normalised integer coordinates at face value, skips sparse accessors, texture
-transforms and second UV sets, and keeps silent about images it cannot find; common exporters write all of these.
-Specification: [gltf]; KHR_texture_transform, KHR_mesh_quantization, EXT_texture_webp,
-KHR_materials_pbrSpecularGlossiness. Which extensions are read is in `gltf_extensions`, where meshes lie in
-`gltf_placing`.
+trimesh reads glTF too, but it does not normalise integer coordinates, skips sparse accessors, texture transforms and
+second UV sets, and does not report missing images; common exporters write all of these. Specification: [gltf];
+KHR_texture_transform, KHR_mesh_quantization, EXT_texture_webp, KHR_materials_pbrSpecularGlossiness. `gltf_extensions`
+lists the supported extensions; `gltf_placing` places the meshes.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ _PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # linear; the specificatio
 
 @dataclass(frozen=True)
 class GltfFile:
-    """The parts in file axes, and what the file says about them."""
+    """Hold the parts in file axes, and the declared up axis."""
 
     parts: list[MeshPart]
-    up: str | None  # the text under "up" in the extras of the asset or of the default scene, None without one
+    up: str | None  # text of "up" in the extras of the asset or default scene, None if absent
 
 
 def read_gltf(path: Path, textures: TextureStore) -> GltfFile:
-    """All triangles of the default scene. Raises `InputError` for what cannot be read, with the reason."""
+    """Read all triangles of the default scene. Raises `InputError` with the reason for an unreadable file."""
     data = GltfData(path, textures.budget)
     if unread := check_extensions(path, data.header):
         textures.notes.append(
@@ -57,23 +56,26 @@ def read_gltf(path: Path, textures: TextureStore) -> GltfFile:
 
 
 def _declared_up(header: dict[str, Any]) -> str | None:
-    """Our own marker: glTF has one up axis, +y (glTF 2.0, section 3.4), and no field for files that have another."""
+    """Return the file's own up axis from extras, or None.
+
+    This marker is ours: glTF has one up axis, +y (glTF 2.0, section 3.4), and no field for another.
+    """
     scenes = header.get("scenes") or [{}]
     for holder in (header.get("asset", {}), scenes[header.get("scene", 0)]):
-        extras = holder.get("extras")  # of any type, and any program's
+        extras = holder.get("extras")  # of any type, written by any program
         if isinstance(extras, dict) and isinstance(extras.get("up"), str):
             return extras["up"].strip().lower()
     return None
 
 
 class _Document:
-    """The surfaces of one file; pictures are decoded once, on first use."""
+    """Read the surfaces of one file; images are decoded once, on first use."""
 
     def __init__(self, data: GltfData, textures: TextureStore) -> None:
         self.data = data
         self.textures = textures
         self._images: dict[int, int] = {}
-        self.transmitting = 0  # faces of glass
+        self.transmitting = 0  # number of faces of glass
 
     def parts(self) -> Iterator[MeshPart]:
         for placement in placements(self.data):
@@ -94,7 +96,7 @@ class _Document:
         count = len(positions) if indices is None else len(indices)
         self.data.budget.take("triangles", count // 3 if mode == _TRIANGLES else max(0, count - 2))
         self.data.budget.take("vertices", min(count, len(positions)))
-        # Exporters let thousands of primitives share one array of vertices: each keeps what it uses.
+        # Exporters let many primitives share one vertex array; each keeps only the vertices that it uses.
         used: Rows = slice(None)
         if indices is None:
             indices = np.arange(len(positions))
@@ -124,7 +126,7 @@ class _Document:
     def _opacity(
         self, material: dict[str, Any], primitive: dict[str, Any], placement: Placement, used: Rows
     ) -> Opacity | None:
-        """Opacity of the surface; None where the material is opaque, whatever its alpha is (glTF 2.0, 3.9.4)."""
+        """Return the opacity of the surface; None for opaque materials, whatever their alpha (glTF 2.0, 3.9.4)."""
         mode = material.get("mode")
         if mode not in ("MASK", "BLEND"):
             return None
@@ -146,7 +148,7 @@ class _Document:
 
     def _check_attributes(self, primitive: dict[str, Any], attributes: dict[str, int]) -> None:
         accessors = {name: self.data.entry("accessors", index) for name, index in attributes.items()}
-        # Draco's geometry stands outside of the accessors; where it is not required, there may be a copy in them.
+        # Draco geometry is stored outside the accessors; if the extension is not required, they may hold a copy.
         compressed = [name for name in primitive.get("extensions", {}) if name in REFUSED]
         if compressed and "bufferView" not in accessors["POSITION"]:
             refuse(self.data.path, compressed)
@@ -161,9 +163,10 @@ class _Document:
                 raise UnreadableMesh(f"its {name} is {str(accessor['type'])[:20]} instead of {' or '.join(wanted)}")
 
     def _material(self, index: int | None) -> dict[str, Any]:
-        """What a material says of its surface; empty where there is no material.
+        """Return the properties of a material; empty without a material.
 
-        "factor" (linear) and "texture" are what is seen, "base" and "base_texture" the base colour, whose alpha counts.
+        "factor" (linear) and "texture" are the visible colour, "base" and "base_texture" the base colour with its
+        alpha.
         """
         if index is None:
             return {}
@@ -175,7 +178,7 @@ class _Document:
             metallic = material.get("pbrMetallicRoughness", {})
             factor, texture = metallic.get("baseColorFactor", [1.0] * 4), metallic.get("baseColorTexture")
         base, base_texture = factor, texture
-        # Baked scenes are often exported as a black surface that shines with its texture.
+        # Baked scenes are often exported as a black surface with an emissive texture.
         if material.get("emissiveTexture") and max(factor[:3]) < 1e-3:
             factor, texture = material.get("emissiveFactor", [1.0] * 3), material["emissiveTexture"]
         given = material.get("extensions", {})
@@ -192,7 +195,7 @@ class _Document:
     def _texture(
         self, info: dict[str, Any] | None, primitive: dict[str, Any], placement: Placement, used: Rows
     ) -> tuple[int | None, np.ndarray | None, tuple[int, int]]:
-        """Number of the image in the file, its coordinates [V, 2] and how it goes on across and down."""
+        """Return the number of the image in the file, its coordinates [V, 2], and wrap modes across and down."""
         nothing = None, None, (REPEAT, REPEAT)
         if info is None:
             return nothing
@@ -204,7 +207,7 @@ class _Document:
         uv = morphed(self.data, primitive, uv_name, placement.weights, used).astype(np.float64)
         if transform:
             angle = transform.get("rotation", 0.0)
-            # Counter-clockwise seen on the image, whose v axis points down.
+            # Counter-clockwise in the image, whose v axis points down.
             rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
             uv = (uv * transform.get("scale", [1.0, 1.0])) @ rotation.T + transform.get("offset", [0.0, 0.0])
         texture = self.data.entry("textures", info["index"])
@@ -224,7 +227,7 @@ class _Document:
         return self._images[index]
 
     def _picture(self, index: int) -> np.ndarray | None:
-        if self._image(index) < 0:  # not readable, which is noted
+        if self._image(index) < 0:  # unreadable; a note was added
             return None
         name, data, file = self._encoded(index)
         if data is None:
@@ -232,7 +235,7 @@ class _Document:
         return self.textures.opacity_of(data, name, "alpha")
 
     def _encoded(self, index: int) -> tuple[str, bytes | None, str]:
-        """Name of an image, its bytes if they are in the glTF file, and else the file that it refers to."""
+        """Return the name of an image, its bytes if embedded in the file, else the file that it refers to."""
         image = self.data.entry("images", index)
         name = image.get("name") or image.get("uri", "")[:60] or f"image {index}"
         if "bufferView" in image:
@@ -243,12 +246,12 @@ class _Document:
 
 
 def _transmission(extension: Any) -> float:
-    """The share of light that a surface lets through; 0 without an extension that says so."""
+    """Return the fraction of transmitted light; 0 without such an extension."""
     given: dict[str, Any] = extension if isinstance(extension, dict) else {}
     return float(given.get("transmissionFactor", given.get("diffuseTransmissionFactor", 0.0)))
 
 
-def _triangles(indices: np.ndarray, mode: int) -> np.ndarray:  # [F, 3]; winding does not matter here
+def _triangles(indices: np.ndarray, mode: int) -> np.ndarray:  # [F, 3]; the winding is irrelevant here
     if mode == _TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)
     if mode == _STRIP:

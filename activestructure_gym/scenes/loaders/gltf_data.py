@@ -1,4 +1,4 @@
-"""The content of a glTF 2.0 file: its header, its buffers and the arrays in them. Specification: [gltf]."""
+"""Read the content of a glTF 2.0 file: header, buffers and accessors. Specification: [gltf]."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 
 
 def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The JSON header and the binary chunk (empty for `.gltf`)."""
+    """Return the JSON header and the binary chunk (empty for `.gltf`)."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise UnreadableMesh("it does not begin with the letters 'glTF'")
@@ -49,7 +49,7 @@ _OLD = "it is glTF {}, and only glTF 2.0 is read; convert it with gltf-pipeline 
 
 
 def _checked(header: Any) -> dict[str, Any]:
-    """The header, if it is one of glTF 2.0; the lists of glTF 1.0 were dictionaries."""
+    """Return the header if it is glTF 2.0; in glTF 1.0 the lists were dictionaries."""
     if not isinstance(header, dict):
         raise UnreadableMesh("its JSON is no object with 'asset' and 'meshes', as glTF has it")
     asset = header.get("asset")
@@ -62,7 +62,7 @@ def _checked(header: Any) -> dict[str, Any]:
 
 
 class GltfData:
-    """One glTF file with its buffers; accessors are decoded once, on first use."""
+    """Hold one glTF file with its buffers; accessors are decoded once, on first use."""
 
     def __init__(self, path: Path, budget: SceneBudget) -> None:
         self.path = path
@@ -72,7 +72,7 @@ class GltfData:
         self._accessors: dict[int, np.ndarray] = {}
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
-        """An entry of one of the header's lists."""
+        """Return an entry of one of the header's lists."""
         entries = self.header.get(kind, [])
         count = len(entries) if isinstance(entries, list) else 0
         if not isinstance(index, int) or not 0 <= index < count:
@@ -90,7 +90,7 @@ class GltfData:
 
     def _buffer(self, index: int) -> bytes:
         uri = self.entry("buffers", index).get("uri")
-        if uri is None and (index or not self._binary):  # only the first may stand in the file itself
+        if uri is None and (index or not self._binary):  # only the first buffer may be embedded
             raise UnreadableMesh(f"its buffer {index} has no data")
         if uri not in self._buffers:
             self._buffers[uri] = self._binary if uri is None else self._bytes_at(uri)
@@ -107,14 +107,14 @@ class GltfData:
             raise UnreadableMesh(f"its buffer file '{uri[:200]}' {error}") from error
 
     def accessor(self, index: int) -> np.ndarray:  # [count, components], float where normalised
-        """The values of an accessor, with stride, sparse replacement and normalisation done."""
+        """Return the values of an accessor, with stride, sparse values and normalisation applied."""
         if index not in self._accessors:
             accessor = self.entry("accessors", index)
             count, columns = _size(accessor["count"], "count"), _known(_SHAPES, accessor, "type")
             dtype = np.dtype(_known(_COMPONENTS, accessor, "componentType"))
             normalised = accessor.get("normalized") and dtype.kind in "iu"
             if "bufferView" not in accessor or "sparse" in accessor or normalised:
-                self.budget.take("numbers in arrays", count * columns)  # these are copied, the others are not
+                self.budget.take("numbers in arrays", count * columns)  # these are copied, others are not
             if "bufferView" in accessor:
                 values = self._values(accessor["bufferView"], accessor.get("byteOffset", 0), count, columns, dtype)
             else:
@@ -130,10 +130,10 @@ class GltfData:
         view = self.entry("bufferViews", view_index)
         if compressed := [name for name in view.get("extensions", {}) if name in REFUSED]:
             buffer = self.entry("buffers", view["buffer"])
-            if "uri" not in buffer and view["buffer"]:  # the copy for those who cannot unpack it is left out
+            if "uri" not in buffer and view["buffer"]:  # the uncompressed copy is missing
                 refuse(self.path, compressed)
         row = columns * dtype.itemsize
-        stride = _size(view.get("byteStride", 0), "byteStride") or row  # older exporters write 0 for none
+        stride = _size(view.get("byteStride", 0), "byteStride") or row  # older exporters write 0 for no stride
         if stride < row:
             raise UnreadableMesh(f"its rows of {row} bytes lie {stride} bytes apart (byteStride)")
         content = self._buffer(view["buffer"])
@@ -155,7 +155,7 @@ class GltfData:
 
 
 def _size(value: Any, name: str) -> int:
-    """A value of the header that must be a whole number from 0 on: bytes or rows."""
+    """Return a header value that must be a non-negative integer: bytes or rows."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 0:
         raise UnreadableMesh(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
     return operator.index(value)

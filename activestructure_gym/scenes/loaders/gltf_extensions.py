@@ -1,4 +1,4 @@
-"""What a glTF file's extensions mean to this reader: read, harmless, refused, or named in a note."""
+"""Classify a glTF file's extensions: supported, harmless, refused, or reported in a note."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
-# Extensions that hold the geometry or the images themselves, what to say about them, and how to do without. Where one
-# is not required, the file holds a copy without it, and that copy is read.
+# Extensions that contain geometry or images, with a message and a remedy. If an extension is not required, the file
+# holds a copy without it, which is read.
 _WITHOUT_COMPRESSION = "export it without compression"
 REFUSED = {
     "EXT_meshopt_compression": ("its geometry is compressed with meshopt", _WITHOUT_COMPRESSION),
@@ -26,9 +26,10 @@ _READ = (
     "KHR_node_visibility",
     "KHR_texture_transform",
 )
-# Glass: the surface is solid here, and a note gives its number of faces.
+# Glass: treated as solid; a note gives the number of faces.
 TRANSMITTING = ("KHR_materials_transmission", "KHR_materials_diffuse_transmission")
-# What changes neither the place nor the presence of a surface. No prefixes: a new extension of a known family may.
+# Extensions that change neither position nor presence of surfaces, listed by full name: a new one of the same family
+# may.
 _HARMLESS = (
     *TRANSMITTING,
     *(
@@ -41,17 +42,17 @@ _HARMLESS = (
     "EXT_lights_ies",
     "EXT_lights_image_based",
     "KHR_lights_punctual",
-    "KHR_animation_pointer",  # the scene is still
+    "KHR_animation_pointer",  # the scene is static
     "KHR_node_hoverability",
     "KHR_node_selectability",
     "KHR_xmp",
     "KHR_xmp_json_ld",
-    "MSFT_lod",  # the node itself is its finest level
+    "MSFT_lod",  # the node itself is the finest level
 )  # fmt: skip
 
 
 def check_extensions(path: Path, header: dict[str, Any]) -> list[str]:
-    """Return the names of the used extensions that are neither read nor harmless.
+    """Return the names of used extensions that are neither supported nor harmless.
 
     Raises `InputError` if the file requires one of them.
     """
@@ -68,7 +69,7 @@ def _names(header: dict[str, Any], key: str) -> list[str]:
 
 
 def refuse(path: Path, extensions: list[str]) -> None:
-    """Raise `InputError` with reasons and remedies if any of these extensions cannot be read."""
+    """Raise `InputError` with reasons and remedies if any of these extensions is unsupported."""
     if not extensions:
         return
     unknown = ("it needs the glTF extension {0}", "export it without {0}")

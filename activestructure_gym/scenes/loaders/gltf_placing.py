@@ -1,7 +1,7 @@
-"""Where a glTF file puts its meshes: visible nodes, instances, skins and morph targets.
+"""Place the meshes of a glTF file: visible nodes, instances, skins and morph targets.
 
 Specification: [gltf], sections 3.5 and 3.7; KHR_node_visibility, EXT_mesh_gpu_instancing, MSFT_lod. Animations are not
-played: a skin has the pose of its joints in the file, and a morph target the weight that its node or mesh gives.
+played. A skin has its joints' stored pose, a morph target the weight of its node or mesh.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.gltf_data import GltfData
 from activestructure_gym.scenes.loaders.mesh_parts import placed
 
-Rows = slice | np.ndarray  # which vertices of an array are meant
+Rows = slice | np.ndarray  # vertices of an array to use
 
 
 @dataclass(frozen=True)
 class Placement:
-    """One appearance of a mesh in the scene."""
+    """Hold one occurrence of a mesh in the scene."""
 
     mesh: int  # index in the file's meshes
     world_from_mesh: np.ndarray  # [4, 4]
-    weights: tuple[float, ...] = ()  # of its morph targets
-    world_from_bind: np.ndarray | None = None  # [J, 4, 4] of the joints of its skin
+    weights: tuple[float, ...] = ()  # weights of its morph targets
+    world_from_bind: np.ndarray | None = None  # [J, 4, 4] for the joints of its skin
 
 
 def placements(data: GltfData) -> Iterator[Placement]:
-    """Yield every appearance of a mesh in the default scene, or in all of the file if it has no scene."""
+    """Yield every occurrence of a mesh in the default scene, or in the whole file if it has no scene."""
     nodes = data.header.get("nodes", [])
     if not nodes:  # a mesh library without a scene
         for index in range(len(data.header.get("meshes", []))):
@@ -46,7 +46,7 @@ def placements(data: GltfData) -> Iterator[Placement]:
         visited.add(index)
         data.budget.take("nodes", 1)
         node = data.entry("nodes", index)
-        if _extension(node, "KHR_node_visibility").get("visible") is False:  # and all below it
+        if _extension(node, "KHR_node_visibility").get("visible") is False:  # hides its children too
             continue
         world_from_node = world_from_parent @ _node_matrix(node)
         if "mesh" in node:
@@ -55,7 +55,7 @@ def placements(data: GltfData) -> Iterator[Placement]:
 
 
 def morphed(data: GltfData, primitive: dict[str, Any], name: str, weights: tuple[float, ...], rows: Rows) -> np.ndarray:
-    """Return the values of an attribute after its morph targets, [V, columns]; whole numbers of colours as shares."""
+    """Return the values of an attribute after morphing, [V, columns]; integer colours are normalised."""
     values = _shares(data.accessor(primitive["attributes"][name])[rows], name)
     for weight, target in zip(weights, primitive.get("targets", [])):
         if weight and name in target:
@@ -70,12 +70,12 @@ def morphed(data: GltfData, primitive: dict[str, Any], name: str, weights: tuple
 
 
 def _shares(values: np.ndarray, name: str) -> np.ndarray:
-    # Some exporters forget to say that colours of whole numbers are normalised.
+    # Some exporters omit the normalised flag of integer colours.
     return values / np.iinfo(values.dtype).max if name.startswith("COLOR") and values.dtype.kind in "iu" else values
 
 
 def placed_positions(data: GltfData, primitive: dict[str, Any], placement: Placement, rows: Rows) -> np.ndarray:
-    """Return the positions [V, 3] in the world: morphed, then moved by the skin's joints or else by the node."""
+    """Return world positions [V, 3]: morphed, then moved by the skin's joints or by the node."""
     positions = morphed(data, primitive, "POSITION", placement.weights, rows).astype(np.float64)
     if placement.world_from_bind is None or "JOINTS_0" not in primitive["attributes"]:
         return placed(positions, placement.world_from_mesh)
@@ -94,7 +94,7 @@ def placed_positions(data: GltfData, primitive: dict[str, Any], placement: Place
 
 
 def _influences(data: GltfData, attributes: dict[str, int], rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Joints [V, 4 n] and their weights [V, 4 n], which sum to 1, over all n sets of the primitive."""
+    """Return joints [V, 4 n] and their weights [V, 4 n], which sum to 1, over all n sets of the primitive."""
     sets = [name.removeprefix("JOINTS_") for name in attributes if name.startswith("JOINTS_")]
     if missing := [k for k in sets if f"WEIGHTS_{k}" not in attributes]:
         raise UnreadableMesh(f"it has JOINTS_{missing[0]} without WEIGHTS_{missing[0]}; export it again")
@@ -107,12 +107,12 @@ def _influences(data: GltfData, attributes: dict[str, int], rows: Rows) -> tuple
 
 
 class _Joints:
-    """The matrices of skins, each computed once."""
+    """Compute the matrices of skins, each once."""
 
     def __init__(self, data: GltfData) -> None:
         self._data = data
         self._parents: dict[Any, int] | None = None
-        self._world: dict[int, np.ndarray] = {}  # world_from_node [4, 4], hidden nodes and other scenes included
+        self._world: dict[int, np.ndarray] = {}  # world_from_node [4, 4], including hidden nodes and other scenes
         self._skins: dict[int, np.ndarray] = {}
 
     def of(self, skin_index: int) -> np.ndarray:  # [J, 4, 4] world_from_bind
@@ -127,7 +127,7 @@ class _Joints:
                         f"a skin has {len(world)} joints and {len(columns)} inverse bind matrices; export it again"
                     )
                 inverse = columns[: len(world)].astype(np.float64).reshape(-1, 4, 4)
-                world = world @ inverse.transpose(0, 2, 1)  # glTF writes matrices column by column
+                world = world @ inverse.transpose(0, 2, 1)  # glTF stores matrices by column
             self._skins[skin_index] = world
         return self._skins[skin_index]
 
@@ -152,7 +152,7 @@ def _appearances(
     data: GltfData, node: dict[str, Any], world_from_node: np.ndarray, joints: _Joints
 ) -> Iterator[Placement]:
     mesh, weights = node["mesh"], _weights(data, node, node["mesh"])
-    if "skin" in node:  # its joints place it; the node's own place does not count
+    if "skin" in node:  # its joints place it; the node's transform is ignored
         yield Placement(mesh, world_from_node, weights, joints.of(node["skin"]))
         return
     attributes = _extension(node, "EXT_mesh_gpu_instancing").get("attributes")
@@ -164,7 +164,7 @@ def _appearances(
 
 
 def _instances(data: GltfData, attributes: dict[str, int]) -> np.ndarray:  # [N, 4, 4] node_from_instance
-    """Return the matrices of the copies, which all attributes (with custom ones) count alike."""
+    """Return the instances' matrices; all attributes, custom ones too, must have equal counts."""
     counts = {name: data.entry("accessors", index)["count"] for name, index in attributes.items()}
     if len(set(counts.values())) > 1:
         said = ", ".join(f"{name} {str(count)[:20]}" for name, count in list(counts.items())[:6])
@@ -177,7 +177,7 @@ def _instances(data: GltfData, attributes: dict[str, int]) -> np.ndarray:  # [N,
     data.budget.take("nodes", count)
     matrices = np.tile(np.eye(4), (count, 1, 1))
     if "ROTATION" in values:
-        quaternions = values["ROTATION"].astype(np.float64)  # whole numbers are brought to unit length, too
+        quaternions = values["ROTATION"].astype(np.float64)  # integers are normalised to unit length too
         quaternions = quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), 1e-12)
         x, y, z, w = quaternions.T
         matrices[:, :3, :3] = np.moveaxis(np.array(matrix_rows(w, x, y, z)), -1, 0)

@@ -1,11 +1,14 @@
-"""Datasets of Habitat by their ``*.scene_dataset_config.json``: stages, and scenes of a stage with objects in it.
+"""Load datasets of Habitat by their ``*.scene_dataset_config.json``: stages, and stages with objects.
 
-Read are ``stages``, ``objects`` and ``scene_instances``: their ``paths`` (folders and patterns of configurations or
-of .glb files), their ``default_attributes``, and of a configuration ``render_asset``, ``up``, ``front``, ``scale``,
-``units_to_meters`` and, of an object, ``COM``; of an instance ``translation``, ``rotation`` (w first),
-``uniform_scale``, ``non_uniform_scale`` and ``translation_origin``. Articulated objects, lights, semantics, physics
-and ``configs`` within the dataset's file are not. Habitat's world is y up; a scene here is z up. Source of the format:
-[habitat], its documentation of attributes as JSON.
+Supported are the sections ``stages``, ``objects`` and ``scene_instances``:
+
+- their ``paths`` (folders and patterns of configurations or .glb files) and ``default_attributes``;
+- of a configuration: ``render_asset``, ``up``, ``front``, ``scale``, ``units_to_meters`` and, for objects, ``COM``;
+- of an instance: ``translation``, ``rotation`` (w first), ``uniform_scale``, ``non_uniform_scale`` and
+  ``translation_origin``.
+
+Articulated objects, lights, semantics, physics and ``configs`` within the dataset's file are ignored. Habitat's world
+is y up; the scene returned is z up. Source of the format: [habitat], its documentation of attributes as JSON.
 """
 
 from __future__ import annotations
@@ -52,17 +55,13 @@ _MOST_OBJECTS = 20_000  # of a scene
 def load_habitat_scene(
     path: str | os.PathLike[str], *, scene: str = "", objects: bool = True, max_texture: int = 512
 ) -> Scene:
-    """A scene of a dataset that is configured for Habitat.
+    """Load a scene of a dataset configured for Habitat.
 
-    Args:
-        path: the ``*.scene_dataset_config.json``.
-        scene: a scene instance or, of a dataset without such, a stage; its name, or the end of its path. May be left
-            away where there is one.
-        objects: whether the objects of a scene instance stand in it.
-        max_texture: pixels; larger textures are shrunk.
+    Args: path: the ``*.scene_dataset_config.json``. scene: a scene instance, or a stage if the dataset has no
+    instances, by name or end of path. Optional if there is only one. objects: whether to include the objects of a scene
+    instance. max_texture: pixels; larger textures are shrunk.
 
-    Raises:
-        InputError: a file is missing or broken, or there is no such scene.
+    Raises: InputError: a file is missing or damaged, or the scene does not exist.
     """
     if max_texture < 1:
         raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
@@ -94,12 +93,12 @@ def load_habitat_scene(
 
 @dataclass
 class _Dataset:
-    """The dataset's file and what was read of it."""
+    """Hold the dataset's file and what was read from it."""
 
     path: Path
     content: Mapping[str, Any]
-    known: dict[str, dict[str, Path]] = field(default_factory=dict)  # files of a kind, by their handles
-    assets: dict[Path, tuple[list[MeshPart], np.ndarray]] = field(default_factory=dict)  # see `placed`
+    known: dict[str, dict[str, Path]] = field(default_factory=dict)  # files of a kind by handle
+    assets: dict[Path, tuple[list[MeshPart], np.ndarray]] = field(default_factory=dict)  # results of `placed`
 
     @classmethod
     def of(cls, path: Path) -> _Dataset:
@@ -108,20 +107,25 @@ class _Dataset:
         return cls(path, _table(path, "a dataset's configuration (JSON with stages)"))
 
     def files(self, kind: str) -> dict[str, Path]:
-        """Configurations and meshes of a kind by handle: the path from the dataset's folder without the ending."""
+        """Return configurations and meshes of a kind by handle.
+
+        A handle is the path from the dataset's folder without the ending.
+        """
         if kind not in self.known:
             root = self.path.parent
             found: dict[str, Path] = {}
             for file in islice(_listed(self._section(kind), kind, root), _MOST_FILES):
                 ending = _ENDINGS[kind] if file.name.endswith(_ENDINGS[kind]) else file.suffix
-                # A configuration comes before the bare mesh of the same name.
+                # A configuration overrides a bare mesh of the same name.
                 found.setdefault(file.relative_to(root).as_posix().removesuffix(ending), file)
             self.known[kind] = dict(sorted(found.items()))
         return self.known[kind]
 
     def placed(self, kind: str, file: Path, textures: TextureStore) -> tuple[list[MeshPart], np.ndarray]:
-        """The parts of a stage or an object in Habitat's axes (y up, -z front) and metres, read once, and the centre of
-        mass [3] in them: the configuration's, else the middle of the box."""
+        """Return the parts of a stage or object in Habitat's axes, and their centre of mass [3]. Reads each file once.
+
+        Axes: y up, -z front, metres. The centre is the configuration's, else that of the bounding box.
+        """
         if file not in self.assets:
             default = self._section(kind).get("default_attributes")
             told = dict(default) if isinstance(default, Mapping) else {}
@@ -129,7 +133,7 @@ class _Dataset:
             if file.name.endswith(".json"):
                 told |= _table(file, "a configuration with a render_asset")
                 asset = self._asset(file, told.get("render_asset"))
-            scale = _vector(told, "scale", file, (1.0,) * 3)  # along Habitat's axes, not those of the asset
+            scale = _vector(told, "scale", file, (1.0,) * 3)  # along Habitat's axes, not the asset's
             motion = scale[:, None] * _turn(told, file) * _factor(told, file)
             if kind == "stages" and _vector(told, "origin", file, (0.0,) * 3).any():
                 raise InputError(f"'{file}' moves its stage by an origin, which is not read; move the mesh")
@@ -157,7 +161,7 @@ class _Dataset:
 
 
 def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]:
-    """Files that the ``paths`` of a section mean, none outside the dataset's folder."""
+    """Yield the files that a section's ``paths`` refer to, none outside the dataset's folder."""
     paths = section.get("paths", {})
     for suffix in (".json", ".glb"):
         patterns = paths.get(suffix, []) if isinstance(paths, Mapping) else []
@@ -176,7 +180,7 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
 
 
 def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, Path]:
-    """The file of a handle, of the end of one, or the only one there is."""
+    """Return the file of a handle, of the end of one, or the only file."""
     if not files:
         raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
     if not wanted and len(files) == 1:
@@ -192,14 +196,14 @@ def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, P
 
 
 def _called(files: Mapping[str, Path], wanted: str) -> list[str]:
-    """The handles that a name means: the one that it is, else those that end with it."""
+    """Return the handles that a name matches: exactly, else at their end."""
     return [wanted] if wanted in files else [handle for handle in files if handle.endswith(f"/{wanted}")]
 
 
 def _instance(
     dataset: _Dataset, kind: str, told: Mapping[str, Any], textures: TextureStore, where: Path, origin: str
 ) -> list[MeshPart]:
-    """The parts of one instance, where it stands."""
+    """Return the parts of one instance in its place."""
     template = told.get("template_name")
     if not isinstance(template, str):
         raise InputError(f"'{where}' has an instance without a template_name: {shown(told)}")
@@ -227,17 +231,17 @@ def _instance(
     motion = Rotation.from_quat(quaternion, scalar_first=True).as_matrix() * scale
     moved_by = _vector(told, "translation", where, (0.0,) * 3)
     if kind == "objects" and str(told.get("translation_origin", origin)).lower() != "asset_local":
-        moved_by = moved_by - motion @ middle  # where nothing else is said it is placed by its centre of mass
+        moved_by = moved_by - motion @ middle  # by default the centre of mass is placed
     return [_moved(part, motion, moved_by) for part in parts]
 
 
 def _moved(part: MeshPart, motion: np.ndarray, by: np.ndarray) -> MeshPart:
-    faces = part.faces if np.linalg.det(motion) > 0 else part.faces[:, ::-1]  # mirrored: the other way round
+    faces = part.faces if np.linalg.det(motion) > 0 else part.faces[:, ::-1]  # mirrored: reverse the winding
     return replace(part, vertices=part.vertices @ motion.T + by, faces=faces)
 
 
 def _turn(told: Mapping[str, Any], where: Path) -> np.ndarray:  # [3, 3]
-    """Habitat's axes (y up, -z front) from those of an asset."""
+    """Return the rotation from an asset's axes to Habitat's (y up, -z front)."""
     up, front = _vector(told, "up", where, (0.0, 1.0, 0.0)), _vector(told, "front", where, (0.0, 0.0, -1.0))
     right = np.cross(front, up)
     lengths = [float(np.linalg.norm(axis)) for axis in (right, up, front)]
@@ -256,7 +260,7 @@ def _factor(told: Mapping[str, Any], where: Path) -> float:
 
 
 def _vector(told: Mapping[str, Any], name: str, where: Path, usual: Sequence[float]) -> np.ndarray:
-    """A number or list of numbers, as many as is usual."""
+    """Return a number or list of numbers, as many as in the default."""
     given = told.get(name, list(usual))
     values = given if isinstance(given, list) else [given]
     good = len(values) == len(usual) and all(

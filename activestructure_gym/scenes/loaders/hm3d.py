@@ -1,8 +1,8 @@
-"""Scans of HM3D and Gibson in the folder layouts of their downloads; metres, z up.
+"""Load scans of HM3D and Gibson in the folder layouts of their downloads; metres, z up.
 
-HM3D: ``<split>/00800-TEEsavR23oF/TEEsavR23oF.glb``. The copy for Habitat, ``TEEsavR23oF.basis.glb``, has its textures
-as Basis, which is not read. Gibson, as converted for Habitat: ``Adrian.glb`` beside ``Adrian.navmesh``. Both have
-gravity along -z, against glTF's rule. Source of the layouts: [hm3d], [gibson], the dataset page of [habitat].
+HM3D: ``<split>/00800-TEEsavR23oF/TEEsavR23oF.glb``. The copy for Habitat, ``TEEsavR23oF.basis.glb``, has Basis
+textures, which are not supported. Gibson, as converted for Habitat: ``Adrian.glb`` with ``Adrian.navmesh``. Both have
+gravity along -z, unlike glTF. Source of the layouts: [hm3d], [gibson], the dataset page of [habitat].
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _FOLDER = re.compile(r"\d{5}-(\w+)")
 
 
 def load_hm3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> Scene:
-    """An HM3D scan from its folder ``val/00800-TEEsavR23oF`` or its mesh ``TEEsavR23oF.glb``.
+    """Load an HM3D scan from its folder ``val/00800-TEEsavR23oF`` or its mesh ``TEEsavR23oF.glb``.
 
-    Raises `InputError` where the mesh is missing or cannot be read.
+    Raises `InputError` if the mesh is missing or cannot be read.
     """
     path = Path(os.path.abspath(os.path.expanduser(path)))
     mesh_file = _mesh_in(path) if path.is_dir() else path
-    if mesh_file.name.endswith(_BASIS):  # of the same scan, whose own mesh lies beside it
+    if mesh_file.name.endswith(_BASIS):  # the scan's own mesh is in the same folder
         mesh_file = mesh_file.with_name(f"{mesh_file.name.removesuffix(_BASIS)}.glb")
     if not mesh_file.is_file():
         beside = mesh_file.with_name(f"{mesh_file.stem}{_BASIS}")
@@ -41,8 +41,9 @@ def load_hm3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> 
 
 
 def is_hm3d(path: Path) -> bool:
-    """Whether the path is a folder of HM3D, by its name and a mesh of that name, or the mesh (used to tell what a bare
-    path is).
+    """Return whether the path is an HM3D folder, by its name and a mesh of that name, or such a mesh.
+
+    It identifies paths given without a loader prefix.
     """
     path = Path(os.path.abspath(path))
     folder = path if path.is_dir() else path.parent
@@ -67,9 +68,9 @@ def _mesh_in(folder: Path) -> Path:
 
 
 def load_gibson_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> Scene:
-    """A Gibson scan as converted for Habitat: ``gibson/Adrian.glb``, or ``gibson/Adrian`` without the ending.
+    """Load a Gibson scan as converted for Habitat: ``gibson/Adrian.glb``, or ``gibson/Adrian`` without the ending.
 
-    Raises `InputError` where the mesh is missing or cannot be read.
+    Raises `InputError` if the mesh is missing or cannot be read.
     """
     given = Path(os.path.expanduser(path))
     mesh_file = given

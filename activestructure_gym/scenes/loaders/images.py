@@ -1,4 +1,4 @@
-"""Decode images from untrusted files: known formats only, with their size checked before decoding."""
+"""Decode images from untrusted files: known formats only, size checked before decoding."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from activestructure_gym.scenes.loaders.budget import LimitError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# What exporters write and Pillow decodes by itself; for PostScript it would start Ghostscript.
+# Common formats that Pillow decodes itself; for PostScript it would start Ghostscript.
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA")
-MOST_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while it is decoded
-_MOST_SCANS = 100  # of a progressive JPEG; encoders write about ten, and each is a pass over all pixels
+MOST_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while decoding
+_MOST_SCANS = 100  # of a progressive JPEG; encoders write about ten, each a pass over all pixels
 
 
 def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MOST_PIXELS) -> Image:
-    """The picture, not yet decoded.
+    """Return the image, not yet decoded.
 
-    Raises `LimitError` for one that is too large, and what Pillow raises for one that it cannot read.
+    Raises `LimitError` if it is too large, and Pillow's errors if it is unreadable.
     """
     from PIL import Image as images
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # on metadata, and on sizes above a limit that is higher than the one here
+        # warnings on metadata, and on sizes above a limit that is higher than the one here
+        warnings.simplefilter("ignore")
         try:
             image = images.open(io.BytesIO(data), formats=formats)
         except images.DecompressionBombError as error:
@@ -40,7 +41,7 @@ def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels
 
 
 def eight_bits(image: Image) -> Image:
-    """The picture, with numbers of more bits brought to 8 (Pillow cuts them off); `LimitError` if no scale fits."""
+    """Return the image with 8 bits per channel (Pillow truncates more); raise `LimitError` if no scale fits."""
     from PIL import Image as images
 
     if not image.mode.startswith(("I", "F")):

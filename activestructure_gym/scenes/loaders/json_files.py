@@ -1,4 +1,4 @@
-"""JSON files that come with scenes."""
+"""Read JSON files of scenes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def read_json(path: Path, what: str, parse: Callable[[Any], T]) -> T:
-    """``parse`` of the content, which should be ``what``; raises `InputError` where it is not."""
+    """Return ``parse`` of the content, described by ``what``; raise `InputError` if it does not fit."""
     try:
         return parse(json.loads(SceneBudget().read(path).decode("utf-8-sig")))
     except KeyError as error:

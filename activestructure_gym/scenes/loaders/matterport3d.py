@@ -1,7 +1,7 @@
-"""Matterport3D scenes in the folder layout of the Habitat download: ``mp3d/<id>/<id>.glb``, metres, z up.
+"""Load Matterport3D scenes in the folder layout of the Habitat download: ``mp3d/<id>/<id>.glb``, metres, z up.
 
-Beside the mesh lie ``<id>.house``, ``<id>.navmesh`` and ``<id>_semantic.ply``; they are not needed to see or walk, but
-they are what a scene of this dataset is known by. Source of the layout: [matterport3d], its data_organization.md.
+The files ``<id>.house``, ``<id>.navmesh`` and ``<id>_semantic.ply`` next to the mesh are not needed, but they identify
+a scene of this dataset. Source of the layout: [matterport3d], its data_organization.md.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from activestructure_gym.scenes.datasets import MATTERPORT3D, find_scene
 from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.scene import Scene
 
-# Of this dataset alone: other scenes have navmeshes too, and anybody's file may be called house/house.glb.
+# Specific to this dataset: other scenes have navmeshes too, and any file may be named house/house.glb.
 _OWN_FILES = (".house", "_semantic.ply")
 
 
 def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> Scene:
-    """A Matterport3D scene from its folder ``mp3d/<id>`` or its mesh ``<id>.glb``; one of the papers' also by its name.
+    """Load a Matterport3D scene from its folder ``mp3d/<id>``, its mesh ``<id>.glb``, or a name in the papers' tables.
 
-    Raises `InputError` where the mesh is missing or cannot be read.
+    Raises `InputError` if the mesh is missing or cannot be read.
     """
     path = find_scene(MATTERPORT3D, path)
     if path.name in ("", ".."):  # "." has a name too
@@ -44,7 +44,7 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
 
 
 def is_matterport3d(path: Path) -> bool:
-    """Whether the path is a Matterport3D scene, by the files of the dataset (used to tell what a bare path is)."""
+    """Return whether the path is a Matterport3D scene, by the dataset's files (identifies paths without prefix)."""
     path = Path(os.path.abspath(path))
     mesh_file = path / f"{path.name}.glb" if path.is_dir() else path
     if mesh_file.suffix.lower() != ".glb" or not mesh_file.is_file():

@@ -1,7 +1,7 @@
-"""Any mesh a user has, as a `Scene`: one entrance for glb, gltf, obj, ply, stl and dae.
+"""Load any mesh as a `Scene`: the common loader for glb, gltf, obj, ply, stl and dae.
 
-Here the file's units and axes become metres and z up, everything that can be wrong with a mesh is said in one
-sentence, and a scale check tells the user whether the units were guessed right.
+File units and axes are converted to metres and z up. Every fault of a mesh is reported in one sentence, and a scale
+check tells the user whether the units are plausible.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
 METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
-# The world's x, y, z as axes of the file and their signs; all are proper rotations, so nothing is mirrored.
+# World x, y, z as axes of the file with signs; proper rotations, so nothing is mirrored.
 _WORLD_FROM_FILE = {
     "z": ((0, 1, 2), (1, 1, 1)),
     "-z": ((0, 1, 2), (1, -1, -1)),
@@ -38,11 +38,11 @@ _WORLD_FROM_FILE = {
     "-x": ((2, 1, 0), (1, 1, -1)),
 }
 
-_MOST_OVERLAP = 300  # boxes of triangles on a line; scans and furnished scenes have 4 to 20
-_PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
-_USUAL_HEIGHT = 2.6  # metres, of a room with its floor and ceiling
-_COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
-_FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
+_MOST_OVERLAP = 300  # triangle boxes on a line; scans and furnished scenes have 4 to 20
+_PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, longest side of a room or building
+_USUAL_HEIGHT = 2.6  # metres, height of a room
+_COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; larger steps distort walls and depth
+_FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted to float64 at a time: 50 MB instead of gigabytes
 
 
 def load_mesh_scene(
@@ -53,21 +53,16 @@ def load_mesh_scene(
     name: str | None = None,
     max_texture: int = 512,
 ) -> Scene:
-    """Read a mesh file and turn it into a scene.
+    """Read a mesh file and return it as a scene.
 
-    Args:
-        path: a .glb, .gltf, .obj, .ply, .stl or .dae file.
-        units: "m", "dm", "cm", "mm", "in", "ft", or metres per file unit. None = what the file declares (only
-            COLLADA does), else metres.
-        up: which file axis points up: "x", "y", "z", "-x", "-y" or "-z"; "auto" = what the geometry says. None = what
-            the file declares (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF, as its
-            standard says, and z for the others, which have no rule; refused if the geometry clearly says otherwise.
-        name: of the scene; default is the file's name.
-        max_texture: pixels; larger textures are shrunk.
+    Args: path: a .glb, .gltf, .obj, .ply, .stl or .dae file. units: "m", "dm", "cm", "mm", "in", "ft", or metres per
+    file unit. None = as declared by the file (COLLADA only), else metres. up: the file's up axis: "x", "y", "z", "-x",
+    "-y" or "-z"; "auto" = estimated from the geometry. None = as declared by the file (COLLADA; glTF under "up" in the
+    extras of its asset or scene), else y for glTF (its standard) and z for others; refused if the geometry clearly
+    contradicts it. name: of the scene; default: the file's name. max_texture: pixels; larger textures are shrunk.
 
-    Raises:
-        InputError: the file is missing, unsupported, corrupt, empty, not finite, of an implausible size, or lies on
-            its side. Doubts that do not stop it are given as `InputWarning`, and stand in the scene's notes.
+    Raises: InputError: the file is missing, unsupported, damaged, empty, not finite, of implausible size, or not
+    upright. Doubts are reported as `InputWarning` and in the scene's notes.
     """
     from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, assemble
 
@@ -83,7 +78,7 @@ def load_mesh_scene(
     told = len(textures.notes)
     solid = solid_parts(parts, textures, scale)
     if not solid and path.suffix.lower() not in (".glb", ".gltf"):
-        # Some exporters of these formats write the opposite, or an alpha of 0 that means nothing.
+        # Some exporters of these formats write inverted alpha, or a meaningless alpha of 0.
         textures.notes[told:] = ["every face is transparent in the file, so all of them are read as solid"]
         solid = [replace(part, opacity=None) for part in parts]
     check_visible(path, solid)
@@ -93,7 +88,7 @@ def load_mesh_scene(
     try:
         up, doubts = choose_up(path, vertices, mesh.faces, given=up, declared=declared_up)
     except InputError:
-        _check_extent(path, vertices, scale)  # a wrong unit is the likelier reason
+        _check_extent(path, vertices, scale)  # a wrong unit is the more likely reason
         raise
     mesh = replace(mesh, vertices=upright(vertices, up).astype(np.float32))
     doubts = [*texture_notes(textures), *doubts, *unpainted]
@@ -101,9 +96,9 @@ def load_mesh_scene(
 
 
 def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
-    """Return the parts of a mesh file in its own axes and in metres, transparent ones too (see `solid_parts`).
+    """Return the parts of a mesh file in its own axes and in metres, including transparent ones (see `solid_parts`).
 
-    Raises `InputError` where it cannot be read.
+    Raises `InputError` if it cannot be read.
     """
     parts, scale, _ = _read(check_mesh_file(path), textures)
     _check_parts(path, parts)
@@ -111,7 +106,7 @@ def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
 
 
 def solid_parts(parts: Sequence[MeshPart], textures: TextureStore, scale: float = 1.0) -> list[MeshPart]:
-    """Return the parts without what is transparent, and note how much that was."""
+    """Return the parts without transparent surfaces, and note how much was removed."""
     from activestructure_gym.scenes.loaders.cut_out import cut_out
 
     solid, found = cut_out(parts, scale)
@@ -120,7 +115,7 @@ def solid_parts(parts: Sequence[MeshPart], textures: TextureStore, scale: float 
 
 
 def check_visible(path: Path, parts: Sequence[MeshPart]) -> None:
-    """Raise `InputError` if nothing is left of a file without what is transparent."""
+    """Raise `InputError` if a file is entirely transparent."""
     if not parts:
         raise InputError(
             f"'{path}' is transparent everywhere: each of its triangles has an opacity below 0.5 (or the cutoff of its "
@@ -129,13 +124,13 @@ def check_visible(path: Path, parts: Sequence[MeshPart]) -> None:
 
 
 def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
-    """File axes turned so that ``up`` becomes z, exactly: files that differ in nothing else give equal numbers."""
+    """Permute axes so that ``up`` becomes z, exactly: files that differ only in axes give equal numbers."""
     axes, signs = _WORLD_FROM_FILE[up]
-    return vertices[:, axes] * signs + 0.0  # no -0.0: it has other bytes than 0.0, and the content hash counts bytes
+    return vertices[:, axes] * signs + 0.0  # no -0.0: its bytes differ from 0.0, and the content hash reads bytes
 
 
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
-    """The path, if it is a file with a suffix that some reader knows."""
+    """Return the path if it is a file with a supported suffix; raise `InputError` otherwise."""
     path = Path(os.path.expanduser(path))
     check_printable(str(path))
     if path.is_dir():
@@ -148,7 +143,7 @@ def check_mesh_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_printable(name: str) -> None:
-    """Raise `InputError` for a name with line ends or characters that cannot be printed."""
+    """Raise `InputError` for a name with line ends or unprintable characters."""
     if any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in name):
         raise InputError(f"the name {shown(name)} has characters that cannot be printed; rename the file or the scene")
 
@@ -159,12 +154,12 @@ def finished_scene(
     *,
     name: str,
     doubts: Sequence[str] = (),
-    scale: float = 1.0,  # metres per file unit that were applied; the messages name better ones
+    scale: float = 1.0,  # metres per file unit that were applied; messages suggest better ones
     labels: PartLabels | None = None,
 ) -> Scene:
-    """A checked scene: faces without area dropped, size checked, scale noted.
+    """Return a checked scene: zero-area faces removed, size checked, scale noted.
 
-    Doubts about its orientation, its textures or its scale stand in its notes and are given as one `InputWarning`.
+    Doubts about orientation, textures or scale are stored in its notes and reported as one `InputWarning`.
     """
     keep = _has_area(mesh)
     dropped = int((~keep).sum())
@@ -197,7 +192,7 @@ def finished_scene(
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
-    """Sentences on textures that are missing or unreadable, and those of the readers."""
+    """Return messages on missing or unreadable textures, and the readers' notes."""
     notes = list(dict.fromkeys(textures.notes))
     missing, bare, ignored = (
         list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv, textures.ignored)
@@ -225,7 +220,7 @@ def _some(names: list[str]) -> str:
 
 
 def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, DeclaredUp]:
-    """Parts in file units, metres per unit and up axis as the file, or else its format, declares them."""
+    """Return the parts in file units, metres per unit, and the up axis declared by the file or its format."""
     suffix = path.suffix.lower()
     try:
         if suffix in (".glb", ".gltf"):
@@ -252,7 +247,7 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
         raise
     except MemoryError as error:
         raise InputError(f"'{path}' does not fit into the memory of this machine; decimate the mesh") from error
-    except Exception as error:  # a broken file makes readers raise anything from KeyError to struct.error
+    except Exception as error:  # damaged files cause errors of any type, from KeyError to struct.error
         raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {in_words(error)}") from error
 
 
@@ -282,7 +277,7 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
                     f"'{path}' is corrupt: a part of it has {len(part.vertices)} vertices and {len(values)} {what}; "
                     "export it again"
                 )
-        # Positions are kept in float32; NaN is no number below its largest either.
+        # Positions are stored as float32; the comparison excludes NaN too.
         broken += int((~(np.abs(part.vertices) < np.finfo(np.float32).max).all(axis=1)).sum())
     if broken:
         total = sum(len(part.vertices) for part in parts)
@@ -292,7 +287,7 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
 
 
 def painted(mesh: SceneMesh) -> tuple[SceneMesh, list[str]]:
-    """The mesh with plain grey at vertices whose colour or uv is not finite, and a sentence on them if any are."""
+    """Paint vertices with non-finite colour or uv in plain grey; return the mesh and a message on them."""
     from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
 
     broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
@@ -305,7 +300,7 @@ def painted(mesh: SceneMesh) -> tuple[SceneMesh, list[str]]:
 
 
 def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
-    """The mesh without vertices that no triangle uses: one of them far away would stretch the bounds."""
+    """Remove vertices that no triangle uses; a distant one would enlarge the bounds."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.faces] = True
     if used.all():
@@ -331,19 +326,19 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
     longest = float(extent.max())
     if _PLAUSIBLE_EXTENT[0] <= longest <= _PLAUSIBLE_EXTENT[1]:
         return
-    # A room or flat is some 2 to 60 m long; the unit that makes it so is what the file was probably drawn in.
+    # A room or apartment is 2 to 60 m long; units that give such a length are suggested.
     hint = _units_hint(extent / scale, longest / scale, 2.0, 60.0)
     size = " x ".join(f"{side:.4g}" for side in extent)
     raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
 
 
 def _check_overlap(path: Path, mesh: SceneMesh) -> None:
-    """Raise `InputError` where too many triangles lie over each other: a ray would test all of their boxes."""
+    """Raise `InputError` if too many triangles overlap: a ray would test all of their boxes."""
     total = 0.0
     for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
         corners = mesh.vertices[mesh.faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
         total += _box_area(np.ptp(corners, axis=1)).sum()
-    # The boxes of triangles that a random line through the scene meets, in the mean (Cauchy's formula).
+    # Mean number of triangle boxes that a random line through the scene hits (Cauchy's formula).
     times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
     if times > _MOST_OVERLAP:
         raise InputError(
@@ -358,9 +353,9 @@ def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the s
 
 
 def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> str:
-    """Return the units in which a length lies between ``low`` and ``high`` metres, the most plausible one first.
+    """Suggest the units for which a length is between ``low`` and ``high`` metres, most plausible first.
 
-    Both the extent [3] and the length are in file units. The shortest side of a scene is most often its height.
+    The extent [3] and the length are in file units. A scene's shortest side is usually its height.
     """
     fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= length * metres <= high]
     if not fitting:
@@ -372,7 +367,7 @@ def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> s
 
 
 def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
-    """Whether the scene has the size of rooms: the height from floor to ceiling, measured by vertical rays."""
+    """Check a scene's scale by the height from floor to ceiling along vertical rays; return a note and the result."""
     low, high = scene.bounds
     size = " x ".join(f"{side:.2f}" for side in high - low)
     height = ceiling_height(scene)
@@ -385,10 +380,10 @@ def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
 
 
 def ceiling_height(scene: Scene) -> float | None:
-    """Return the metres between floor and ceiling, or None where there is no ceiling.
+    """Return the height in metres between floor and ceiling, or None without a ceiling.
 
-    There is none where fewer than a tenth of the vertical lines meet both, or fewer than half of those that begin
-    between walls and above a floor: furniture has a top in a room without a ceiling, too.
+    There is none if fewer than a tenth of the vertical lines meet both, or fewer than half of those that start between
+    walls and above a floor. The second test excludes the tops of furniture in rooms without ceiling.
     """
     low, high = scene.bounds
     grid = (np.arange(24) + 0.5) / 24
@@ -405,5 +400,5 @@ def ceiling_height(scene: Scene) -> float | None:
     indoors = np.isfinite(down) & (walls >= 6)
     if len(total) <= 0.1 * len(starts) or np.isfinite(up[indoors]).sum() < 0.5 * indoors.sum():
         return None
-    # Furniture shortens lines and nothing lengthens them, so the room's height is among the long ones.
+    # Furniture shortens lines and nothing lengthens them, so the room's height is among the longest.
     return float(np.percentile(total, 75))

@@ -1,7 +1,7 @@
-"""The parts that every mesh reader returns, and their union as one `SceneMesh`.
+"""Define the parts that every mesh reader returns, and join them into one `SceneMesh`.
 
-Readers (`gltf`, `collada`, `trimesh_reader`) return `MeshPart`s in the file's own units and axes; scaling, turning
-and all checks happen once, in `mesh_loader`.
+Readers (`gltf`, `collada`, `trimesh_reader`) return `MeshPart`s in the file's units and axes; scaling, rotation and all
+checks are done once, in `mesh_loader`.
 """
 
 from __future__ import annotations
@@ -24,41 +24,42 @@ from activestructure_gym.scenes.scene import REPEAT, SceneMesh
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# What a surface without any colour of its own looks like (display-referred).
+# Display-referred colour of a surface without a colour of its own.
 PLAIN_GREY = 0.7
 
 
 @dataclass(frozen=True)
 class MeshPart:
-    """Triangles that share one material."""
+    """Hold triangles that share one material."""
 
     vertices: np.ndarray  # [V, 3] float64, file units, node transforms applied
     faces: np.ndarray  # [F, 3] integers
     colors: np.ndarray  # [V, 3] or [3] in 0..1: vertex colour times material colour
     uv: np.ndarray | None = None  # [V, 2], v down from the image's top row
     texture: int = -1  # index in the `TextureStore`, -1 = none
-    wrap: tuple[int, int] = (REPEAT, REPEAT)  # of the texture, across and down
-    linear: bool = False  # colours are linear light; else display-referred
-    opacity: Opacity | None = None  # None = solid everywhere; `cut_out` takes the rest out of the mesh
+    wrap: tuple[int, int] = (REPEAT, REPEAT)  # wrap modes of the texture, across and down
+    linear: bool = False  # True: colours are linear light; False: display-referred
+    opacity: Opacity | None = None  # None = solid; `cut_out` removes transparent parts
 
 
 @dataclass
 class TextureStore:
-    """Textures of one scene: each image once, however often and under however many names the file holds it."""
+    """Store the textures of one scene: each image once, however often and under whatever names it occurs."""
 
-    max_size: int = 512  # pixels; larger images are shrunk so that 50 textures stay below 50 MB
-    budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene: its readers ask it too
+    max_size: int = 512  # pixels; larger images are shrunk, so that 50 textures stay below 50 MB
+    budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene; shared with its readers
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
-    searched: Path | None = None  # the folder of the mesh, where a picture was found neither there nor around it
-    without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
-    ignored: list[str] = field(default_factory=list)  # what files say about the place of an image and is not read
-    notes: list[str] = field(default_factory=list)  # sentences of the readers on what is not as the file has it
+    searched: Path | None = None  # the mesh's folder, if an image was not found in or around it
+    # materials whose image lacks texture coordinates on some surface
+    without_uv: list[str] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)  # unsupported placement settings of images
+    notes: list[str] = field(default_factory=list)  # readers' messages on deviations from the file
     _by_key: dict[Hashable, int] = field(default_factory=dict)
     _opacities: dict[Hashable, np.ndarray | None] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:
-        """Index of an encoded image (PNG, JPEG, WebP, ...), -1 where it cannot be decoded."""
+        """Return the index of an encoded image (PNG, JPEG, WebP, ...), -1 if it cannot be decoded."""
         try:
             self.budget.take("bytes of pictures", len(data))
         except LimitError as error:
@@ -66,7 +67,7 @@ class TextureStore:
         return self.add(hashlib.sha256(data).digest(), lambda: opened_image(data), name)
 
     def add_file(self, base: Path, reference: str) -> int:
-        """Index of the image that a file in ``base`` refers to, -1 where it is missing."""
+        """Return the index of the image that a file in ``base`` refers to, -1 if missing."""
         key = ("file", base, reference)
         if key not in self._by_key:
             try:
@@ -80,7 +81,7 @@ class TextureStore:
         return self._by_key[key]
 
     def add(self, key: Hashable, decode: Callable[[], Image], name: str) -> int:
-        """Index of the image called ``key``; ``decode`` is only called the first time."""
+        """Return the index of the image ``key``; ``decode`` is called only the first time."""
         if key in self._by_key:
             return self._by_key[key]
         try:
@@ -89,13 +90,13 @@ class TextureStore:
             self.budget.take("pixels", image.width * image.height)
             self.budget.take("pixels after shrinking", int(image.width * image.height * shrink**2))
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Pillow's, on palettes and metadata: what matters raises
+                warnings.simplefilter("ignore")  # Pillow's warnings on palettes and metadata; real faults raise
                 pixels = _shrunk_pixels(image, self.max_size)
         except LimitError as error:
             return self._missing(key, f"{name}: {error}")
-        except Exception:  # Pillow raises whatever the codec raises
+        except Exception:  # Pillow raises any error of the codec
             return self._missing(key, name)
-        # The same picture is often stored under several keys: one copy per pixel content.
+        # The same image is often stored under several keys: keep one copy per pixel content.
         content = ("pixels", pixels.shape, hashlib.sha256(pixels.tobytes()).digest())
         if content not in self._by_key:
             self._by_key[content] = len(self.images)
@@ -104,7 +105,7 @@ class TextureStore:
         return self._by_key[key]
 
     def opacity_of(self, data: bytes, name: str, channel: str) -> np.ndarray | None:  # [h, w] uint8
-        """Return the opacity in an encoded image (see `opacity_picture`), None where it has none or is unreadable."""
+        """Return the opacity of an encoded image (see `opacity_picture`), None if it has none or is unreadable."""
         key = (hashlib.sha256(data).digest(), channel)
         if key not in self._opacities:
             self._opacities[key] = None
@@ -114,12 +115,12 @@ class TextureStore:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     self._opacities[key] = opacity_picture(image, channel)
-            except Exception as error:  # Pillow raises whatever the codec raises
+            except Exception as error:  # Pillow raises any error of the codec
                 self.note_unreadable(f"{name}: {error}" if isinstance(error, LimitError) else name)
         return self._opacities[key]
 
     def opacity_of_file(self, base: Path, reference: str, channel: str) -> np.ndarray | None:  # [h, w] uint8
-        """Return the opacity in the image that a file in ``base`` refers to, None where there is none."""
+        """Return the opacity of the image that a file in ``base`` refers to, None if there is none."""
         key = ("file", base, reference, channel)
         if key not in self._opacities:
             self._opacities[key] = None
@@ -140,7 +141,7 @@ class TextureStore:
         return -1
 
     def note_unreadable(self, name: str) -> None:
-        """Remember, as one short line, what could not be read."""
+        """Record the name of an unreadable file as one short line."""
         self.unreadable.append(" ".join(str(name).split())[:200])
 
 
@@ -156,39 +157,39 @@ def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint
 
 
 def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]
-    """Vertices after the transform of their node; what is not finite stays so, and is reported by the loader."""
+    """Transform vertices by their node; non-finite values remain and are reported by the loader."""
     with np.errstate(invalid="ignore", over="ignore"):
         return vertices @ world_from_part[:3, :3].T + world_from_part[:3, 3]
 
 
 def full_scale(colors: Sequence[np.ndarray]) -> float:
-    """The number that stands for 1 in the colours of one file: 255 or 65535 of whole numbers, 1 or 255 of floats."""
+    """Return the value that represents 1 in a file's colours: 255 or 65535 for integers, 1 or 255 for floats."""
     if all(one.dtype == np.uint8 for one in colors):
         return 255.0
     seen = np.concatenate([one[np.isfinite(one) & (one > 0)] for one in colors])
     highest = seen.max(initial=0)
     if all(one.dtype.kind in "iu" for one in colors):
         return 65535.0 if highest > 255 else 255.0
-    # Rounding exceeds 1, and baked light does here and there.
+    # Rounding, and sometimes baked light, exceeds 1.
     return 255.0 if highest > 1.5 and np.median(seen) > 1.0 else 1.0
 
 
 def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
-    """Display-referred values of linear ones (IEC 61966-2-1), clipped to [0, 1]; glTF stores its factors linear."""
+    """Convert linear to display-referred values (IEC 61966-2-1), clipped to [0, 1]; glTF factors are linear."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
 
 
 def linear_from_srgb(srgb: np.ndarray) -> np.ndarray:
-    """The inverse of `srgb_from_linear`."""
+    """Invert `srgb_from_linear`."""
     srgb = np.clip(srgb, 0.0, 1.0)
     return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
 
 
 def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> SceneMesh:
-    """One mesh from all parts, in their order.
+    """Join all parts into one mesh, in order.
 
-    The mesh has linear colours only where that makes a difference: where those of a part vary.
+    It has linear colours only if needed: if a linear part's colours vary.
     """
     linear = any(part.linear and _varies(part.colors) for part in parts)
     wrapped = _WrappedTextures(list(textures))
@@ -228,13 +229,13 @@ def _colors(part: MeshPart, linear: bool) -> np.ndarray:
 
 @dataclass
 class _WrappedTextures:
-    """An image goes on outside of itself in one way: one that is used in two ways is listed twice."""
+    """Assign one wrap mode per image: an image used with two modes is listed twice."""
 
     images: list[np.ndarray]
     _places: dict[tuple[int, tuple[int, int]], int] = field(default_factory=dict)
 
     def index(self, image: int, wrap: tuple[int, int]) -> int:
-        """Index of the image with this wrap mode."""
+        """Return the index of the image with this wrap mode."""
         if (image, wrap) not in self._places:
             place = image
             if any(image == known for known, _ in self._places):
@@ -245,7 +246,7 @@ class _WrappedTextures:
 
     @property
     def wraps(self) -> tuple[tuple[int, int], ...]:
-        """Wrap mode of each image; () where all repeat."""
+        """Return the wrap mode of each image; () if all repeat."""
         wraps = [(REPEAT, REPEAT)] * len(self.images)
         for (_, wrap), place in self._places.items():
             wraps[place] = wrap

@@ -1,6 +1,6 @@
-"""Parse the statement of a texture in an MTL file: its options, and the file behind them.
+"""Parse a texture statement of an MTL file: its options and its file.
 
-The options stand in any order before the name of the file, which may hold blanks ([mtl1995], "Options for texture map
+Options precede the file name in any order; the name may contain blanks ([mtl1995], "Options for texture map
 statements").
 """
 
@@ -14,14 +14,14 @@ import numpy as np
 
 from activestructure_gym.scenes.scene import CLAMP, REPEAT
 
-_NUMBERS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}  # how many follow at most
+_NUMBERS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}  # maximum number of values
 _SWITCH = ("on", "off")
 _WORDS = {
     **dict.fromkeys(("-clamp", "-blendu", "-blendv", "-cc"), _SWITCH),
     "-imfchan": ("r", "g", "b", "m", "l", "z"),
     "-type": ("sphere", *(f"cube_{side}" for side in ("top", "bottom", "front", "back", "left", "right"))),
 }
-# Values under which an option changes nothing, and options that change nothing but the filter of a picture.
+# Option values without effect, and options that only change the filtering.
 _IDLE = {"-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0), "-cc": "off", "-blendu": "on", "-blendv": "on"}
 _OF_FILTERS = ("-boost", "-texres", "-bm")
 _READ = ("-s", "-o", "-clamp", "-imfchan")
@@ -33,29 +33,29 @@ _ODD_OPTION = re.compile(r"-[a-z_]+(?=\s)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class TextureMap:
-    """A texture of an MTL file and where it lies."""
+    """Hold a texture of an MTL file and its placement."""
 
-    reference: str  # the file as it is named; "" where no name follows
+    reference: str  # file name as written; "" if missing
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
     clamp: bool = False
-    channel: str = ""  # "r", "g", "b", "m" (matte, the alpha), "l" (luminance) or "z"; "" where it is not named
-    ignored: tuple[str, ...] = ()  # options, with their values, that change the picture and are not read
+    channel: str = ""  # "r", "g", "b", "m" (matte, the alpha), "l" (luminance) or "z"; "" if not given
+    ignored: tuple[str, ...] = ()  # unsupported options that change the appearance, with their values
 
     @property
     def wrap(self) -> tuple[int, int]:
-        """How the texture goes on outside of its picture, across and down."""
+        """Return the wrap modes outside the image, across and down."""
         return (CLAMP, CLAMP) if self.clamp else (REPEAT, REPEAT)
 
     def placed(self, uv: np.ndarray) -> np.ndarray:  # [V, 2] -> [V, 2], v up
-        """The coordinates in the picture: offset + scale x those of the mesh."""
+        """Return the coordinates in the image: offset + scale x the mesh's coordinates."""
         return uv * self.scale + self.offset
 
 
 def texture_map(statement: str) -> TextureMap:
-    """Parse what follows `map_Kd`, `map_d` and the like.
+    """Parse the text after `map_Kd`, `map_d` and the like.
 
-    An option that is given twice counts with its last values. Numbers that are left out are 1 for `-s` and 0 for `-o`.
+    Of a repeated option the last values count. Omitted numbers are 1 for `-s` and 0 for `-o`.
     """
     values: dict[str, tuple[float, ...] | str] = {}
     place = 0
@@ -83,12 +83,12 @@ def texture_map(statement: str) -> TextureMap:
     )
 
 
-# What -imfchan names, as channels of `opacity_picture`.
+# Values of -imfchan as channels of `opacity_picture`.
 OPACITY_CHANNELS = {"m": "alpha", "l": "luminance", "r": "r", "g": "g", "b": "b"}
 
 
 def dissolve(d: Sequence[str] | None, tr: Sequence[str] | None) -> float:
-    """Return the opacity that the words behind `d` (1 = solid) and `Tr` (0 = solid) give; `d` overrides `Tr`."""
+    """Return the opacity given by the words after `d` (1 = solid) and `Tr` (0 = solid); `d` overrides `Tr`."""
     solid, transparent = (_last_number(words) for words in (d, tr))
     if solid is None:
         solid = 1.0 if transparent is None else 1.0 - transparent
@@ -96,13 +96,13 @@ def dissolve(d: Sequence[str] | None, tr: Sequence[str] | None) -> float:
 
 
 def _last_number(words: Sequence[str] | None) -> float | None:
-    """The number behind an option such as -halo; None if there is none."""
+    """Return the last number among the words, which may include options such as -halo; None if there is none."""
     numbers = [float(word) for word in words or () if _NUMBER.fullmatch(word)]
     return numbers[-1] if numbers else None
 
 
 def _numbers(statement: str, place: int, most: int) -> tuple[tuple[float, ...], int]:
-    """Up to ``most`` numbers from ``place`` on, and the place behind them."""
+    """Return up to ``most`` numbers starting at ``place``, and the position after them."""
     numbers: list[float] = []
     while len(numbers) < most and (word := _WORD.match(statement, place)) and _NUMBER.fullmatch(word[1]):
         numbers.append(float(word[1]))
@@ -116,7 +116,7 @@ def _pair(numbers: tuple[float, ...] | str | None, default: float) -> tuple[floa
 
 
 def _matters(option: str, value: tuple[float, ...] | str) -> bool:
-    """Whether an option that is not read, or has no value, changes what is seen."""
+    """Return whether an unsupported or empty option changes the appearance."""
     if not value:
         return True
     if option in _READ or option in _OF_FILTERS:

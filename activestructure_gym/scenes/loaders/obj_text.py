@@ -1,8 +1,8 @@
-"""Wavefront OBJ as trimesh can read it: absolute indices, concave polygons as triangles, nothing beside numbers.
+"""Convert Wavefront OBJ for trimesh: absolute indices, concave polygons as triangles, no comments after numbers.
 
-trimesh counts a negative index from the end of the file; the format counts it from the line that holds it, so files
-whose vertices stand in blocks (tinyobjloader's and three.js's examples, CAD exporters) lose their shape. It also makes
-a fan of every polygon (see `polygons`). A file with neither is passed on as it is.
+trimesh counts a negative index from the end of the file. The format counts it from its own line, so files with vertices
+in blocks (examples of tinyobjloader and three.js, CAD exporters) would lose their shape. trimesh also makes a fan of
+every polygon (see `polygons`). Files with neither are unchanged.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from activestructure_gym.scenes.loaders.polygons import triangulated_if_concave
 _RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)
 _POLYGON = re.compile(r"^f(?: +[-\d/]+){4}", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\n]*")
-_COUNTED = ("v", "vt", "vn")  # what the three numbers of a corner count
+_COUNTED = ("v", "vt", "vn")  # entries counted by the three numbers of a corner
 
 
 def plain_obj(text: str) -> str:
-    """The same surface without relative indices, concave polygons, leading blanks and comments behind numbers."""
+    """Return the text without relative indices, concave polygons, leading blanks and comments after numbers.
+
+    The surface is the same.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "").replace("\t", " ")
     text = re.sub(r"^ +", "", text, flags=re.MULTILINE)
     text = _COMMENT.sub(_without_numbers_comment, text)
@@ -37,7 +40,7 @@ def plain_obj(text: str) -> str:
 
 
 def _without_numbers_comment(comment: re.Match[str]) -> str:
-    """Nothing for a comment behind numbers, which trimesh would read; any other one as it is."""
+    """Return "" for a comment after numbers, which trimesh would parse; return other comments unchanged."""
     line = comment.string.rfind("\n", 0, comment.start()) + 1
     return "" if comment.string.startswith(("f ", "v ", "vt ", "vn "), line, comment.start()) else comment[0]
 
@@ -68,7 +71,7 @@ def _split_concave(lines: list[str]) -> None:
     corners = [lines[number].split()[1:] for number in faces]
     index = np.array([int(c.partition("/")[0]) for face in corners for c in face], dtype=np.int64) - 1
     vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)
-    if not len(index) or index.min() < 0 or index.max() >= len(vertices):  # said by the loader
+    if not len(index) or index.min() < 0 or index.max() >= len(vertices):  # reported by the loader
         return
     sizes = np.array([len(face) for face in corners], dtype=np.int64)
     for face, triangles in triangulated_if_concave(vertices[index], sizes).items():

@@ -1,7 +1,7 @@
-"""How opaque the points of a mesh part are, whatever format says so.
+"""Compute the opacity of a mesh part's points, whatever the file format.
 
-A part has a factor, values at its vertices and a picture; the opacity of a point is their product. What lies below the
-cutoff is not there, and all else is solid: see `cut_out`.
+A part has a factor, values at its vertices and an image; the opacity of a point is their product. Points below the
+cutoff are removed, all others are solid: see `cut_out`.
 """
 
 from __future__ import annotations
@@ -17,50 +17,51 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SOLID_FROM = 0.5  # where a format has no cutoff of its own
-LARGEST_PICTURE = 1024  # pixels; larger pictures are shrunk. Not an option: a picture's size must not move walls
+SOLID_FROM = 0.5  # for formats without a cutoff
+LARGEST_PICTURE = 1024  # pixels; larger images are shrunk. Not an option, since an image's size must not move walls
 _ROUNDING = 1e-6  # 0.7 in float32 is less than 0.7
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue (ITU-R BT.709)
 
 
 @dataclass(frozen=True)
 class Opacity:
-    """The opacity of a part's points, from 0 to 1, and the cutoff from which they are solid."""
+    """Hold the opacity of a part's points, 0 to 1, and the cutoff above which they are solid."""
 
     factor: float = 1.0
     cutoff: float = SOLID_FROM
     vertices: np.ndarray | None = None  # [V]
     picture: np.ndarray | None = None  # [h, w] uint8
-    uv: np.ndarray | None = None  # [V, 2] of the picture, v down from its top row
-    wrap: tuple[int, int] = (REPEAT, REPEAT)  # of the picture, across and down
-    blended: bool = True  # what is solid may be translucent in the file; False = the file itself has a cutoff
+    uv: np.ndarray | None = None  # [V, 2] image coordinates, v down from the top row
+    wrap: tuple[int, int] = (REPEAT, REPEAT)  # wrap modes of the image, across and down
+    blended: bool = True  # True: solid parts may be translucent in the file; False: the file has its own cutoff
 
     @property
     def threshold(self) -> float:
-        """The opacity from which a point is solid."""
+        """Return the minimum opacity of a solid point."""
         return self.cutoff - _ROUNDING
 
     @property
     def varies(self) -> bool:
-        """Whether the opacity is curved within a face, so that a face must be split to follow it."""
+        """Return whether the opacity is nonlinear within a face, so that faces must be split."""
         return self.picture is not None and self.uv is not None
 
     def at_vertices(self, count: int) -> np.ndarray:  # [V]
-        """Return the factor times the values at the vertices, at least 0; what is not finite counts as 1."""
+        """Return the factor times the values at the vertices, at least 0; non-finite values count as 1."""
         values = np.ones(count) if self.vertices is None else np.asarray(self.vertices, dtype=np.float64)
         return np.maximum(np.where(np.isfinite(values), values, 1.0) * self.factor, 0.0)
 
 
 class OpacityPicture:
-    """Lookups in a picture of opacity: bilinear like the renderers', and bounds over rectangles."""
+    """Look up an opacity image: bilinear values, as in the renderers, and bounds over rectangles."""
 
     def __init__(self, picture: np.ndarray, wrap: tuple[int, int]) -> None:
-        self.size = np.array(picture.shape[::-1])  # pixels across and down, as the coordinates count them
+        self.size = np.array(picture.shape[::-1])  # pixels across and down, in the order of coordinates
         self._clamps = tuple(mode == CLAMP for mode in wrap)
         for axis, mode in zip((1, 0), wrap):
-            if mode == MIRROR:  # the same as repeating the picture and its mirror image
+            if mode == MIRROR:  # equivalent to repeating the image and its mirror image
                 picture = np.concatenate([picture, np.flip(picture, axis)], axis)
-        self._lowest, self._highest = [picture], [picture]  # over squares of 1, 2, 4, ... pixels from a pixel on
+        # minima and maxima over squares of 1, 2, 4, ... pixels starting at a pixel
+        self._lowest, self._highest = [picture], [picture]
         for level in range((max(picture.shape) - 1).bit_length()):
             self._lowest.append(self._doubled(self._lowest[-1], 1 << level, np.minimum))
             self._highest.append(self._doubled(self._highest[-1], 1 << level, np.maximum))
@@ -80,7 +81,7 @@ class OpacityPicture:
         return table[self._inside(down, height, self._clamps[1]), self._inside(across, width, self._clamps[0])]
 
     def at(self, pixels: np.ndarray) -> np.ndarray:  # [..., 2] pixels from the corner -> [...] in 0..1
-        """Return the opacity at these places, bilinear between the centres of the pixels."""
+        """Return the opacity at these positions, bilinear between pixel centres."""
         corner = np.floor(pixels - 0.5)
         (x, y), (right, below) = np.moveaxis(corner.astype(np.int64), -1, 0), np.moveaxis(pixels - 0.5 - corner, -1, 0)
         upper, lower = (
@@ -90,10 +91,10 @@ class OpacityPicture:
         return ((1.0 - below) * upper + below * lower) / 255.0
 
     def bounds(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P, 2] pixels -> [P] each
-        """Return lower and upper bounds of the opacity over rectangles: never too narrow, sometimes too wide."""
+        """Return bounds of the opacity over rectangles: valid, but not always tight."""
         first, last = np.floor(low - 0.5).astype(np.int64), np.floor(high - 0.5).astype(np.int64) + 1
         longest = (last - first + 1).max(axis=1)
-        # Four squares of at least half the side cover the rectangle.
+        # Four squares of at least half the side length cover the rectangle.
         levels = np.minimum(np.ceil(np.log2(np.maximum(longest / 2, 1))).astype(np.int64), len(self._lowest) - 1)
         lowest, highest = np.empty(len(low)), np.empty(len(low))
         for level in np.unique(levels):
@@ -109,7 +110,7 @@ class OpacityPicture:
         return lowest, highest
 
     def _exact_bounds(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P] each
-        """Return the bounds over rectangles of at most two cells along each axis: those at the corners in the cells."""
+        """Return exact bounds over rectangles of at most two cells along each axis, from the cells' corners."""
         seam = np.maximum(np.floor(high - 0.5) + 0.5, low)
         grid = np.stack([low, seam, high])  # [3, P, 2]
         values = [self.at(np.stack([x[:, 0], y[:, 1]], axis=1)) for x in grid for y in grid]
@@ -117,9 +118,9 @@ class OpacityPicture:
 
 
 def opacity_picture(image: Image, channel: str) -> np.ndarray | None:  # [h, w] uint8
-    """Return one channel of a picture as opacity; None where the picture has no such channel.
+    """Return one channel of an image as opacity; None if the image lacks it.
 
-    ``channel`` is "alpha", "luminance", "r", "g", "b", or "either": alpha where some of it is below 1, else luminance.
+    ``channel`` is "alpha", "luminance", "r", "g", "b", or "either": alpha if some of it is below 1, else luminance.
     """
     alpha = _alpha(image) if channel in ("alpha", "either") else None
     if channel == "either":

@@ -1,7 +1,7 @@
-"""PLY as trimesh can read it: a header without pitfalls, with the names of colours that trimesh knows.
+"""Convert PLY for trimesh: a simplified header with the colour names that trimesh knows.
 
-trimesh takes the second line for the format whatever it says, and ends the header at the first line that holds the word
-end_header, a comment too.
+trimesh always reads the second line as the format, and ends the header at the first line with the word end_header, even
+in a comment.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import replace
 from activestructure_gym.ply_header import PlyElement, header_bytes, read_header
 
 _COLORS = ("red", "green", "blue", "alpha")
-# What other programs call them; the first three names that an element has are its colour.
+# Names in other programs; the first set of three that an element has is its colour.
 _OTHER_NAMES = tuple(
     tuple(pattern.format(color, color[0]) for color in _COLORS)
     for pattern in ("{0}", "diffuse_{0}", "{1}", "color_{0}", "colour_{0}", "vertex_{0}", "diffuse_{1}", "color_{1}")
@@ -22,9 +22,9 @@ _PICTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(.*?)[ \t\r]*$", re.MULT
 
 
 def plain_ply(data: bytes) -> tuple[bytes, list[str]]:
-    """Return the same file with a plain header, and the names of its pictures; trimesh reads the first one.
+    """Return the file with a simplified header, and the names of its images; trimesh reads the first one.
 
-    A header that cannot be read is left as it is.
+    An unreadable header is unchanged.
     """
     stream = io.BytesIO(data)
     header = read_header(stream)
@@ -38,7 +38,7 @@ def plain_ply(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _with_known_colors(element: PlyElement) -> PlyElement:
-    """Return the element with its colour called red, green, blue and alpha."""
+    """Return the element with its colour properties renamed to red, green, blue and alpha."""
     names = {one.name.lower(): one.name for one in element.properties if not one.count_kind}
     found = next((given for given in _OTHER_NAMES if all(name in names for name in given[:3])), ())
     taken = {one.name for one in element.properties}

@@ -1,6 +1,6 @@
-"""Polygons as triangles: fans where they are convex, ears where they are not.
+"""Convert polygons to triangles: fans for convex ones, ear clipping for concave ones.
 
-A fan over a concave polygon covers what lies outside of it too: a wall with a doorway would lose its doorway.
+A fan over a concave polygon also covers area outside it: a wall would lose its doorway.
 """
 
 from __future__ import annotations
@@ -9,20 +9,17 @@ import numpy as np
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
-# Sine of the angle by which a corner has to turn back before its polygon counts as concave: float32 positions of a
-# small face far from the origin turn by less.
+# Sine of the angle by which a corner of a concave polygon must turn back. Float32 errors of a small face far from the
+# origin stay below it.
 _TURN = 1e-4
-_MOST_CORNERS = (
-    10_000  # of a concave polygon: ear clipping takes a third of a second then, and four times that for twice
-)
+_MOST_CORNERS = 10_000  # of a concave polygon: ear clipping then takes a third of a second, and grows with the square
 
 
 def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles [F, 3] over the corners of polygons, and the polygon [F] each comes from, in the polygons' order.
+    """Return triangles [F, 3] over the corners of polygons, and the polygon index [F] of each, in order.
 
-    Args:
-        points: [C, 3] corners of all polygons, one polygon after the other, each going around.
-        sizes: [P] corners of each polygon; one with fewer than 3 has no triangle.
+    Args: points: [C, 3] corners of all polygons, concatenated, each in order around its polygon. sizes: [P] number of
+    corners of each polygon; fewer than 3 give no triangle.
     """
     fans = np.maximum(sizes - 2, 0)
     polygon = np.repeat(np.arange(len(sizes)), fans)
@@ -41,10 +38,10 @@ def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def triangulated_if_concave(points: np.ndarray, sizes: np.ndarray) -> dict[int, np.ndarray]:
-    """Triangles [F, 3], over its own corners, of each polygon (arguments of `triangulated`) that is concave."""
+    """Return triangles [F, 3], over its own corners, of each concave polygon (arguments of `triangulated`)."""
     starts = np.cumsum(sizes) - sizes
     polygon, corner = concave_corners(points, sizes)
-    # Scans have many quads that are a little concave: these are split at the corner that turns back.
+    # Scans have many slightly concave quads, which are split at the corner that turns back.
     quads = sizes[polygon] == 4
     ears = {index: _QUAD[place % 2] for index, place in zip(polygon[quads].tolist(), corner[quads].tolist())}
     for index in np.unique(polygon[~quads]).tolist():
@@ -56,18 +53,18 @@ _QUAD = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]])  # through co
 
 
 def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Polygon and own corner wherever a polygon (arguments of `triangulated`) is concave; none without an area."""
+    """Return polygon and corner index of all concave corners (arguments of `triangulated`)."""
     if not (sizes > 3).any():
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     polygon = np.repeat(np.arange(len(sizes)), sizes)
-    wide = (sizes > 3)[polygon]  # triangles cannot be concave, and most meshes have nothing else
+    wide = (sizes > 3)[polygon]  # triangles cannot be concave, and most meshes have only triangles
     corner = np.flatnonzero(wide)
     starts, polygon = (np.cumsum(sizes) - sizes)[polygon[wide]], polygon[wide]
     place, around = corner - starts, sizes[polygon]
     here = points[corner]
     incoming = here - points[starts + (place - 1) % around]
     outgoing = points[starts + (place + 1) % around] - here
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is reported by the loader
+    with np.errstate(invalid="ignore", over="ignore"):  # non-finite values are reported by the loader
         normals = np.zeros((len(sizes), 3))  # Newell: twice the area vector
         np.add.at(normals, polygon, np.cross(here - points[starts], outgoing))
         normals = normals[polygon]
@@ -78,22 +75,22 @@ def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, 
 
 
 def ear_clipped(points: np.ndarray, rings: tuple[int, ...] = ()) -> np.ndarray:  # [F, 3] indices of ``points``
-    """Triangles of one flat polygon [C, 3]; ``rings`` are the ends of its outline and holes (default: no holes)."""
+    """Return the triangles of one planar polygon [C, 3]; ``rings`` are the ends of its outline and holes."""
     import mapbox_earcut
 
     if len(points) > _MOST_CORNERS:
         raise UnreadableMesh(
             f"one of its concave polygons has {len(points):,} corners, more than {_MOST_CORNERS:,}: triangulate it"
         )
-    if not np.isfinite(points).all():  # said by the loader
+    if not np.isfinite(points).all():  # reported by the loader
         return np.array([[0, k, k + 1] for k in range(1, len(points) - 1)]).reshape(-1, 3)
     ends = np.array(rings or (len(points),), np.uint32)
     outline = points[: ends[0]]
     normal = np.cross(outline - outline[0], np.roll(outline, -1, axis=0) - outline).sum(axis=0)
-    # Seen along the axis that the polygon faces most; coordinates stay what they are.
+    # Project along the polygon's dominant axis; the other coordinates are unchanged.
     flat = np.ascontiguousarray(np.delete(points, np.abs(normal).argmax(), axis=1), dtype=np.float64)
     triangles = mapbox_earcut.triangulate_float64(flat, ends).astype(np.int64).reshape(-1, 3)
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    turned = np.cross(b - a, c - a) @ normal < 0  # ears come in the direction of the 2D axes
+    turned = np.cross(b - a, c - a) @ normal < 0  # ears are ordered in the 2D axes
     triangles[turned] = triangles[turned][:, ::-1]
     return triangles

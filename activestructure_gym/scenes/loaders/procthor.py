@@ -1,11 +1,10 @@
-"""Houses of ProcTHOR and AI2-THOR as JSON, without the assets: walls with their doorways and windows, floors, ceilings,
-and boxes for furniture.
+"""Load houses of ProcTHOR and AI2-THOR from JSON, with boxes instead of furniture assets.
 
-A file is one house (``house.json``) or one per line (``train.jsonl``, also gzipped). Positions are metres with y up in
-a left-handed frame; swapping y and z makes them ours. Of an object the house holds the middle of its box and how it is
-turned, not how large it is: the height follows from the middle of what stands on the floor, its sides are usual ones
-of its kind (own choice). Doors stand open where both sides are rooms, and closed where they lead outside; window panes
-and outer doors close the house. Source of the layout: [procthor].
+Included are walls with doorways and windows, floors and ceilings. A file is one house (``house.json``) or one per line
+(``train.jsonl``, also gzipped). Positions are metres with y up in a left-handed frame; swapping y and z gives this
+project's frame. The house holds position and rotation of an object, but not its size. Its height follows from the
+centre height of objects on the floor; its sides are typical of its kind (own choice). Doors between rooms are open,
+outer doors closed; window panes and outer doors close the house. Source of the layout: [procthor].
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ SUFFIXES = (".json", ".jsonl", ".json.gz", ".jsonl.gz")
 _MOST_OBJECTS, _MOST_WALLS = 5000, 5000
 _LARGEST_HOUSE = 64 << 20  # bytes of one house
 
-# Sides and height in metres where the house does not say: by the first word of an asset's name that is listed.
+# Default width, depth and height in metres, by the first listed word in an asset's name.
 SIZES = {
     "bed": (1.6, 2.0, 0.6), "sofa": (2.0, 0.9, 0.8), "arm chair": (0.9, 0.9, 0.9), "chair": (0.5, 0.5, 0.9),
     "stool": (0.4, 0.4, 0.6), "dining table": (1.6, 0.9, 0.75), "coffee table": (1.1, 0.6, 0.45),
@@ -46,19 +45,16 @@ SIZES = {
     "garbage": (0.35, 0.35, 0.5), "bin": (0.35, 0.35, 0.5), "painting": (0.7, 0.05, 0.5), "box": (0.4, 0.3, 0.3),
 }  # fmt: skip
 _USUAL = (0.4, 0.4, 0.4)
-_SMALL = (0.15, 0.15, 0.15)  # what stands on something else
+_SMALL = (0.15, 0.15, 0.15)  # objects on other objects
 
 
 def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects: bool = True) -> Scene:
-    """A house of ProcTHOR.
+    """Load a house of ProcTHOR.
 
-    Args:
-        path: a house as JSON, or a file with one per line, ``.jsonl`` or ``.jsonl.gz``.
-        house: which of them, from 0 on.
-        objects: whether boxes stand for the furniture.
+    Args: path: a house as JSON, or a file with one per line, ``.jsonl`` or ``.jsonl.gz``. house: index of the house in
+    the file, from 0. objects: whether to add boxes for the furniture.
 
-    Raises:
-        InputError: the file, or that house in it, is not there or no house.
+    Raises: InputError: the file or the house in it is missing or invalid.
     """
     path = Path(os.path.expanduser(path))
     if not path.is_file():
@@ -81,7 +77,7 @@ def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects
 
 
 def _text(path: Path, house: int) -> bytes:
-    """The bytes of one house."""
+    """Return the bytes of one house."""
     if house < 0:
         raise UnreadableMesh(f"houses are counted from 0 on, got {house}")
     data = SceneBudget().read(path)
@@ -133,7 +129,7 @@ def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
 
 
 class _Wall:
-    """An upright rectangle with rectangular holes."""
+    """Represent an upright rectangle with rectangular holes."""
 
     def __init__(self, wall: dict[str, Any]) -> None:
         self.id = str(wall["id"])
@@ -146,7 +142,7 @@ class _Wall:
             raise UnreadableMesh(f"the wall {shown(wall['id'])} has no width or no height")
         self.along = np.array([along[0], along[1], 0.0]) / self.width
         self.tint = _tint(_material(wall.get("material")), "wall")
-        self.empty = bool(wall.get("empty"))  # two rooms are one there: it says where it would stand
+        self.empty = bool(wall.get("empty"))  # a boundary within one space, without a wall
         self.holes: list[tuple[float, float, float, float]] = []  # left, right, bottom, top in metres
 
     def at(self, x: float, y: float) -> np.ndarray:  # metres along and up -> [3]
@@ -154,7 +150,7 @@ class _Wall:
         return place
 
     def part(self) -> MeshPart:
-        """The rectangle without its holes."""
+        """Return the rectangle without its holes."""
         xs = sorted({0.0, self.width, *(x for hole in self.holes for x in hole[:2])})
         ys = sorted({0.0, self.height, *(y for hole in self.holes for y in hole[2:])})
         quads = [
@@ -170,9 +166,9 @@ class _Wall:
 
 
 def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door: bool) -> list[MeshPart]:
-    """Cut a doorway or a window out of both walls it is in; what closes it, if something does."""
+    """Cut a doorway or window out of both walls that contain it; return the panel that closes it, if any."""
     first = walls[str(hole["wall0"])]
-    corners = _points(hole["holePolygon"])  # of the first wall: along it, up it
+    corners = _points(hole["holePolygon"])  # relative to the first wall: along it and up
     (left, bottom), (right, top) = corners[:, [0, 2]].min(axis=0), corners[:, [0, 2]].max(axis=0)
     ends = [first.at(x, 0.0) for x in (left, right)]
     for wall in dict.fromkeys((first, walls.get(str(hole.get("wall1")), first))):
@@ -188,17 +184,17 @@ def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door
 
 
 def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
-    """A box for an object, and for what stands on it."""
+    """Return a box for an object, and for the objects on it."""
     name = re.sub(r"(?<=[a-z])(?=[A-Z])|[_|]", " ", str(thing.get("assetId") or thing.get("id", ""))).lower()
     middle = _points([thing["position"]])[0]
     usual = next((size for kind, size in SIZES.items() if kind in name), _USUAL) if on_floor else _SMALL
-    # The middle of what stands on the floor is half as high as it is; of what hangs it says nothing.
+    # An object on the floor is twice as high as its centre; a hanging object gets the default height.
     height = 2.0 * float(middle[2]) if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * usual[2] else usual[2]
     rotation = thing.get("rotation") or {}
     degrees = float(rotation.get("y", 0.0))
     if not abs(degrees) < 1e6:
         raise UnreadableMesh(f"the rotation of {shown(thing.get('id', name))} is no finite number of degrees")
-    turn = np.radians(-degrees)  # clockwise from above in their frame
+    turn = np.radians(-degrees)  # clockwise from above in ProcTHOR's frame
     corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
     corners *= 0.5 * np.array([usual[0], usual[1], height])
     spin = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
@@ -229,7 +225,7 @@ def _quads(quads: np.ndarray, tint: tuple[float, float, float]) -> MeshPart:  # 
 
 
 def _tint(*words: str) -> tuple[float, float, float]:
-    """A quiet colour that is always the same for the same words."""
+    """Return a muted colour that is a hash of the words."""
     number = zlib.crc32(" ".join(words).encode())
     return colorsys.hls_to_rgb(number % 360 / 360, 0.45 + (number >> 9) % 30 / 100, 0.2 + (number >> 17) % 30 / 100)
 

@@ -1,4 +1,4 @@
-"""Find the files that a mesh refers to, however exporters spell them, and nothing else on the disk."""
+"""Find the files that a mesh refers to, with common misspellings by exporters, and no other files."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from urllib.parse import unquote
 
 from activestructure_gym.scenes.loaders.budget import LimitError
 
-# Where pictures are kept, as seen from the folder of the mesh: Gazebo's models have meshes/ beside materials/textures/.
+# Image folders relative to the mesh's folder; Gazebo's models have meshes/ and materials/textures/.
 PICTURE_FOLDERS = ("textures", "materials/textures", "../textures", "../materials/textures")
 
-_COMMENT = re.compile(r"\s+#")  # behind a name in an OBJ or MTL file; a name may hold it too
+_COMMENT = re.compile(r"\s+#")  # after a name in an OBJ or MTL file; a name may contain it too
 
 
 def find_reference(base: Path, reference: str, *, climb: int = 1, folders: Sequence[str] = ()) -> Path:
-    """Return the file a mesh in ``base`` refers to: relative to that folder, ``../`` and absolute paths included.
+    """Return the file that a mesh in ``base`` refers to, relative to that folder, with ``../`` and absolute paths.
 
     Exporters write percent escapes, backslashes, ``file://``, options or a comment around the name (OBJ), or the path
-    on the author's disk. After the path as it is written come the bare file name in ``base`` and in ``folders``, and
-    at last names that differ in upper and lower case. Nothing is opened outside the folder ``climb`` levels above the
-    mesh: models come as ``meshes/`` beside ``textures/``, and a file of a stranger has no business anywhere else.
-    Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
+    on the author's disk. The path as written is tried first, then the file name in ``base`` and ``folders``, then names
+    that differ in case. Only files below the folder ``climb`` levels above the mesh are accepted, since models often
+    have ``meshes/`` next to ``textures/`` and foreign files must not read elsewhere. Symbolic links are followed; data
+    stores use many. Raises FileNotFoundError.
     """
     name = reference.strip().strip('"')
     spellings = [reference, name, unquote(name), _COMMENT.split(name)[0]]
-    spellings += name.split()[-1:] if name.startswith("-") else []  # an option that no specification has
+    spellings += name.split()[-1:] if name.startswith("-") else []  # an option outside all specifications
     spellings += [spelling.replace("\\", "/") for spelling in spellings]
     spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
     names = dict.fromkeys(os.path.basename(spelling.rstrip("/")) for spelling in spellings)
@@ -56,7 +56,7 @@ def _is_inside(path: str, root: Path) -> bool:
 
 
 def _in_other_case(path: str, root: Path) -> str:
-    """The path under ``root`` that differs in upper and lower case only, as Windows takes it; "" if there is none."""
+    """Return the path under ``root`` that differs only in case, as Windows would find it; "" if there is none."""
     found = str(root)
     for part in os.path.abspath(path)[len(os.path.join(root, "")) :].split(os.sep):
         entries = _entries(found)
@@ -70,11 +70,11 @@ def _in_other_case(path: str, root: Path) -> str:
 def _entries(folder: str) -> dict[str, str]:
     try:
         return _listed(folder, os.stat(folder).st_mtime_ns)
-    except OSError:  # a file, or a folder that may not be read
+    except OSError:  # a file, or an unreadable folder
         return {}
 
 
 @lru_cache(maxsize=16)
 def _listed(folder: str, changed: int) -> dict[str, str]:
-    """The names in a folder by their small letters; of several the first in the order of the alphabet."""
+    """Return the names in a folder by their case-folded form; of several the first in sorted order."""
     return {name.casefold(): name for name in sorted(os.listdir(folder), reverse=True)}

@@ -1,10 +1,9 @@
-"""Replica scenes in the folder layout they are published in, with the objects' labels where the file has them.
+"""Load Replica scenes in their published folder layout, with object labels if available.
 
-``<scene>/mesh.ply`` (quads or triangles with vertex colours), ``<scene>/habitat/mesh_semantic.ply`` (the same with an
-object id per face), ``<scene>/habitat/info_semantic.json`` (what the ids are) and
-``<scene>/habitat/replica_stage.stage_config.json`` (which of them to use). Metres, z up. PTex textures
-(``textures/``), glass surfaces and navmeshes are not read. Source of the layout: [replica], its README and
-PLY parser.
+Files: ``<scene>/mesh.ply`` (quads or triangles with vertex colours), ``<scene>/habitat/mesh_semantic.ply`` (the same
+with an object id per face), ``<scene>/habitat/info_semantic.json`` (names of the ids) and
+``<scene>/habitat/replica_stage.stage_config.json`` (which of them to use). Metres, z up. PTex textures (``textures/``),
+glass surfaces and navmeshes are ignored. Source of the layout: [replica], its README and PLY parser.
 """
 
 from __future__ import annotations
@@ -38,25 +37,23 @@ from activestructure_gym.scenes.loaders.sequence import load_sequence
 from activestructure_gym.scenes.loaders.upright import DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene
 
-# Replica's class names that are the building itself; everything else stands or hangs in it.
+# Replica's class names of the building; all other classes are objects.
 STRUCTURAL_CLASSES = frozenset(("wall", "floor", "ceiling", "door", "window", "beam", "pillar", "stair"))
 
-_OWN_FILES = ("habitat", "textures", "traj.txt", "semantic.json", "preseg.json", "glass.sur")  # beside mesh.ply
-_FIRST_FACE = 256  # bytes that hold its number of corners
+_OWN_FILES = ("habitat", "textures", "traj.txt", "semantic.json", "preseg.json", "glass.sur")  # next to mesh.ply
+_FIRST_FACE = 256  # bytes that contain its number of corners
 
 
 def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathLike[str] | None = None) -> Scene:
-    """A Replica scene.
+    """Load a Replica scene.
 
-    Args:
-        path: the scene's folder, or its name (``office_0``) with the dataset's folder in ``ASG_REPLICA`` (see
-            `activestructure_gym.scenes.datasets`), its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the
-            stage config json; also a NICE-SLAM sequence folder that has ``<folder>_mesh.ply`` or ``<folder>.ply``
-            beside it.
-        sequence: folder of a posed RGB-D sequence of the scene (NICE-SLAM layout), kept as its evaluation views.
+    Args: path: the scene's folder, its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the stage config
+    json. Also its name (``office_0``) with the dataset's folder in ``ASG_REPLICA`` (see
+    `activestructure_gym.scenes.datasets`), or a NICE-SLAM sequence folder with ``<folder>_mesh.ply`` or
+    ``<folder>.ply`` next to it. sequence: folder of a posed RGB-D sequence of the scene (NICE-SLAM layout), used as its
+    evaluation views.
 
-    Raises:
-        InputError: nothing of the kind is there, or a file is broken.
+    Raises: InputError: the scene is missing, or a file is damaged.
     """
     path = find_scene(REPLICA, path)
     if path.name in ("", ".."):  # "." has a name too
@@ -81,9 +78,9 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
 
 
 def is_replica(path: Path) -> bool:
-    """Whether the path looks like a part of a Replica scene (used to guess what a bare path is).
+    """Return whether the path looks like part of a Replica scene (identifies paths without prefix).
 
-    Many tools call their mesh mesh.ply: with nothing of the dataset beside it, only one of quads is Replica's.
+    Many tools name their mesh mesh.ply: without other files of the dataset, only one of quads counts as Replica's.
     """
     if not path.is_dir():
         return path.name == "mesh_semantic.ply" or path.name.endswith(".stage_config.json")
@@ -96,7 +93,7 @@ def is_replica(path: Path) -> bool:
 
 
 def _has_quads(mesh_file: Path) -> bool:
-    """Whether this is a binary PLY whose first face is a quad."""
+    """Return whether this is a binary PLY whose first face is a quad."""
     try:
         with open(mesh_file, "rb") as file:
             vertices, faces = _elements(read_header(file))
@@ -107,7 +104,7 @@ def _has_quads(mesh_file: Path) -> bool:
 
 
 def _mesh_file(path: Path) -> tuple[Path, Path]:
-    """The mesh to read, and the scene's folder (which names the scene)."""
+    """Return the mesh to read, and the scene's folder (which names the scene)."""
     if path.name.endswith(".json"):
         return _from_stage_config(path)
     if not path.exists() and not REPLICA.meshes_beside(path):
@@ -138,7 +135,7 @@ def _from_stage_config(path: Path) -> tuple[Path, Path]:
         raise InputError(f"there is no stage config '{path}'")
     config = read_json(path, "a stage config (JSON with render_asset)", lambda given: dict(given))
     assets = [config[key] for key in ("semantic_asset", "render_asset") if isinstance(config.get(key), str)]
-    for asset in assets:  # the semantic mesh is the same surface, and has labels
+    for asset in assets:  # the semantic mesh is the same surface, with labels
         if not asset.lower().endswith(".ply"):
             continue
         try:
@@ -151,10 +148,10 @@ def _from_stage_config(path: Path) -> tuple[Path, Path]:
 
 
 def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-    """Vertices [V, 3], triangles [F, 3], colours [V, 3] or [3], and object id per triangle or None.
+    """Return vertices [V, 3], triangles [F, 3], colours [V, 3] or [3], and object id per triangle or None.
 
-    A binary PLY whose faces are all triangles or all quads is a plain array of records; anything else of the kind is
-    not what Replica publishes. trimesh would read it, but loses which quad a triangle came from.
+    Replica publishes binary PLY files whose faces are all triangles or all quads: plain arrays of records. Other files
+    are refused. trimesh would read them, but loses the quad of each triangle.
     """
     budget = SceneBudget()
     try:
@@ -193,7 +190,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         raise InputError(
             f"'{path}' is not a Replica mesh (binary PLY of quads or triangles): {in_words(error)}"
         ) from error
-    # Quad (a, b, c, d) becomes (a, b, c) and (c, d, a), one after the other.
+    # Quad (a, b, c, d) becomes (a, b, c) and (c, d, a), consecutively.
     faces = polygons if corners == 3 else polygons[:, [0, 1, 2, 2, 3, 0]].reshape(-1, 3)
     object_ids = None
     if face.dtype.names and "object_id" in face.dtype.names:
@@ -202,7 +199,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _elements(header: PlyHeader | None) -> tuple[PlyElement, PlyElement]:
-    """The vertices and the faces, which come first."""
+    """Return the vertex and face elements, which must come first."""
     if header is None or not header.complete and not header.unreadable:
         raise UnreadableMesh("it has no PLY header")
     if header.format not in ("", BINARY_LITTLE_ENDIAN):
@@ -220,12 +217,12 @@ def _vertex_dtype(vertices: PlyElement) -> np.dtype:
 
 
 def _number(kind: str) -> str:
-    """The numpy type of a type as the file names it."""
+    """Return the numpy type of a type name in the file."""
     return NUMPY_ORDERS[BINARY_LITTLE_ENDIAN] + NUMPY_TYPES[kind]
 
 
 def _corner_count(data: bytes, start: int, properties: Sequence[PlyProperty]) -> int:
-    """Number of corners of the first face."""
+    """Return the number of corners of the first face."""
     for one in properties:
         if one.count_kind:
             corners = int(np.frombuffer(data, _number(one.count_kind), 1, start)[0])
@@ -237,7 +234,7 @@ def _corner_count(data: bytes, start: int, properties: Sequence[PlyProperty]) ->
 
 
 def _labels(info_file: Path, object_ids: np.ndarray) -> PartLabels:
-    """Parts are the objects in the order of their ids; without the info file they are only numbered."""
+    """Return the objects as parts, sorted by id; without the info file they are only numbered."""
     ids, face_part = np.unique(object_ids, return_inverse=True)
     names = {}
     if info_file.is_file():

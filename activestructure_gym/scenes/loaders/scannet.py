@@ -1,9 +1,9 @@
-"""Scans of ScanNet and ScanNet++ in the folder layouts they are published in; metres, z up.
+"""Load scans of ScanNet and ScanNet++ in their published folder layouts; metres, z up.
 
-ScanNet: ``<scan>/<scan>_vh_clean_2.ply`` and ``<scan>/<scan>.txt``, whose line ``axisAlignment`` holds the 16 numbers,
-row by row, of the motion that turns the walls along the axes; scans without such a line stay as
-they are. ScanNet++: ``<scene>/scans/mesh_aligned_0.05.ply``, aligned already. Recorded frames (``.sens``, DSLR, iPhone)
-and labels are not read. Source of the layouts: [scannet], README of its code; [scannetpp], its toolkit.
+ScanNet: ``<scan>/<scan>_vh_clean_2.ply`` and ``<scan>/<scan>.txt``. Its line ``axisAlignment`` holds, row by row, the
+16 numbers of the transform that aligns the walls with the axes; without it the scan is not transformed. ScanNet++:
+``<scene>/scans/mesh_aligned_0.05.ply``, already aligned. Recorded frames (``.sens``, DSLR, iPhone) and labels are
+ignored. Source of the layouts: [scannet], README of its code; [scannetpp], its toolkit.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from activestructure_gym.scenes.scene import Scene
 
 _SCANNET_MESH = "_vh_clean_2.ply"
 _SCANNETPP_MESH = Path("scans") / "mesh_aligned_0.05.ply"
-_RIGID = 1e-3  # the files write six decimals
-_FARTHEST = 1e4  # metres that an alignment moves a scan
+_RIGID = 1e-3  # the files have six decimals
+_FARTHEST = 1e4  # metres; largest translation of an alignment
 
 
 def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
-    """A ScanNet scan from its folder ``scans/scene0000_00`` or its mesh ``scene0000_00_vh_clean_2.ply``.
+    """Load a ScanNet scan from its folder ``scans/scene0000_00`` or its mesh ``scene0000_00_vh_clean_2.ply``.
 
-    Raises `InputError` where the mesh or the text file beside it is missing or cannot be read.
+    Raises `InputError` if the mesh or its text file is missing or cannot be read.
     """
     path = Path(os.path.abspath(os.path.expanduser(path)))
     mesh_file = path / f"{path.name}{_SCANNET_MESH}" if path.is_dir() else path
@@ -45,9 +45,9 @@ def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def load_scannetpp_scene(path: str | os.PathLike[str]) -> Scene:
-    """A ScanNet++ scene from its folder ``data/<scene>`` or its mesh ``scans/mesh_aligned_0.05.ply``.
+    """Load a ScanNet++ scene from its folder ``data/<scene>`` or its mesh ``scans/mesh_aligned_0.05.ply``.
 
-    Raises `InputError` where the mesh is missing or cannot be read.
+    Raises `InputError` if the mesh is missing or cannot be read.
     """
     path = Path(os.path.abspath(os.path.expanduser(path)))
     mesh_file = path / _SCANNETPP_MESH if path.is_dir() else path
@@ -60,7 +60,7 @@ def load_scannetpp_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def is_scannet(path: Path) -> bool:
-    """Whether the path is a ScanNet scan with its text file (used to tell what a bare path is)."""
+    """Return whether the path is a ScanNet scan with its text file (identifies paths without prefix)."""
     path = Path(os.path.abspath(path))
     mesh_file = path / f"{path.name}{_SCANNET_MESH}" if path.is_dir() else path
     name = mesh_file.name.removesuffix(_SCANNET_MESH)
@@ -68,14 +68,17 @@ def is_scannet(path: Path) -> bool:
 
 
 def is_scannetpp(path: Path) -> bool:
-    """Whether the path is a ScanNet++ scene (used to tell what a bare path is)."""
+    """Return whether the path is a ScanNet++ scene (identifies paths without prefix)."""
     if path.is_dir():
         return (path / _SCANNETPP_MESH).is_file()
     return path.name == _SCANNETPP_MESH.name and path.is_file()
 
 
 def axis_alignment(path: Path) -> np.ndarray:  # [4, 4]
-    """The motion that a scan's text file names, none where it names none; raises `InputError` where it is not there."""
+    """Return the transform in a scan's text file, or the identity without one.
+
+    Raises `InputError` if the file is missing or invalid.
+    """
     if not path.is_file():
         raise InputError(
             f"there is no '{path}', the text file of a ScanNet scan with its axisAlignment; download it, or load the "

@@ -1,7 +1,8 @@
-"""Posed RGB-D sequences in the layout of NICE-SLAM's Replica download ([nice_slam, code]).
+"""Read posed RGB-D sequences in the layout of NICE-SLAM's Replica download ([nice_slam, code]).
 
-``cam_params.json`` (one level up or beside), ``<room>/traj.txt`` (16 numbers per line, row by row: camera to world,
-OpenCV axes) and ``<room>/results/frame%06d.jpg`` with ``depth%06d.png`` (uint16; metres = value / scale, 0 = none).
+Files: ``cam_params.json`` (in the folder or one level up), ``<room>/traj.txt`` (16 numbers per line, row by row: camera
+to world, OpenCV axes), ``<room>/results/frame%06d.jpg`` and ``depth%06d.png`` (uint16; metres = value / scale, 0 =
+none).
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from activestructure_gym.scenes.loaders.json_files import read_json
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MOST_PIXELS = 1 << 23  # of a frame: 4K video; evaluations hold dozens of frames
-_DEPTH_MODES = ("I;16", "I;16B", "I", "L")  # Pillow's names of one channel of whole numbers
+MOST_PIXELS = 1 << 23  # per frame: 4K video; evaluations hold dozens of frames in memory
+_DEPTH_MODES = ("I;16", "I;16B", "I", "L")  # Pillow modes of single-channel integer images
 
 
 @dataclass(frozen=True)
 class PosedSequence:
-    """Recorded frames with their poses; images are read from disk when asked for."""
+    """Hold recorded frames with their poses; images are read from disk on demand."""
 
     camera: PinholeCamera
     world_from_camera: np.ndarray  # [T, 4, 4] float64
@@ -41,7 +42,7 @@ class PosedSequence:
         return len(self.rgb_files)
 
     def frame(self, index: int) -> Frame:
-        """Frame ``index`` as a sensor would have returned it. Raises `InputError` for a broken image."""
+        """Return frame ``index`` in the form of a sensor's frame. Raises `InputError` for a damaged image."""
         rgb = self._image(self.rgb_files[index]).convert("RGB")
         depth_file = self.depth_files[index]
         depth = self._image(depth_file)
@@ -65,16 +66,16 @@ class PosedSequence:
             image.load()
         except InputError:
             raise
-        except Exception as error:  # Pillow raises whatever the codec raises
+        except Exception as error:  # Pillow raises any error of the codec
             reason = f": it {error}" if isinstance(error, LimitError) else ""
             raise InputError(f"'{file}' cannot be read as an image{reason}") from error
         return image
 
 
 def load_sequence(path: str | os.PathLike[str]) -> PosedSequence:
-    """The sequence in a folder with ``traj.txt`` and ``results/``; no image is read yet.
+    """Load the sequence in a folder with ``traj.txt`` and ``results/``, without reading images.
 
-    Raises `InputError` where a file is missing, numbers and images do not match, or a pose is no rigid motion.
+    Raises `InputError` if a file is missing, numbers and images do not match, or a pose is not rigid.
     """
     path = Path(os.path.expanduser(path))
     if not path.is_dir():
@@ -112,15 +113,16 @@ def _poses(file: Path) -> np.ndarray:  # [T, 4, 4]
 
 def _is_rigid(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T] bool
     finite = np.isfinite(poses).all(axis=(1, 2))
-    poses = np.where(finite[:, None, None] & (np.abs(poses) < 1e6), poses, 0.0)  # metres; what overflows is no motion
+    # metres; overflowing values are invalid
+    poses = np.where(finite[:, None, None] & (np.abs(poses) < 1e6), poses, 0.0)
     rotation = poses[:, :3, :3]
-    # 1e-3: trajectories are written with 4 to 18 digits.
+    # 1e-3, since trajectories are written with 4 to 18 digits.
     orthogonal = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= 1e-3
     return orthogonal & (np.linalg.det(rotation) > 0) & (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) <= 1e-6)
 
 
 def _numbered(folder: Path, prefix: str) -> tuple[Path, ...]:
-    """The images ``<prefix><number>.*`` in the order of their numbers."""
+    """Return the images ``<prefix><number>.*`` sorted by number."""
     files = [f for f in folder.glob(f"{prefix}*") if f.suffix.lower() in (".jpg", ".jpeg", ".png")]
     numbers = {f: f.stem.removeprefix(prefix) for f in files}
     return tuple(sorted((f for f in files if numbers[f].isdecimal()), key=lambda f: int(numbers[f])))
@@ -143,7 +145,7 @@ def _camera(path: Path) -> tuple[PinholeCamera, float]:
 
 def _parsed_camera(given: Any) -> tuple[PinholeCamera, float]:
     given = given["camera"]
-    # There pixel centres have integer coordinates, here they lie at + 0.5: the same camera.
+    # The file puts pixel centres at integers, this project at + 0.5.
     camera = PinholeCamera(
         width=int(given["w"]),
         height=int(given["h"]),

@@ -1,7 +1,7 @@
-"""Reader for STL, text and binary: nothing but triangles, each with corners of its own.
+"""Read STL, text and binary: only triangles, each with its own corners.
 
-Binary files may have a colour per triangle in two bytes that the format leaves free, in one of two conventions: that
-of Magics, which writes `COLOR=` into the header, and that of VisCAM and SolidView.
+Binary files may have a colour per triangle in two unused bytes of the format. There are two conventions: that of
+Magics, which writes `COLOR=` into the header, and that of VisCAM and SolidView.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_HEADER = 84  # bytes: 80 of anything, then the count
-_NAME = re.compile(rb"^\s*(?:end)?solid\b.*$", re.MULTILINE | re.IGNORECASE)  # may hold the word vertex
+_HEADER = 84  # bytes: 80 of any content, then the count
+_NAME = re.compile(rb"^\s*(?:end)?solid\b.*$", re.MULTILINE | re.IGNORECASE)  # may contain the word vertex
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-_MAGICS = b"COLOR="  # of the whole object, in 4 bytes: red, green, blue, alpha
+_MAGICS = b"COLOR="  # colour of the whole object in 4 bytes: red, green, blue, alpha
 _TOP_BIT = 1 << 15
 
 
 def read_stl(data: bytes, textures: TextureStore) -> list[MeshPart]:
-    """Return all triangles of all solids as one part, grey where the file has no colours."""
+    """Return all triangles of all solids as one part; grey if the file has no colours."""
     count = int.from_bytes(data[80:_HEADER], "little")
     end = _HEADER + count * _RECORD.itemsize
     colors: np.ndarray = np.full(3, PLAIN_GREY)
@@ -44,16 +44,16 @@ def read_stl(data: bytes, textures: TextureStore) -> list[MeshPart]:
 
 
 def _colors(header: bytes, attributes: np.ndarray, textures: TextureStore) -> np.ndarray:
-    """Return the colour of the object [3], or of every corner [3 F, 3] where triangles have their own."""
+    """Return the colour of the object [3], or of every corner [3 F, 3] if triangles have their own."""
     place = header.find(_MAGICS)
     marked = (attributes & _TOP_BIT) != 0
     shares = np.stack([attributes >> shift & 31 for shift in (0, 5, 10)], axis=1) / 31.0
     whole: np.ndarray = np.full(3, PLAIN_GREY)
     if place >= 0 and place + len(_MAGICS) + 4 <= len(header):
         whole = np.frombuffer(header, np.uint8, 3, place + len(_MAGICS)) / 255.0
-        own = ~marked if attributes.any() else marked  # red in the lowest bits; the top bit: as the object
+        own = ~marked if attributes.any() else marked  # red in the lowest bits; top bit set: the object's colour
     else:
-        shares, own = shares[:, ::-1], marked  # blue in the lowest bits; the top bit: a colour of its own
+        shares, own = shares[:, ::-1], marked  # blue in the lowest bits; top bit set: a colour of its own
         if attributes.any() and not marked[attributes > 0].all():
             textures.notes.append("the colours of its triangles follow no known convention and were not read")
             return whole

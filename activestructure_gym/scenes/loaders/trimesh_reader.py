@@ -1,4 +1,7 @@
-"""Reader for Wavefront OBJ and PLY, through trimesh's parsers: its scenes take a minute for 20,000 materials."""
+"""Read Wavefront OBJ and PLY with trimesh's parsers.
+
+Its scene objects are avoided: they take a minute for 20,000 materials.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +39,13 @@ _COLORS = ("vertex_colors", "face_colors")
 
 
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
-    """All triangles of the file; quads and polygons are split, colours and textures kept."""
+    """Read all triangles of the file; polygons are split, colours and textures kept."""
     import trimesh
     from trimesh.exchange import obj, ply
 
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what matters of it is said by the loader
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # relevant messages are given by the loader
     data = textures.budget.read(path)
-    with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
+    with np.errstate(invalid="ignore"):  # non-finite values are reported by the loader
         if path.suffix.lower() == ".obj":
             text, libraries = _with_one_library(_obj_text(data))
             _check_materials(text)
@@ -62,7 +65,7 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
                     "it is cut off, or its faces differ in their number of corners: triangulate it or export it as "
                     "ASCII PLY"
                 ) from error
-        # Points and lines come without faces.
+        # Points and lines have no faces.
         meshes = [given for given in loaded.get("geometry", {"": loaded}).values() if given.get("faces") is not None]
         alphas = [_alpha(given) if path.suffix.lower() == ".ply" else None for given in meshes]
         unpainted = _in_range(meshes)
@@ -75,20 +78,20 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
 
 
 def _alpha(mesh: dict[str, Any]) -> np.ndarray | None:  # [N] in 0..1
-    """The alpha of the colours of a PLY file's vertices or faces, before trimesh changes them; None without one."""
+    """Return the alpha of a PLY file's vertex or face colours, before trimesh changes them; None without one."""
     colors = next((np.asarray(mesh[kind]) for kind in _COLORS if kind in mesh and np.ndim(mesh[kind]) == 2), None)
     if colors is None or colors.shape[1] < 4:
         return None
     alpha = colors[:, 3]
-    # Floats of colour and alpha may be of different kinds; of whole numbers one scale is that of all.
+    # Float colours and alpha may have different scales; integers share one.
     alpha = alpha / full_scale([alpha] if alpha.dtype.kind == "f" else [colors])
     return alpha if (alpha < 1.0).any() else None
 
 
 def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] bool
-    """Bring colours into the range that trimesh reads, in place; returns which ones of each mesh are not finite.
+    """Bring colours into the range that trimesh expects, in place; return the mask of non-finite ones per mesh.
 
-    It takes floats for 0 to 1 and whole numbers for 0 to 255; files have floats up to 255 too, and 16 bits.
+    trimesh expects floats in 0 to 1 and integers in 0 to 255; files also have floats up to 255 and 16-bit integers.
     """
     kinds = [next((kind for kind in _COLORS if kind in mesh and np.ndim(mesh[kind]) == 2), "") for mesh in meshes]
     colors = [
@@ -103,7 +106,7 @@ def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] 
 
 
 def _decoded(data: bytes) -> str:
-    """Text in UTF-8, in UTF-16 that says so, or in Latin-1 as older exporters write names."""
+    """Decode text as UTF-8, marked UTF-16, or Latin-1, which older exporters use for names."""
     try:
         return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig")
     except UnicodeDecodeError:
@@ -123,7 +126,10 @@ _ALL_LIBRARIES = "all libraries.mtl"
 
 
 def _with_one_library(text: str) -> tuple[str, list[str]]:
-    """The text with at most one library of materials, since trimesh reads one, and the names of those it stands for."""
+    """Return the text with at most one material library, and the names of the libraries it replaces.
+
+    trimesh reads only one.
+    """
     lines = (line.strip() for line in _LIBRARY.findall(text))
     names = list(dict.fromkeys(name for line in lines for name in _BETWEEN_LIBRARIES.split(line)))
     if len(names) < 2:
@@ -132,17 +138,17 @@ def _with_one_library(text: str) -> tuple[str, list[str]]:
 
 
 def _note_unknown_materials(text: str, known: set[str], textures: TextureStore) -> None:
-    """Remember the materials that are in none of the libraries; where no library was read, that is said already."""
+    """Record the materials that are in no library; a missing library is reported elsewhere."""
     used = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl (.*)", text, re.MULTILINE))
     for name in used if known else ():
         if name not in known and name not in _NO_MATERIAL:
             textures.note_unreadable(f"material {name}")
 
 
-_NO_MATERIAL = ("", "None", "(null)")  # as exporters write it
+_NO_MATERIAL = ("", "None", "(null)")  # written by exporters for no material
 
 
-# Materials times vertices: trimesh goes over all vertices for every material, 2 ns each.
+# Materials times vertices: trimesh loops over all vertices for every material, 2 ns each.
 _MOST_PASSES = 5_000_000_000
 _LINE_ENDS = (b"\n", b"\r", b"\v", b"\f", b"\x1c", b"\x1d", b"\x1e")
 
@@ -158,29 +164,29 @@ def _check_materials(text: str) -> None:
 def _check_ply(data: bytes, textures: TextureStore) -> None:
     if not data.startswith(MAGIC):
         raise UnreadableMesh("it does not begin with the letters 'ply'")
-    if b"ascii" in data[:1000].lower():  # every line becomes an array of its own
+    if b"ascii" in data[:1000].lower():  # every line becomes an array
         textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))
 
 
-# trimesh would decode an image for every material that names it: it gets the statement as a word that it only keeps.
+# trimesh would decode an image for every material that names it; it gets the statement as an opaque word instead.
 _MAP = re.compile(r"^[ \t]*map_(kd|d)[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
 _TEXTURE, _OPACITY = "statement_of_kd", "statement_of_d"
 _MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+(.*)", re.MULTILINE | re.IGNORECASE)
 
 
 def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ()) -> Any:
-    """Finds what the file refers to where `find_reference` looks; trimesh's own keeps silent about what is missing."""
+    """Return a resolver that finds referenced files with `find_reference`; trimesh's own ignores missing files."""
     from trimesh.resolvers import FilePathResolver
 
     class NearbyResolver(FilePathResolver):
-        materials: set[str] = set()  # of the libraries that were read
+        materials: set[str] = set()  # names in the libraries read so far
 
         def get(self, name: str) -> bytes:
             if name != _ALL_LIBRARIES or len(libraries) < 2:
                 return self._file(name)
             texts = []
             for library in libraries:
-                with suppress(Exception):  # noted, and others may be there
+                with suppress(Exception):  # noted; other libraries may exist
                     texts.append(self._file(library))
             return b"\n".join(texts)
 
@@ -191,12 +197,12 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
                     text = _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
                     self.materials = self.materials | {" ".join(name.split()) for name in _MATERIAL.findall(text)}
                     return _MAP.sub(lambda found: f"statement_of_{found[1].lower()} {quote(found[2])}", text).encode()
-                opened_image(data)  # trimesh would open any kind of picture
+                opened_image(data)  # trimesh would open any kind of image
                 return data
             except LimitError as error:
                 textures.note_unreadable(f"{name}: {error}")
                 raise
-            except Exception:  # missing, or no picture: Pillow raises whatever the codec raises
+            except Exception:  # missing, or not an image: Pillow raises any error of the codec
                 textures.note_unreadable(name)
                 raise
 
@@ -204,7 +210,7 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
 
 
 def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray, alpha: np.ndarray | None) -> MeshPart:
-    """The geometry, whose vertices or faces [N] may have colours that are not finite, and an alpha."""
+    """Convert a geometry; ``broken`` and ``alpha`` [N] are of its coloured vertices or faces."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
@@ -214,7 +220,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray,
     if visual.kind == "vertex":
         colors = _srgb(visual.vertex_colors, broken)
     elif visual.kind == "face":
-        # A vertex can carry only one colour, so every face gets its own three.
+        # A vertex has one colour, so every face gets its own three vertices.
         colors = np.repeat(_srgb(visual.face_colors, broken)[polygon], 3, axis=0)
         vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
         alpha = None if alpha is None else np.repeat(alpha[polygon], 3)
@@ -234,7 +240,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray,
             texture = textures.add(id(image), lambda: image, name)
         if texture >= 0:
             uv = _downward(lies.placed(np.asarray(visual.uv, dtype=np.float64)))
-            # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
+            # Exporters leave Kd at 0, 0.8 or 1 with a map; the author saw the map.
             colors = np.ones(3)
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
             colors = _srgb(np.asarray(material.diffuse))
@@ -253,7 +259,10 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray,
 
 
 def _opacity_of_material(path: Path, material: Any, textures: TextureStore, uv: np.ndarray | None) -> Opacity | None:
-    """What an MTL file says: `d` or else 1 - `Tr`, times the picture of `map_d`. The alpha of `map_Kd` is not asked."""
+    """Return the opacity from an MTL file: `d`, or else 1 - `Tr`, times the image of `map_d`.
+
+    The alpha of `map_Kd` is ignored.
+    """
     given = getattr(material, "kwargs", None) or {}
     factor = dissolve(given.get("d"), given.get("tr"))
     lies = texture_map(unquote(given[_OPACITY][0]) if given.get(_OPACITY) else "")
@@ -273,19 +282,19 @@ def _downward(uv: np.ndarray) -> np.ndarray:  # [V, 2]
 
 
 def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles [F, 3], ears instead of fans in concave polygons of a PLY file, and the file's face of each [F]."""
+    """Return triangles [F, 3], with ears instead of fans in concave polygons of PLY, and the file's face of each."""
     faces = np.asarray(geometry.faces)
     sizes = _polygon_sizes(geometry.metadata.get("_ply_raw"))
     if not (sizes > 3).any() or (sizes - 2).sum() != len(faces) or faces.max() >= len(geometry.vertices):
         return faces, np.arange(len(faces))
-    # trimesh puts triangles first, then the first and the second halves (c, d, a) of the quads, then all other fans.
+    # trimesh returns triangles first, then the first and second halves (c, d, a) of quads, then all other fans.
     polygons = np.concatenate([np.flatnonzero(chosen) for chosen in (sizes == 3, sizes == 4, sizes > 4)])
     triangles, quads, sizes = (sizes == 3).sum(), (sizes == 4).sum(), sizes[polygons]
     halves = np.split(faces[triangles : triangles + 2 * quads], 2)
     in_order = faces.copy()
     in_order[triangles : triangles + 2 * quads : 2] = halves[0]
     in_order[triangles + 1 : triangles + 2 * quads : 2] = np.roll(halves[1], 1, axis=1)
-    # The first triangle of a fan has three corners of its polygon, each other one adds its last.
+    # The first triangle of a fan has three corners of its polygon; each other one adds its last corner.
     own = np.tile([False, False, True], (len(faces), 1))
     own[np.cumsum(sizes - 2) - (sizes - 2)] = True
     around = in_order[own]

@@ -1,10 +1,9 @@
-"""Infer which way is up from the geometry: files often say nothing, and some say it wrongly.
+"""Infer the up axis from the geometry: many files do not state it, and some state a wrong one.
 
-An indoor scene has a floor and a ceiling: two level surfaces as far apart as rooms are high, with more area than the
-walls along any other axis, along what is mostly the shortest side. Furniture stands on the floor, so what lies between
-the two is mostly near the floor, and a free line between them ends on furniture below and at the bare ceiling above.
-Where this evidence is thin or contradicts itself, nothing is concluded. Winding is not asked: half of all files have
-it inside out.
+An indoor scene has a floor and a ceiling: two level surfaces at the distance of a room's height. They have more area
+than the walls along any other axis, and usually lie along the shortest side. Furniture stands on the floor, so geometry
+between the two is mostly near the floor, and free vertical lines end on furniture below and at the bare ceiling above.
+If this evidence is weak or contradictory, there is no verdict. Winding is ignored: half of all files have it inverted.
 """
 
 from __future__ import annotations
@@ -23,50 +22,51 @@ UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
 _ENDS: dict[str, tuple[UpAxis, UpAxis]] = {"x": ("x", "-x"), "y": ("y", "-y"), "z": ("z", "-z")}
 CEILING_HEIGHTS = (1.9, 6.0)  # metres, floor to ceiling
 
-# Points on the surface, and columns per side of the grid they are sorted into: enough for hundreds of free lines, few
-# enough for a few tens of milliseconds.
+# Points on the surface, and columns per side of their grid: enough for hundreds of free lines, in a few tens of
+# milliseconds.
 _POINTS = 40_000
 _COLUMNS = 22
-_FACES_AT_ONCE = 1 << 18  # whose corners are held at once
+_FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted at a time
 _LEVELS = 4096  # steps of the height within a column
 
-_SHORTEST_GAP = 0.3  # of the side: shorter free lines run inside furniture and walls
-_FEWEST_LINES = 0.15  # of the columns: with fewer free lines it is no room
-_NEAR = 0.04  # of the side, from floor or ceiling: belongs to it
-_END = 0.12  # of the side: walls and ceilings stand in that far behind frames and sills
-_FACING, _LEVEL = 0.98, 0.7  # cosines between a normal and the axis: walls, floors; and whatever carries something
+_SHORTEST_GAP = 0.3  # fraction of the side: shorter free lines are inside furniture and walls
+_FEWEST_LINES = 0.15  # fraction of the columns: with fewer free lines it is not a room
+_NEAR = 0.04  # fraction of the side: points this close to floor or ceiling belong to it
+_END = 0.12  # fraction of the side: walls and ceilings are up to this far behind frames and sills
+# minimum cosines between a normal and the axis: of walls and floors; of any supporting surface
+_FACING, _LEVEL = 0.98, 0.7
 
-# How much evidence is asked for; what scenes of many makers show stands in tests/scenes/loaders/test_upright.py.
-_STANDS_OUT = 1.3  # times the surface per length of the next side: shorter and larger than the others
-_CLEARLY_OUT = 2.2  # empty rooms that are narrower than high have up to 1.9 across
-_TELLS = 0.45  # evidence for one end, out of about 3: furnished rooms have 1.2 to 2.4, empty ones -.1 to .8
+# Required evidence; values for scenes of many sources are in tests/scenes/loaders/test_upright.py.
+_STANDS_OUT = 1.3  # factor on surface per length of the next side: shorter and larger than the others
+_CLEARLY_OUT = 2.2  # empty rooms narrower than high have up to 1.9 across
+_TELLS = 0.45  # evidence for one end, of at most about 3: furnished rooms have 1.2 to 2.4, empty ones -0.1 to 0.8
 _CLEAR = 1.0
-_LEAST_BETWEEN = 0.015  # of the level surface: with less there is no furniture to judge by
+_LEAST_BETWEEN = 0.015  # fraction of the level surface: with less there is no furniture to judge by
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The up axis as inferred from the geometry."""
+    """Hold the up axis inferred from the geometry."""
 
-    up: UpAxis | None  # the axis it tells, None where it does not
-    possible: tuple[UpAxis, ...]  # those that it does not clearly exclude
-    reason: str  # what was seen, as the end of a sentence
+    up: UpAxis | None  # the inferred axis, None if undecided
+    possible: tuple[UpAxis, ...]  # axes that are not clearly excluded
+    reason: str  # the evidence, as the end of a sentence
 
 
 @dataclass(frozen=True)
 class _Side:
-    """Statistics of the geometry along one axis, its low end called floor; lengths in shares of the side."""
+    """Hold statistics of the geometry along one axis, its low end called floor; lengths as fractions of the side."""
 
     length: float  # metres
-    surface: float  # share of all surface that faces along the axis
-    missing: float  # what would close the side where one of its ends is open, as in scans without a ceiling
-    lines: float  # share of the columns with a free line
+    surface: float  # fraction of all surface that faces along the axis
+    missing: float  # surface missing to close an open end, as in scans without a ceiling
+    lines: float  # fraction of the columns with a free line
     floor: float = 0.0  # where most lines begin
     ceiling: float = 1.0  # where most lines end
     standing: float = 0.0  # mean height above the floor at which lines begin
     hanging: float = 0.0  # mean distance below the ceiling at which they end
-    between: float = 0.0  # share of the level surface that belongs to neither
-    lower: float = 0.5  # share of that in the lower half
+    between: float = 0.0  # fraction of the level surface that belongs to neither
+    lower: float = 0.5  # fraction of it in the lower half
     middle: float = 0.5  # mean height of all surface between floor and ceiling, 0 = floor, 1 = ceiling
 
     @property
@@ -83,16 +83,16 @@ class _Side:
 
     @property
     def floor_is_low(self) -> float:
-        """Evidence that the low end is the floor; negative where the high end is."""
+        """Return the evidence that the low end is the floor; negative if the high end is."""
         if self.between < _LEAST_BETWEEN:
             return 0.0
-        # Lines that end on little are no evidence: door heads hang as far down as a lone chair stands up.
+        # Lines that end on small surfaces are no evidence: door heads hang down as far as a single chair is high.
         lines = (self.standing - self.hanging) / (self.standing + self.hanging + 0.03)
         return lines + (2.0 * self.lower - 1.0) + 4.0 * (0.5 - self.middle)
 
 
 def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
-    """Judge triangles ``faces`` [F, 3] over ``vertices`` [V, 3] in metres, in whatever axes their file has."""
+    """Infer the up axis of triangles ``faces`` [F, 3] over ``vertices`` [V, 3] in metres, in file axes."""
     points, normals = surface_points(vertices, faces)
     if not len(points) or not np.ptp(points, axis=0).all():
         return Verdict(None, UP_AXES, "the mesh is flat")
@@ -128,7 +128,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
 
 
 def _stands_out(side: _Side, others: Collection[_Side]) -> bool:
-    """Whether this is the axis of floor and ceiling."""
+    """Return whether this is the axis of floor and ceiling."""
     return (
         side.is_room_high
         and side.length <= min(other.length for other in others)
@@ -142,11 +142,11 @@ def _both_ends(axes: Collection[str]) -> tuple[UpAxis, ...]:
 
 @dataclass(frozen=True)
 class DeclaredUp:
-    """The up axis where the user does not give one."""
+    """Hold the up axis used unless the user gives one."""
 
     up: str
-    words: str  # why, as in "y is up in glTF"
-    explicit: bool = False  # said by the maker of the file; otherwise it is the format's rule, or an exporter's habit
+    words: str  # the reason, as in "y is up in glTF"
+    explicit: bool = False  # set by the file's author; False: the format's rule, or an exporter's default
 
 
 def choose_up(
@@ -157,10 +157,10 @@ def choose_up(
     given: str | None,  # of `UP_AXES`, "auto", or None
     declared: DeclaredUp,
 ) -> tuple[str, list[str]]:
-    """The file axis that is up, and what the user should read about the choice: nothing, or one sentence.
+    """Return the file's up axis, and a list with at most one message on the choice.
 
-    A choice that somebody made for this file stands. What follows from the format alone stands unless the geometry
-    clearly says otherwise. Raises `InputError` then, and where "auto" cannot tell.
+    An explicit choice for this file is kept. An axis that follows from the format alone is kept unless the geometry
+    clearly contradicts it; then, and if "auto" is undecided, it raises `InputError`.
     """
     if given is None and declared.up not in UP_AXES:
         raise InputError(
@@ -192,9 +192,9 @@ def choose_up(
 def surface_points(
     vertices: np.ndarray, faces: np.ndarray, count: int = _POINTS
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3], [N, 3]
-    """Points spread evenly over the surface, and the unit normals there; the same ones every time.
+    """Return points spread evenly over the surface, and their unit normals; deterministic.
 
-    Neighbouring triangles share their points by area, and within triangles they follow the R2 sequence.
+    Points are distributed over triangles by area, and follow the R2 sequence within triangles.
     """
     doubled = np.concatenate([np.zeros(0), *(_lengths(_normals(vertices, part)) for part in _in_parts(faces))])
     total = np.cumsum(doubled)
@@ -213,7 +213,7 @@ def _in_parts(faces: np.ndarray) -> Iterator[np.ndarray]:
     return (faces[first : first + _FACES_AT_ONCE] for first in range(0, len(faces), _FACES_AT_ONCE))
 
 
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:  # [F, 3], twice as long as the area is large
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:  # [F, 3], twice the area in length
     first, second, third = (vertices[faces[:, corner]].astype(np.float64) for corner in range(3))
     return np.cross(second - first, third - first)
 
@@ -257,15 +257,15 @@ def _side(points: np.ndarray, normals: np.ndarray, axis: int) -> _Side:
 
 
 def _missing_end(heights: np.ndarray) -> int:
-    """Number of points by which one end exceeds the other, where that one has next to none."""
+    """Return the number of points by which one end exceeds the other, if the other has almost none."""
     low, high = np.count_nonzero(heights < _END), np.count_nonzero(heights > 1.0 - _END)
     return int(abs(high - low)) if min(low, high) < 0.1 * max(low, high) else 0
 
 
 def _free_lines(column: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Ends of the longest free line of every column that has one, and how many columns hold anything.
+    """Return the ends of the longest free line of every column that has one, and the number of occupied columns.
 
-    The ends of the side close a column: what has no ceiling is open up to there.
+    The ends of the side close a column, so without a ceiling it is open up to the end.
     """
     held = np.unique(column).astype(np.int32)
     levels = np.minimum((height * _LEVELS).astype(np.int32), _LEVELS - 1)
@@ -283,6 +283,6 @@ def _free_lines(column: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _most_common(places: np.ndarray) -> float:
-    """The middle of the fullest window of 2 % of the side."""
+    """Return the centre of the most populated window of 2 % of the side."""
     counts = np.histogram(places, bins=100, range=(0.0, 1.0))[0]
     return (int((counts[:-1] + counts[1:]).argmax()) + 1) / 100

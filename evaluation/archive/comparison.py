@@ -69,10 +69,10 @@ def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
     """
     runs, refused = list[Run](), dict[str, str]()
     for directory in directories:
-        marks = store.finished_marks(directory)
+        marks = store.completion_markers(directory)
         if not marks and not (directory / store.DONE).is_file():
             raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
-        for place in [mark.parent for mark in marks] or [directory]:
+        for place in [marker.parent for marker in marks] or [directory]:
             try:
                 run = store.read_run(place)
                 store.read_all(run)

@@ -45,25 +45,25 @@ def written_episode(directory: Path, job: Job) -> Iterator[Path]:
     """Give a folder to write a played episode into, which takes the place of the run when the block ends."""
     with store.atomic_directory(directory) as part:
         yield part
-        store.write_mark(part, store.PLAYED, job, _READ)
+        store.write_marker(part, store.PLAYED, job, _READ)
 
 
 def played_episode(
-    directory: Path, job: Job | None = None, sums: Callable[[str], str | None] | None = None
+    directory: Path, job: Job | None = None, checksums: Callable[[str], str | None] | None = None
 ) -> Path | None:
     """Return where a played episode of a run's directory is whole, None where there is none.
 
-    ``job`` is the one that must have been played, by the code of which ``sums`` are the sums now; any if not given.
+    ``job`` is the job that must have been played, with plug-in code of these ``checksums``; any job if not given.
     """
     for place in (directory, store.aside_of(directory)):
-        mark, digests = store.mark_and_sums(place, store.PLAYED)
-        if not mark or (job is not None and mark != job.hash) or set(digests) != set(_READ):
+        marker, digests = store.marker_and_checksums(place, store.PLAYED)
+        if not marker or (job is not None and marker != job.hash) or set(digests) != set(_READ):
             continue
         with suppress(InputError, OSError, ValueError):
-            if any(store.sum_of(place / name) != digest for name, digest in digests.items()):
+            if any(store.checksum_of(place / name) != digest for name, digest in digests.items()):
                 continue
-            if job is not None and sums is not None:
-                if changed_code(place, job, sums) or changed_schedule(place, job):
+            if job is not None and checksums is not None:
+                if changed_code(place, job, checksums) or changed_schedule(place, job):
                     continue
             return place
     return None

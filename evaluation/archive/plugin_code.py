@@ -1,8 +1,8 @@
-"""Which code outside of this package a run was played by: somebody's own policy, features and candidate sources.
+"""Checksums of plug-in code: policies, features and candidate sources outside of this package.
 
-It changes while it is written. A run keeps the sums of the modules that its job names, so that one which an older text
-played is known when a comparison is gone on with. What these import from elsewhere is not followed, and a scene needs
-no sum: a job names it by its content.
+A run keeps the checksums of the modules that its job names. A resumed comparison finds by them the runs that an older
+version of the code played. Imports of these modules are not followed. A scene needs no checksum: a job names it by its
+content.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _SKIPPED = ("__pycache__", "node_modules")  # folders, and all that no import st
 _RUNS = "compare.json"  # a folder that holds it is a comparison's
 
 
-def sum_of(module: str) -> str | None:
-    """SHA-256 of a module's file, in a package that of all its Python files with their names; imports nothing.
+def checksum_of(module: str) -> str | None:
+    """Return the SHA-256 of a module's file, or of all Python files of a package and their names. Imports nothing.
 
     ``module`` is the outermost name. None where there is no such file.
     """
@@ -43,36 +43,36 @@ def sum_of(module: str) -> str | None:
     return total.hexdigest() if files else None
 
 
-first_sum_of = cache(sum_of)  # for what this process imports, asked before it does: that stays as it was then
+first_checksum_of = cache(checksum_of)  # called before a module is imported: the content that this process runs
 
 
-def plugin_code_of(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
-    """Sums of the own code that a job names, by what it is ("policy mine:Mine"); what is not found is left out."""
+def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str, str]:
+    """Return the checksums of the plug-in code that a job names ("policy mine:Mine"); missing modules are left out."""
     found = {}
     for registry, name in named_in(job):
         module = registry.module_of(name.partition("?")[0])
-        total = None if module is None else sums(module.partition(".")[0])
+        total = None if module is None else checksums(module.partition(".")[0])
         if total is not None:
             found[f"{registry.kind} {name}"] = total
     return found
 
 
-def changed_code(directory: Path, job: Job, sums: Callable[[str], str | None]) -> list[str]:
-    """What of a run's own code is not as it was then ("policy mine:Mine"); a sum that is missing counts as equal."""
-    now = plugin_code_of(job, sums)
+def changed_code(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> list[str]:
+    """Return the plug-in code of a run that has changed ("policy mine:Mine"). A missing checksum counts as equal."""
+    now = plugin_code_of(job, checksums)
     if not now:
         return []
-    then = _sums_then(directory)
+    then = _checksums_then(directory)
     return list(now) if then is None else [name for name, total in now.items() if then.get(name, total) != total]
 
 
-def is_as_it_was(directory: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
-    """Whether all own code that a run has sums of is there and is what played it."""
-    then = _sums_then(directory)
-    return bool(then) and then == plugin_code_of(job, sums)
+def is_as_it_was(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
+    """Check that all plug-in code with a checksum in the run exists and is unchanged."""
+    then = _checksums_then(directory)
+    return bool(then) and then == plugin_code_of(job, checksums)
 
 
-def _sums_then(directory: Path) -> dict[str, str] | None:
+def _checksums_then(directory: Path) -> dict[str, str] | None:
     try:
         return dict(store.read_json(directory / store.CONFIG, _CHECK).get(KEY, {}))
     except InputError:

@@ -80,7 +80,7 @@ class Run:
     config: dict[str, Any]  # of config.json
     metrics: dict[str, Any]  # of metrics.json: ``metrics``, ``curve``, ...
     timing: dict[str, Any]  # of timing.json, seconds
-    sums: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of files, as `finish` wrote them
+    checksums: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of files, as `finish` wrote them
 
     @cached_property
     def policy(self) -> str:
@@ -110,7 +110,7 @@ class Run:
 
     @cached_property
     def evaluations(self) -> dict[str, dict[str, Any]]:
-        """The files of `EVALUATIONS` by their names, as they are: `DONE` has no sums of them."""
+        """Contents of `EVALUATIONS` by file name. Not covered by checksums."""
         found = {}
         for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
             again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocol {path.stem}` measures"
@@ -120,45 +120,45 @@ class Run:
     @cached_property
     def steps(self) -> list[dict[str, Any]]:
         """One entry per decision."""
-        return _read(self.directory, STEPS, self.sums, _read_steps)
+        return _read(self.directory, STEPS, self.checksums, _read_steps)
 
     @cached_property
     def trajectory(self) -> dict[str, np.ndarray]:
         """``world_from_camera`` [T, 4, 4], ``keyframes`` [K] indices into it; the camera: ``intrinsics`` [4] (fx, fy,
         cx, cy in pixels) and ``image_size`` [2] (width, height)."""
-        return _read(self.directory, TRAJECTORY, self.sums, _arrays_that(run_files.check_trajectory))
+        return _read(self.directory, TRAJECTORY, self.checksums, _arrays_that(run_files.check_trajectory))
 
     @cached_property
     def graph(self) -> dict[str, np.ndarray] | None:
         """The Plane Scene Graph, see `plane_record.graph_arrays`; None if the run kept none."""
-        if GRAPH not in self.sums and not (self.directory / GRAPH).exists():
+        if GRAPH not in self.checksums and not (self.directory / GRAPH).exists():
             return None
-        return _read(self.directory, GRAPH, self.sums, _arrays_that(run_files.check_graph))
+        return _read(self.directory, GRAPH, self.checksums, _arrays_that(run_files.check_graph))
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
         """What the pictures were drawn from; see `picture_record.picture_arrays`."""
-        return _read(self.directory, PICTURES, self.sums, _arrays_that(run_files.check_pictures))
+        return _read(self.directory, PICTURES, self.checksums, _arrays_that(run_files.check_pictures))
 
     @cached_property
     def gaussians(self) -> GaussianMap:
         """The map."""
         from activestructure_gym.mapping import GaussianMap
 
-        return _read(self.directory, MAP, self.sums, GaussianMap.load_npz)
+        return _read(self.directory, MAP, self.checksums, GaussianMap.load_npz)
 
 
 def is_done(directory: Path, job: Job) -> bool:
     """Whether ``directory`` says that it holds the finished result of exactly this job; see `damage_of`."""
-    return mark_and_sums(directory)[0] == job.hash
+    return marker_and_checksums(directory)[0] == job.hash
 
 
 def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
     """The finished result of exactly this job, None where there is none; `InputError` where it is damaged."""
-    mark = mark_and_sums(directory)[0]
-    if mark != job.hash and (directory / DONE).exists():
+    marker = marker_and_checksums(directory)[0]
+    if marker != job.hash and (directory / DONE).exists():
         raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
-    if not mark:
+    if not marker:
         return None
     run = read_run(directory, scene)
     if run.job.hash != job.hash:
@@ -198,9 +198,9 @@ def read_shown(run: Run) -> None:
         raise _damaged(run.directory / METRICS, f"it does not fit the run's other files ({error})") from error
 
 
-def unsummed(run: Run) -> list[str]:
-    """Files of a run that are read again and that `DONE` has no sum of: they could change and nobody would know."""
-    return [name for name in _READ_AGAIN if name not in run.sums and (run.directory / name).is_file()]
+def without_checksum(run: Run) -> list[str]:
+    """Return the files without a checksum in `DONE`: changes to them cannot be detected."""
+    return [name for name in _READ_AGAIN if name not in run.checksums and (run.directory / name).is_file()]
 
 
 def set_aside(directory: Path) -> None:
@@ -213,7 +213,7 @@ def set_aside(directory: Path) -> None:
 
 
 def withdraw(directory: Path) -> None:
-    """Make a run one that is not finished, for as long as `reinstate` is not called or another one takes its place."""
+    """Hide the run's completion marker; `reinstate` restores it."""
     if not _let_go(directory):
         with suppress(FileNotFoundError):  # somebody else was faster
             os.replace(directory / DONE, directory / WITHDRAWN)
@@ -228,17 +228,9 @@ def _let_go(directory: Path) -> bool:
 
 
 def reinstate(directory: Path) -> None:
-    """Make a withdrawn run a finished one again."""
+    """Restore the completion marker of a withdrawn run."""
     with suppress(FileNotFoundError):
         os.replace(directory / WITHDRAWN, directory / DONE)
-
-
-def mark_of(directory: Path) -> str:
-    """The whole text of a finished run's `DONE`; empty of one that is not finished."""
-    try:
-        return (directory / DONE).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""
 
 
 def is_withdrawn(directory: Path) -> bool:
@@ -247,15 +239,15 @@ def is_withdrawn(directory: Path) -> bool:
 
 
 def finish(directory: Path, job: Job) -> None:
-    """Write the file that makes a run's directory a result, with the sums of the others; the last file of a run."""
-    write_mark(directory, DONE, job, _READ_AGAIN)
+    """Write the completion marker with the checksums of the other files. It is the last file of a run."""
+    write_marker(directory, DONE, job, _READ_AGAIN)
 
 
-def write_mark(directory: Path, mark: str, job: Job, names: Iterable[str]) -> None:
-    """Write a file with the job's hash and the sums of those of the named files that are there."""
+def write_marker(directory: Path, marker: str, job: Job, names: Iterable[str]) -> None:
+    """Write a file with the job's hash and the checksums of the named files that exist."""
     lines = [job.hash]
-    lines += [f"{sum_of(directory / name)}  {name}" for name in names if (directory / name).is_file()]
-    (directory / mark).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines += [f"{checksum_of(directory / name)}  {name}" for name in names if (directory / name).is_file()]
+    (directory / marker).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run:
@@ -286,22 +278,22 @@ def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run
 
 def open_run(directory: Path, scene: str | None = None) -> Run:
     """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
-    mark, sums = mark_and_sums(directory)
+    marker, checksums = marker_and_checksums(directory)
     found = {}
     checks = {"config": run_files.check_config, "metrics": run_files.METRICS, "timing": run_files.TIMING}
     for name, check in checks.items():
         # The format first: files of another one are not read.
-        content = found[name] = _read(directory, f"{name}.json", sums, schema.read_checked_json)
+        content = found[name] = _read(directory, f"{name}.json", checksums, schema.read_checked_json)
         version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION
         if version != FORMAT_VERSION:
             have = f"'{directory}' has the run format {version}, this version reads {FORMAT_VERSION}"
             raise InputError(f"{have}; run it again")
         _read(directory, f"{name}.json", {}, lambda path: check(content, ""))  # noqa: B023
     config = found["config"]
-    if mark and config.get("hash", mark) != mark:
-        raise _damaged(directory / CONFIG, f"it is of job {config['hash']}, and {DONE} of job {mark}")
+    if marker and config.get("hash", marker) != marker:
+        raise _damaged(directory / CONFIG, f"it is of job {config['hash']}, and {DONE} of job {marker}")
     job = _read(directory, CONFIG, {}, lambda path: Job.from_dict(config["job"]))
-    return Run(directory, scene or scene_label(job.scene), job, **found, sums=sums)
+    return Run(directory, scene or scene_label(job.scene), job, **found, checksums=checksums)
 
 
 @contextmanager
@@ -354,7 +346,7 @@ def _unlike_a_run(directory: Path) -> str:
     if not directory.is_dir():
         return "it is a file"
     if (directory / COMPARISON).is_file():
-        runs = finished_marks(directory)
+        runs = completion_markers(directory)
         example = f"; name one of its {len(runs)}, as {runs[0].parent}" if runs else ", none of whose runs has ended"
         return f"it is a comparison{example}"
     if (directory / PLAYED).is_file():
@@ -362,10 +354,10 @@ def _unlike_a_run(directory: Path) -> str:
     return f"it has no {DONE} file, which is written last"
 
 
-def finished_marks(directory: Path) -> list[Path]:
-    """The marks of the finished runs in a comparison's directory; none of what is half-written or was left behind."""
-    marks = (directory / JOBS).glob(f"*/{DONE}")  # which matches hidden folders, too
-    return sorted(mark for mark in marks if not mark.parent.name.startswith("."))
+def completion_markers(directory: Path) -> list[Path]:
+    """Return the completion markers of a comparison's runs; runs in temporary folders are left out."""
+    markers = (directory / JOBS).glob(f"*/{DONE}")  # which matches hidden folders, too
+    return sorted(marker for marker in markers if not marker.parent.name.startswith("."))
 
 
 def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
@@ -401,12 +393,12 @@ def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str 
         raise _unreadable(path, error, remedy) from error
 
 
-def _read(directory: Path, name: str, sums: Mapping[str, str], read: Callable[[Path], T]) -> T:
-    """A file of a run, compared with its sum where there is one; raises `InputError` that says how to get it back."""
+def _read(directory: Path, name: str, checksums: Mapping[str, str], read: Callable[[Path], T]) -> T:
+    """Read a file of a run and check its checksum, if it has one. The `InputError` says how to restore the file."""
     path = directory / name
     try:
-        if name in sums and sum_of(path) != sums[name]:
-            raise schema.Mismatch(f"its content is not the one that {DONE} has the sum of")
+        if name in checksums and checksum_of(path) != checksums[name]:
+            raise schema.Mismatch(f"its content does not match its checksum in {DONE}")
         return read(path)
     except (OSError, ValueError) as error:
         raise _damaged(path, error) from error
@@ -432,10 +424,10 @@ def _unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
     return InputError(f"'{path}' is damaged: {reason}{remedy}")
 
 
-def mark_and_sums(directory: Path, mark: str = DONE) -> tuple[str, dict[str, str]]:
-    """The job's hash and the sums by file name; empty where the run is not finished."""
+def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict[str, str]]:
+    """Return the job's hash and the checksums by file name; both empty where the run is not finished."""
     try:
-        with open(directory / mark, "rb") as file:
+        with open(directory / marker, "rb") as file:
             first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
     except OSError:
         return "", {}
@@ -443,7 +435,7 @@ def mark_and_sums(directory: Path, mark: str = DONE) -> tuple[str, dict[str, str
     return first.strip(), {name: digest for digest, name in pairs}
 
 
-def sum_of(path: Path) -> str:
+def checksum_of(path: Path) -> str:
     """Return the SHA-256 of a regular file."""
     if path.exists() and not path.is_file():
         raise schema.Mismatch("it is no regular file")
@@ -500,8 +492,8 @@ def plain(value: Any) -> Any:
 
 def _same_result(part: Path, directory: Path) -> bool:
     """Whether ``directory`` is the finished result of the job that ``part`` is of, played or measured."""
-    mark = mark_and_sums(directory)[0]
-    return bool(mark) and mark in (mark_and_sums(part)[0], mark_and_sums(part, PLAYED)[0])
+    marker = marker_and_checksums(directory)[0]
+    return bool(marker) and marker in (marker_and_checksums(part)[0], marker_and_checksums(part, PLAYED)[0])
 
 
 def _flush(directory: Path) -> None:

@@ -129,10 +129,10 @@ def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]
 
 def _runs_of(directory: Path) -> list[Path]:
     """A finished run's own directory, or those of a comparison's finished runs."""
-    from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, finished_marks
+    from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, completion_markers
 
     if (directory / DONE).is_file():
         return [directory]
     if (directory / COMPARISON).is_file():
-        return [mark.parent for mark in finished_marks(directory)]
+        return [marker.parent for marker in completion_markers(directory)]
     raise InputError(f"'{directory}' is neither a finished run nor a comparison")

@@ -36,7 +36,7 @@ PACKAGES = (
 
 def versions() -> dict[str, str]:
     """Version of this package, of Python and of every package that takes part; "missing" where it is not installed."""
-    found = {"activestructure-gym": __version__, "code": code_sum(), "python": platform.python_version()}
+    found = {"activestructure-gym": __version__, "code": code_checksum(), "python": platform.python_version()}
     for package in PACKAGES:
         try:
             found[package] = metadata.version(package)
@@ -46,7 +46,7 @@ def versions() -> dict[str, str]:
 
 
 @cache
-def code_sum() -> str:
+def code_checksum() -> str:
     """SHA-256 over the names and contents of the Python files that numbers are made by, of this package as it runs.
 
     What shows results (pages, pictures, the command line) is left out.

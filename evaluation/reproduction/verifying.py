@@ -58,7 +58,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     try:
         run = store.open_run(run.directory, run.scene)
         store.read_all(run)
-        if loose := store.unsummed(run):
+        if loose := store.without_checksum(run):
             raise InputError(f"{store.DONE} has no checksum of {', '.join(loose)}: a change would not be detected")
         if untrue := untrue_evaluations(run):
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")

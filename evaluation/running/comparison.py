@@ -21,7 +21,7 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
-from activestructure_gym.evaluation.archive.plugin_code import first_sum_of
+from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
@@ -158,7 +158,7 @@ class Comparison:
                 named.append(given.spec)
                 continue
             if module := POLICIES.module_of(spec.partition("?")[0]):
-                first_sum_of(module.partition(".")[0])  # before it is imported
+                first_checksum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             brought = schedule_of(policy, self.terms).overrides()

@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
-from activestructure_gym.evaluation.archive.plugin_code import first_sum_of, plugin_code_of
+from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.measuring import measure
@@ -77,13 +77,13 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
 
     tell = progress or (lambda _: None)
     tell(Progress("loading"))
-    own = plugin_code_of(job, first_sum_of)  # before it is imported, as it may be edited while it plays
+    own = plugin_code_of(job, first_checksum_of)  # before it is imported, as it may be edited while it plays
     began = time.perf_counter()
     known = ground_truth_of(load_job_scene(job))
     truth = job.protocol.truth(known)
     for name in job.also:
         get_protocol(name).truth(known)
-    place = played.played_episode(directory, job, first_sum_of)
+    place = played.played_episode(directory, job, first_checksum_of)
     if place is None:
         _play(job, directory, known, truth, own, time.perf_counter() - began, tell)
         if store.is_done(directory, job):  # another process was faster

@@ -46,18 +46,18 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
     whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one piece
     of code concerns.
     """
-    sums = cache(plugin_code.sum_of)
+    checksums = cache(plugin_code.checksum_of)
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
-        if store.is_withdrawn(place) and _is_as_it_was(place, job, sums):
+        if store.is_withdrawn(place) and _is_as_it_was(place, job, checksums):
             store.reinstate(place)
         if not store.is_done(place, job):
             continue
         if damage := store.damage_of(place, job):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
-        elif changed := [*plugin_code.changed_code(place, job, sums), *_changed_schedule(place, job)]:
+        elif changed := [*plugin_code.changed_code(place, job, checksums), *_changed_schedule(place, job)]:
             if job.name in asked:
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
@@ -67,9 +67,9 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
         tell(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
 
 
-def _is_as_it_was(place: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
-    if plugin_code.plugin_code_of(job, sums):
-        return plugin_code.is_as_it_was(place, job, sums)
+def _is_as_it_was(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
+    if plugin_code.plugin_code_of(job, checksums):
+        return plugin_code.is_as_it_was(place, job, checksums)
     return job.terms == "native" and not changed_schedule(place, job)
 
 

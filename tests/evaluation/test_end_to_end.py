@@ -150,9 +150,9 @@ def test_measuring_again_gives_the_same_bits_and_a_wrong_number_is_found(runs, c
     metrics["metrics"]["psnr"] += 1e-9
     (forged / "metrics.json").write_text(json.dumps(metrics))
     assert main(["evaluate", str(forged)]) == 2
-    assert "its content is not the one that .done has the sum of" in capsys.readouterr().err
+    assert "its content does not match its checksum in .done" in capsys.readouterr().err
     mark = forged / store.DONE
-    mark.write_text(mark.read_text().splitlines()[0])  # a run of a version that kept no sums
+    mark.write_text(mark.read_text().splitlines()[0])  # a run of a version that kept no checksums
     assert main(["evaluate", str(forged)]) == 1
     assert "1 of 1 differ" in capsys.readouterr().out
 

@@ -16,8 +16,8 @@ from tests.evaluation.report import conftest as made_up
 JOB = Job("room", "random", 0, scene_hash="ab" * 32)
 
 
-def write_run(directory: Path, job: Job = JOB, *, sums: bool = True, **numbers: Any) -> Path:
-    """Write it into ``directory``, which is returned; without ``sums`` as versions before them did."""
+def write_run(directory: Path, job: Job = JOB, *, checksums: bool = True, **numbers: Any) -> Path:
+    """Write it into ``directory``, which is returned; without ``checksums`` as versions before them did."""
     run = made_up.maker(directory.parent)(job.scene, job.policy, job.seed, planes=True, **numbers)
     directory.mkdir(parents=True)
     config = {"format": store.FORMAT_VERSION, "job": job.as_dict(), "hash": job.hash, **run.config}
@@ -50,15 +50,15 @@ def write_run(directory: Path, job: Job = JOB, *, sums: bool = True, **numbers: 
     np.savez_compressed(directory / store.PICTURES, **run.pictures | {"rendered": shown, "true": shown})
     GaussianMap(8).save_npz(directory / store.MAP)
     store.finish(directory, job)
-    if not sums:
+    if not checksums:
         (directory / store.DONE).write_text(job.hash + "\n")
     return directory
 
 
-def write_comparison(directory: Path, jobs: list[Job], *, sums: bool = True) -> Path:
+def write_comparison(directory: Path, jobs: list[Job], *, checksums: bool = True) -> Path:
     """A finished comparison of such runs."""
     for job in jobs:
-        write_run(directory / store.JOBS / job.name, job, sums=sums)
+        write_run(directory / store.JOBS / job.name, job, checksums=checksums)
     record = {"format": store.FORMAT_VERSION, "command": "asg compare", "jobs": {j.name: j.as_dict() for j in jobs}}
     (directory / store.COMPARISON).write_text(json.dumps(record))
     return directory

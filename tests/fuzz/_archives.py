@@ -73,11 +73,11 @@ def runs_of(files: Files) -> list[str]:
 
 
 def seal(files: Files, run: str) -> None:
-    """Make the sums in the run's mark those of its files, as who knows how may do."""
+    """Make the checksums in the run's mark those of its files, as who knows how may do."""
     first, *lines = files[f"{run}/.done"].decode("ascii", "replace").splitlines() or [""]
     names = [line.split("  ", 1)[1] for line in lines if "  " in line]
-    sums = [f"{hashlib.sha256(files[f'{run}/{n}']).hexdigest()}  {n}" for n in names if f"{run}/{n}" in files]
-    files[f"{run}/.done"] = "\n".join([first, *sums, ""]).encode()
+    checksums = [f"{hashlib.sha256(files[f'{run}/{n}']).hexdigest()}  {n}" for n in names if f"{run}/{n}" in files]
+    files[f"{run}/.done"] = "\n".join([first, *checksums, ""]).encode()
 
 
 @functools.cache

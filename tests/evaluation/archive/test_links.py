@@ -133,7 +133,7 @@ def test_a_comparison_may_be_a_link_itself_and_so_may_its_runs(comparison: Path,
     (comparison / store.JOBS).symlink_to(tmp_path / "larger disk")
     for directory in (comparison, tmp_path / "link"):
         check_output(directory, resume=True)
-        assert [mark.parent.name for mark in store.finished_marks(directory)] == [ARCHIVED.name]
+        assert [mark.parent.name for mark in store.completion_markers(directory)] == [ARCHIVED.name]
     (comparison / store.JOBS).unlink()
     for target in (tmp_path / "nowhere", comparison / store.JOBS):
         (comparison / store.JOBS).symlink_to(target)

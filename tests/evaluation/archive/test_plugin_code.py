@@ -12,7 +12,7 @@ import pytest
 from activestructure_gym import registry
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.plugin_code import changed_code, is_as_it_was, plugin_code_of, sum_of
+from activestructure_gym.evaluation.archive.plugin_code import changed_code, checksum_of, is_as_it_was, plugin_code_of
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
         "box", "mine_b:Mine?depth=2", 0,
         overrides=(("gains", ("pixel", "mine_c:gain")), ("views.stages", [["pool", "mine_d:views"]])),
     )  # fmt: skip
-    found = plugin_code_of(job, sum_of)
+    found = plugin_code_of(job, checksum_of)
     assert list(found) == ["policy mine_b:Mine?depth=2", "feature mine_c:gain", "candidate source mine_d:views"]
     assert len(set(found.values())) == 3 and all(len(total) == 64 for total in found.values())
     assert not {"mine_b", "mine_c", "mine_d"} & sys.modules.keys()
@@ -46,34 +46,34 @@ def test_of_a_package_every_python_file_counts_with_its_name_and_nothing_else(he
     (here / "kit" / "deep").mkdir(parents=True)
     for name in ("__init__", "plan", "deep/__init__", "deep/more"):
         (here / "kit" / f"{name}.py").write_text("x = 1\n")
-    sums = [sum_of("kit")]
+    checksums = [checksum_of("kit")]
     (here / "kit" / ".#plan.py").symlink_to("nobody@nowhere.1")  # an editor's, of a file that is not saved yet
     for name in ("notes.txt", ".venv/lib.py", "site-packages/other.py", "runs/compare.json", "runs/jobs/config.py"):
         (here / "kit" / name).parent.mkdir(exist_ok=True, parents=True)
         (here / "kit" / name).write_text("x = 2\n")
-        assert sum_of("kit") == sums[0], name
+        assert checksum_of("kit") == checksums[0], name
     for name in ("deep/more.py", "__init__.py"):
         (here / "kit" / name).write_text("x = 2\n")
-        sums.append(sum_of("kit"))
+        checksums.append(checksum_of("kit"))
     (here / "kit" / "plan.py").rename(here / "kit" / "plans.py")
-    assert len({*sums, sum_of("kit")}) == 4
+    assert len({*checksums, checksum_of("kit")}) == 4
 
 
 def test_a_folder_without_init_is_the_same_however_often_it_is_on_the_path(here: Path, monkeypatch):
     (here / "loose").mkdir()
     (here / "loose" / "plan.py").write_text("x = 1\n")
-    once = sum_of("loose")
+    once = checksum_of("loose")
     monkeypatch.setattr(sys, "path", [str(here), str(here / ".." / here.name), *sys.path])
-    assert once is not None and sum_of("loose") == once
+    assert once is not None and checksum_of("loose") == once
 
 
 def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(here: Path, monkeypatch):
     (here / "installed_one.py").write_text("x = 1\n")
     points = [EntryPoint(name, "installed_one:Any", "activestructure_gym.policies") for name in ("area", "hole_area")]
     monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == points[0].group else [])
-    assert list(plugin_code_of(Job("box", "area?depth=3", 0), sum_of)) == ["policy area?depth=3"]
-    assert plugin_code_of(Job("box", "hole_area", 0), sum_of) == {}
-    assert plugin_code_of(Job("box", "activestructure_gym.policies.random:Random", 0), sum_of) == {}
+    assert list(plugin_code_of(Job("box", "area?depth=3", 0), checksum_of)) == ["policy area?depth=3"]
+    assert plugin_code_of(Job("box", "hole_area", 0), checksum_of) == {}
+    assert plugin_code_of(Job("box", "activestructure_gym.policies.random:Random", 0), checksum_of) == {}
 
 
 def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatch):
@@ -81,21 +81,21 @@ def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatc
     point = EntryPoint("two", "installed_two:two", "activestructure_gym.features")
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
     for name, found in (("two", 1), ("two_left_eye", 1), ("naruto_look_x", 0), ("pixel", 0), ("three_x", 0)):
-        assert len(plugin_code_of(Job("box", "random", 0, overrides=(("gains", (name,)),)), sum_of)) == found, name
+        assert len(plugin_code_of(Job("box", "random", 0, overrides=(("gains", (name,)),)), checksum_of)) == found, name
 
 
 def test_what_cannot_be_found_is_left_out():
     for name in ("nowhere_to_be_found", "sys", "", "..", "no/module"):
-        assert sum_of(name) is None, name
+        assert checksum_of(name) is None, name
 
 
 def test_a_file_that_cannot_be_read_does_not_hide_the_others(here: Path):
     (here / "half").mkdir()
     (here / "half" / "gone.py").symlink_to("nowhere")
     (here / "half" / "plan.py").write_text("x = 1\n")
-    first = sum_of("half")
+    first = checksum_of("half")
     (here / "half" / "plan.py").write_text("x = 2\n")
-    assert first is not None and sum_of("half") not in (None, first)
+    assert first is not None and checksum_of("half") not in (None, first)
 
 
 def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(here: Path):
@@ -115,11 +115,11 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
 def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     run, job = here / "run", Job("box", "mine_f:Mine", 0, overrides=(("gains", ("mine_g:gain",)),))
     run.mkdir()
-    sums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
-    store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, sums.get)})
-    assert is_as_it_was(run, job, sums.get)
+    checksums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
+    store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, checksums.get)})
+    assert is_as_it_was(run, job, checksums.get)
     assert not is_as_it_was(run, job, {"mine_f": "a" * 64}.get)
-    assert not is_as_it_was(run, job, {**sums, "mine_g": "c" * 64}.get)
+    assert not is_as_it_was(run, job, {**checksums, "mine_g": "c" * 64}.get)
     store.write_json(run / store.CONFIG, {})
     assert not is_as_it_was(run, job, {}.get)
 

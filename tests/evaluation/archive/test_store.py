@@ -41,7 +41,7 @@ def test_what_is_half_written_is_no_finished_run(tmp_path):
     for name in ("one", ".one.part-here-1"):
         (tmp_path / store.JOBS / name).mkdir(parents=True)
         (tmp_path / store.JOBS / name / store.DONE).touch()
-    assert [mark.parent.name for mark in store.finished_marks(tmp_path)] == ["one"]
+    assert [mark.parent.name for mark in store.completion_markers(tmp_path)] == ["one"]
 
 
 def test_what_is_no_finished_run_is_said(tmp_path):
@@ -120,7 +120,7 @@ def test_a_finished_run_is_read(tmp_path):
     assert run.trajectory["world_from_camera"].shape == (20, 4, 4) and len(run.graph["ids"]) == 2
     assert store.damage_of(tmp_path / "run", ARCHIVED) is None
     assert len((tmp_path / "run" / store.DONE).read_text().splitlines()) == 1 + 8
-    assert store.damage_of(write_run(tmp_path / "older", sums=False), ARCHIVED) is None  # of versions that kept no sums
+    assert store.damage_of(write_run(tmp_path / "older", checksums=False), ARCHIVED) is None
 
 
 READ_AGAIN = (
@@ -179,7 +179,7 @@ def deep(value):
     ],
 )
 def test_a_json_file_that_holds_something_else(name, place, value, words, tmp_path):
-    run = write_run(tmp_path / "run", sums=False)
+    run = write_run(tmp_path / "run", checksums=False)
     content = json.loads((run / f"{name}.json").read_text())
     *outer, last = place.split(".")
     inner = content
@@ -216,7 +216,7 @@ def poses(**changes):
     ],
 )
 def test_arrays_that_do_not_fit(name, changes, words, tmp_path):
-    run = write_run(tmp_path / "run", sums=False)
+    run = write_run(tmp_path / "run", checksums=False)
     with np.load(run / f"{name}.npz") as file:
         content = dict(file)
     np.savez(run / f"{name}.npz", **content | changes)
@@ -226,7 +226,7 @@ def test_arrays_that_do_not_fit(name, changes, words, tmp_path):
 
 
 def test_decisions_that_do_not_follow_each_other(tmp_path):
-    run = write_run(tmp_path / "run", sums=False)
+    run = write_run(tmp_path / "run", checksums=False)
     lines = (run / store.STEPS).read_text().splitlines(keepends=True)
     for text, words in (("".join(lines[::-1]), "frames do not rise"), (lines[0] + "{}\n", "line 2 lacks frames"),
                         (lines[0] + "{\n", "line 2: it is no JSON")):  # fmt: skip

@@ -17,7 +17,7 @@ from activestructure_gym.evaluation import StandardProtocol, compare, read_run
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.machine.hardware import code_sum, hardware, versions
+from activestructure_gym.evaluation.machine.hardware import code_checksum, hardware, versions
 from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.reproduction.verifying import (
     Verification,
@@ -56,7 +56,7 @@ def run(made: Run, tmp_path: Path) -> Run:
 
 
 def change(run: Run, name: str, act: Any, *, forge: bool = False) -> Run:
-    """``run`` with a file that ``act`` made something else of; forged, the sums are of that."""
+    """``run`` with a file that ``act`` made something else of; forged, the checksums are of that."""
     path = run.directory / name
     path.write_bytes(act(path.read_bytes()))
     if forge:
@@ -107,7 +107,7 @@ def test_an_untouched_run_is_identical(run: Run) -> None:
     heard: list[str] = []
     found = verify(run, lambda progress: heard.append(progress.stage))
     assert found == Verification("identical") and "exploring" in heard
-    assert run.config["versions"]["code"] == code_sum()
+    assert run.config["versions"]["code"] == code_checksum()
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import run_comparison
 from activestructure_gym.scenes import load_scene
 
-CLOCKS = ("timing.json", store.DONE)  # which holds the sum of the other
+CLOCKS = ("timing.json", store.DONE)  # which holds the checksum of the other
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_an_episode_of_another_job_or_of_other_code_does_not_count(kept, job):
     assert played.played_episode(kept, own, lambda module: "ab") == kept  # of which the run has no sum
     config = json.loads((kept / "config.json").read_text()) | {"own_code": {"policy mine:Mine": "cd"}}
     (kept / "config.json").write_text(json.dumps(config))
-    store.write_mark(kept, store.PLAYED, own, played._READ)
+    store.write_marker(kept, store.PLAYED, own, played._READ)
     assert played.played_episode(kept, own, lambda module: "cd") == kept
     assert played.played_episode(kept, own, lambda module: "ab") is None
 
@@ -174,7 +174,7 @@ def _sealed(place: Path, job: Job, name: str, **changes: np.ndarray) -> Path:
     with np.load(place / name) as file:
         arrays = dict(file) | changes
     np.savez(place / name, **arrays)
-    store.write_mark(place, store.PLAYED, job, played._READ)
+    store.write_marker(place, store.PLAYED, job, played._READ)
     return place
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-CODE = ("activestructure_gym", "envs", "policies", "evaluation", "examples", "tests", "docs")
+CODE = ("activestructure_gym", "envs", "policies", "evaluation", "benchmarks", "examples", "tests", "docs")
 # Documents that are not part of the repository, in pieces so that this file does not name them.
 ELSEWHERE = re.compile(
     "|".join(("shared/" + "research", "[Dd]os" + "sier", "ablation [A-Z][0-9]", "kill" + "tests", r"\baud" + "it_"))

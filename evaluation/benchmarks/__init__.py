@@ -1,1 +1,1 @@
-"""Benchmarks behind `asg bench`, one file per part, and the scene of a whole floor (`floor`)."""
+"""Benchmarks behind `asg bench`, one file per part."""

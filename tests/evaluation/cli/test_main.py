@@ -318,41 +318,6 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
     assert "160 .. 90" in out and "123" in out and "n/a" in out
 
 
-def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
-    from activestructure_gym.evaluation.benchmarks import grid as grid_benchmark
-
-    def measured(scenes, **options):
-        return [{"repetition": "1", "scenes": scenes, **{name: options[name] for name in ("frames", "repeats")}}]
-
-    monkeypatch.setattr(grid_benchmark, "run_grid_benchmark", measured)
-    assert main(["bench", "grid", "--quick"]) == 0
-    said = capsys.readouterr().out
-    assert "the same jobs by hand and through" in said and "box" in said
-
-
-def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
-    from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
-
-    def measured(scene, **options):
-        assert options.pop("notify")
-        return [{"policy": "random", "decision_s": 0.125, "options": options}]
-
-    monkeypatch.setattr(policy_benchmark, "run_policy_benchmark", measured)
-    assert main(["bench", "policies", "--scene", "box,room", "--quick"]) == 0
-    out = capsys.readouterr().out
-    assert "0.125" in out and "box" in out and "room" in out and "repeats 1" in out
-    assert main(["bench", "policies"]) == 0
-    assert policy_benchmark.SCENE in capsys.readouterr().out
-    words = "--policies random,hole_area --gaussians 80 --frames 30 --repeats 3 --quick"
-    assert main(["bench", "policies", *words.split()]) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "frames 30, repeats 3, gaussians 80" in out and "policies random .. hole_area" in out
-    assert main(["bench", "policies", "--policies", "nobody"]) == 2
-    assert "unknown policy 'nobody'" in capsys.readouterr().err
-    assert main(["bench", "policies", "--repeats", "0"]) == 2
-    assert "--repeats must be at least 1, got 0" in capsys.readouterr().err
-
-
 def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
     from activestructure_gym.evaluation.benchmarks import env as env_benchmark
 
@@ -364,16 +329,6 @@ def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
     assert main(["bench", "env", "--quick", "--preset", "paper"]) == 0
     out = capsys.readouterr().out
     assert "box" in out and "paper" in out and "6.25" in out
-
-
-def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
-    from activestructure_gym.evaluation.benchmarks import planes as benchmark
-
-    monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
-    monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
-    assert main(["bench", "planes", "--scene", "box", "--quick"]) == 0
-    out = capsys.readouterr().out
-    assert "0.125" in out and "7.5" in out and "320" not in out
 
 
 def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):

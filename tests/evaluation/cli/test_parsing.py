@@ -141,5 +141,5 @@ def test_a_list_that_is_said_twice_has_all_its_values():
 
 
 def test_so_has_one_of_a_part():
-    words = "decisions --policies hole_area --policies random,pixel_only".split()
-    assert parse(find_command("bench"), "bench", words).part.policies == ("hole_area", "random,pixel_only")
+    words = "splatting --workloads W1 --workloads W2,W4".split()
+    assert parse(find_command("bench"), "bench", words).part.workloads == ("W1", "W2,W4")

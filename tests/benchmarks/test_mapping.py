@@ -4,25 +4,25 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.benchmarks.growth import (
+from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.mapping import Mapper, MapperConfig
+from activestructure_gym.scenes.library import load_scene
+from benchmarks.growth import (
     gaussians_in_view,
     growth_steps,
     resident_mb,
     run_growth_benchmark,
 )
-from activestructure_gym.evaluation.benchmarks.mapping import RECIPES, Recipe, make_course, map_course
-from activestructure_gym.evaluation.benchmarks.mapping_views import (
+from benchmarks.mapping import RECIPES, Recipe, make_course, map_course
+from benchmarks.mapping_views import (
     capture,
     held_out_poses,
     observed_share,
     random_walk,
     true_volume,
 )
-from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle
-from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ground_truth import ground_truth_of
-from activestructure_gym.mapping import Mapper, MapperConfig
-from activestructure_gym.scenes.library import load_scene
 
 CAMERA = PinholeCamera.from_size(64, 36)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.benchmarks.copies import among_copies, bytes_of, run_copies_benchmark
-from activestructure_gym.evaluation.benchmarks.growth import STOREY
 from activestructure_gym.mapping import GaussianMap, Mapper, MapperConfig
 from activestructure_gym.scenes.library import load_scene
+from benchmarks.copies import among_copies, bytes_of, run_copies_benchmark
+from benchmarks.growth import STOREY
 
 
 @pytest.mark.parametrize("where", ["storeys", "floor"])

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from rich.console import Console
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison, run_comparison
@@ -27,6 +30,7 @@ from activestructure_gym.evaluation.running.engines.base import Limits
 from activestructure_gym.evaluation.running.engines.local import count_slots
 from activestructure_gym.evaluation.running.engines.process import search_path
 from activestructure_gym.evaluation.running.live_progress import LiveProgress
+from benchmarks.command import run
 
 # One job in a fresh process, as a shell loop would start it.
 BY_HAND = """
@@ -59,7 +63,7 @@ def run_grid_benchmark(
     run by hand need the one and have nothing of the other. The two ways take turns in beginning.
     """
     if shutil.which("xargs") is None:
-        raise InputError("asg bench grid runs jobs by hand with xargs, which is not here")
+        raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
     comparison = Comparison(
         scenes, ("random", "pixel_only"), seeds, frame_budget=frames, protocol=StandardProtocol(views=8)
     )
@@ -113,3 +117,27 @@ def _processor_seconds() -> tuple[float, float]:
 
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What the supervisor of a comparison costs: the same jobs by hand and through it."""
+
+    scene: str | None = None
+    """The scenes that are explored, separated by commas; room if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        size: dict[str, Any] = {"frames": 8, "seeds": (0,), "repeats": 1} if self.quick else {}
+        with working(console, "measuring the grid") as notify:
+            chosen = split_names(self.scene) or (["box"] if self.quick else ["room"])
+            rows = run_grid_benchmark(chosen, notify=notify, **size)
+        print_rows(console, rows, "the same jobs by hand and through the supervisor")
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(Grid))

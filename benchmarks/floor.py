@@ -1,6 +1,6 @@
 """A whole storey to map: apartments of seven rooms on both sides of a corridor, about 25 x 57 m with twelve of them.
 
-    asg compare --scenes "activestructure_gym.evaluation.benchmarks.floor:make_floor" --policies hole_area
+    asg compare --scenes "benchmarks.floor:make_floor" --policies hole_area
 
 Every apartment is one of `plan_layout`, with a doorway to the corridor in place of its windows there.
 """

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.evaluation.benchmarks.growth import GrowthRow
-from activestructure_gym.evaluation.benchmarks.mapping import MappedViews, MappingCourse, Recipe
-from activestructure_gym.evaluation.benchmarks.mapping_figures import (
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from benchmarks.growth import GrowthRow
+from benchmarks.mapping import MappedViews, MappingCourse, Recipe
+from benchmarks.mapping_figures import (
     plot_growth,
     quality_row,
     quality_strip,
     with_means,
 )
-from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame
 
 SIZE = (36, 64)
 

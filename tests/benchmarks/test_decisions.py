@@ -3,8 +3,9 @@ import json
 import pytest
 
 from activestructure_gym.evaluation.archive.directory_lock import hold
-from activestructure_gym.evaluation.benchmarks import decisions as benchmark
-from activestructure_gym.evaluation.cli import main
+from benchmarks import frozen_decisions as benchmark
+from benchmarks.command import run
+from benchmarks.decisions import Decisions
 
 
 def made_up(scene, seed, settings, tell):
@@ -17,9 +18,9 @@ def made_up(scene, seed, settings, tell):
 def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, capsys, tmp_path):
     played = []
     monkeypatch.setattr(benchmark, "frozen_decisions", lambda *given: played.append(given[:2]) or made_up(*given))
-    command = ["bench", "decisions", "--features", "pixel", "--out", str(tmp_path / "new"), "--seeds"]
-    assert main([*command, "0", "--scene", "box"]) == 0
-    assert main([*command, "0,1", "--scene", "box,room"]) == 0
+    command = ["--features", "pixel", "--out", str(tmp_path / "new"), "--seeds"]
+    assert run(Decisions, [*command, "0", "--scene", "box"]) == 0
+    assert run(Decisions, [*command, "0,1", "--scene", "box,room"]) == 0
     assert played == [("box", 0), ("box", 1), ("room", 0), ("room", 1)]
     assert "feature pixel" in capsys.readouterr().out
     written = json.loads((tmp_path / "new" / "decisions.json").read_text())
@@ -27,12 +28,12 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
     records = tmp_path / "new" / "decisions.jsonl"
     assert len(records.read_text().splitlines()) == 4 and not list(records.parent.glob(".*.tmp"))
     with hold(records.parent):  # somebody else is at it
-        assert main([*command, "2"]) == 2
+        assert run(Decisions, [*command, "2"]) == 2
     assert len(played) == 4 and "new" in capsys.readouterr().err
-    assert main([*command, "0", "--frames", "20"]) == 2
+    assert run(Decisions, [*command, "0", "--frames", "20"]) == 2
     assert "begun with other settings" in capsys.readouterr().err
     (tmp_path / "new" / "settings.json").write_text("{")
-    assert main([*command, "0"]) == 2
+    assert run(Decisions, [*command, "0"]) == 2
     assert "damaged" in capsys.readouterr().err
 
 
@@ -44,7 +45,7 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
         ("--preset fulll", "unknown preset 'fulll'"),
         ("--quality -1", "--quality must be at least 0"),
         ("--pool 0", "--pool at least 1"),
-        ("--seeds -1", "a seed is a whole number"),
+        ("--seeds=-1", "a seed is a whole number"),
         ("--policies nobody", "unknown policy 'nobody'"),
         ("--policies reference:oracle", "'reference:oracle' is no policy: ask for it by --references oracle"),
         ("--played reference:oracle", "'reference:oracle' is no policy"),
@@ -60,7 +61,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(capsys, tmp_path, words, said
     scene = [] if "--scene" in words else ["--scene", "box"]
     given = words.format(file=tmp_path / "file").split()
     out = [] if "--out" in words else ["--out", str(tmp_path / "out")]
-    assert main(["bench", "decisions", *scene, *given, *out]) == 2
+    assert run(Decisions, [*scene, *given, *out]) == 2
     error = capsys.readouterr().err
     assert "--scene" in words or not (tmp_path / "out").exists()
     assert said in error and error.startswith("asg: ") and error.count("\n") == 1

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.benchmarks.floor import make_floor, with_doorway
 from activestructure_gym.scenes.procedural.layout import UNIT, plan_layout
 from activestructure_gym.scenes.scene import Scene
+from benchmarks.floor import make_floor, with_doorway
 
 
 @pytest.fixture(scope="module")

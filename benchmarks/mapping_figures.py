@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL import Image
 
-    from activestructure_gym.evaluation.benchmarks.growth import GrowthRow
-    from activestructure_gym.evaluation.benchmarks.mapping import MappedViews, MappingCourse
+    from benchmarks.growth import GrowthRow
+    from benchmarks.mapping import MappedViews, MappingCourse
 
 _RECIPE = ("mapper", "iterations", "stride")  # columns that name a recipe
 MEAN = "mean"  # the scene of the rows that average over all scenes

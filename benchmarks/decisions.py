@@ -1,25 +1,26 @@
-"""``asg bench decisions``: how much of the best on offer the picks of features and policies reach."""
+"""How much of the best on offer the picks of features and policies reach."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.directory_lock import hold
-from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
-from activestructure_gym.evaluation.cli.fields import Count, Names, NoNames, PathName, PresetName, Switch, option
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
 from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
 from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
+from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.files import replaced
 from activestructure_gym.streams import escape
-
-if TYPE_CHECKING:
-    from activestructure_gym.evaluation.benchmarks.decisions import Settings
+from benchmarks import frozen_decisions as benchmark
+from benchmarks.command import run
+from benchmarks.frozen_decisions import Settings
 
 _RECORDS, _RESULT = "decisions.jsonl", "decisions.json"
 
@@ -28,17 +29,17 @@ _RECORDS, _RESULT = "decisions.jsonl", "decisions.json"
 class Decisions:
     """Frozen decisions of episodes: the true newly observed area of every candidate, and whose pick comes near it."""
 
-    scene: SceneNames = None
+    scene: str | None = None
     """The scenes that are explored, separated by commas; a room and an apartment if not given."""
-    seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
+    seeds: tuple[str, ...] = ("0",)
     """Whole numbers from 0 on, an episode each."""
-    played: Annotated[str, option("POLICY")] = "hole_area"
+    played: str = "hole_area"
     """The policy whose episodes are frozen."""
-    features: Names = ("hole_area", "pixel")
+    features: tuple[str, ...] = ("hole_area", "pixel")
     """Features (columns, see `asg features`) that are scored, each times the shared travel term."""
-    policies: NoNames = ()
+    policies: tuple[str, ...] = ()
     """Policies that are scored, beside those."""
-    preset: PresetName = "default"
+    preset: str = "default"
     """What `asg config PRESET` prints."""
     frames: int = 300
     """Frame budget of an episode."""
@@ -46,14 +47,14 @@ class Decisions:
     """The frame from which on decisions are frozen."""
     every: int = 4
     """Of so many decisions one is frozen."""
-    pool: Count = None
+    pool: int | None = None
     """Views of the pool that the best is sought among, drawn; all of it if not given."""
     quality: int = 0
     """Views of each frozen table that are mapped in a copy, for what they change on held-out views; 0 is none."""
-    out: PathName = None
+    out: str | None = None
     """Directory for decisions.json; finished episodes in it, of the same settings, are kept. Only printed if not
     given."""
-    quick: Switch = False
+    quick: bool = False
     """In small, to see that it runs."""
 
     def run(self) -> int:
@@ -68,9 +69,6 @@ class Decisions:
             return self._decide(settings, seeds, folder)
 
     def _decide(self, settings: Settings, seeds: Sequence[int], folder: Path | None) -> int:
-        from activestructure_gym.evaluation.benchmarks import decisions as benchmark
-        from activestructure_gym.evaluation.machine import hardware as machine
-
         console = make_console()
         scenes = split_names(self.scene) or (("box",) if self.quick else benchmark.SCENES)
         records = [] if folder is None else _kept(folder, settings)
@@ -104,7 +102,6 @@ class Decisions:
 
     def _settings(self) -> Settings:
         from activestructure_gym.config import known_preset
-        from activestructure_gym.evaluation.benchmarks.decisions import Settings
         from activestructure_gym.features import column_names
         from activestructure_gym.policies import make_policy
 
@@ -155,3 +152,7 @@ def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
 def _write(place: Path, content: dict[str, Any]) -> None:
     with replaced(place) as file:
         file.write(f"{json.dumps(content, indent=1)}\n".encode())
+
+
+if __name__ == "__main__":
+    sys.exit(run(Decisions))

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.options import split_policies
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
+from activestructure_gym.streams import escape
+from benchmarks.command import run
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -131,3 +139,50 @@ def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
         "processor_s": float(np.median(cpu)),
         "limit": f"{'under' if median <= limit else 'OVER'} {limit:g}",
     }
+
+
+@dataclass(frozen=True)
+class Policies:
+    """Seconds of a decision by every policy, in one state of an episode."""
+
+    scene: str | None = None
+    """The scenes where they decide, separated by commas; apartment?rooms=3 if not given."""
+    policies: tuple[str, ...] = ()
+    """Who decides; everybody if nobody is named."""
+    gaussians: int | None = None
+    """The state is taken when the map has as many and 256 views are on offer; 30,000 if not given."""
+    frames: int | None = None
+    """Or after so many frames; 400 if not given."""
+    repeats: int | None = None
+    """Decisions of everybody that are timed, beside a first one that is not; 7 if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.policies import make_policy
+
+        console = make_console()
+        size: dict[str, Any] = {"preset": "fast", "frames": 25, "repeats": 1} if self.quick else {}
+        given = {"gaussians": self.gaussians, "frames": self.frames, "repeats": self.repeats}
+        for name, value in given.items():
+            if value is not None and value < 1:
+                raise InputError(f"--{name} must be at least 1, got {value}")
+        size |= {name: value for name, value in given.items() if value is not None}
+        names = split_policies(self.policies)
+        for name in names:
+            make_policy(name)  # it refuses what there is not, before anything is explored
+        with console.status("measuring the policies") as status:
+            rows = [
+                row | {"scene": spec}
+                for spec in split_names(self.scene) or ["box" if self.quick else SCENE]
+                for row in run_policy_benchmark(
+                    spec, policies=names, notify=lambda line: status.update(escape(line)), **size
+                )
+            ]
+        print_rows(console, rows, "seconds of a decision, median and quartiles")
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(Policies))

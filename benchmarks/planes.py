@@ -14,6 +14,7 @@ left out are frames, skirtings, slats, and panels a few centimetres before their
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ import cv2
 import numpy as np
 
 from activestructure_gym.evaluation.benchmarks.sensors import benchmark_views
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.depth_noise import CLOSEST, GROWTH, LEAST, axial_sigma
 from activestructure_gym.geometry.frame import Frame
@@ -32,6 +35,7 @@ from activestructure_gym.planes.matching import MatchingConfig
 from activestructure_gym.planes.sparseness import MapPoints
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DepthNoise, noisy_depth
+from benchmarks.command import run
 
 SCENES = ("room?seed=3", "apartment?rooms=4&seed=2")
 SIZES = ((160, 90), (320, 180))
@@ -343,3 +347,31 @@ def _measured(detect: Detector, frames: Sequence[Frame], truths: Sequence[TruePl
         taken[k] = 1000.0 * (time.perf_counter() - start)
         score_segments(labels, normals, truth, tally)
     return tally, taken
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Planes found in depth pictures, beside those of OpenCV, and what the graph of planes costs a decision."""
+
+    scene: str | None = None
+    """The scenes whose planes are sought, separated by commas; a room and an apartment if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.scenes.library import load_scene
+
+        console = make_console()
+        sizes, views, keyframes = (SIZES[:1], 4, 8) if self.quick else (SIZES, 20, 60)
+        with console.status("measuring the planes"):
+            loaded = [load_scene(spec) for spec in split_names(self.scene) or SCENES]
+            rows = [row for scene in loaded for row in detection_rows(scene, sizes=sizes, views=views)]
+            costs = [row for scene in loaded for row in graph_rows(scene, keyframes=keyframes)]
+        print_rows(console, costs, "milliseconds of the planes per decision, 256 candidates")
+        print_rows(console, rows, "planes found on this machine, beside those of OpenCV")
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(Planes))

@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.benchmarks import planes as benchmark
-from activestructure_gym.evaluation.benchmarks.planes import (
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.scenes import Scene
+from activestructure_gym.scenes.scene import PartLabels, SceneMesh
+from benchmarks import planes as benchmark
+from benchmarks.command import run
+from benchmarks.planes import (
+    Planes,
     Tally,
     TruePlanes,
     opencv_detector,
     score_segments,
     true_planes,
 )
-from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.scenes import Scene
-from activestructure_gym.scenes.scene import PartLabels, SceneMesh
 
 
 def scene_of(*rectangles, structural=None):
@@ -118,3 +120,11 @@ def test_rows_of_a_scene():
     parts = [cost[f"{name}_ms"] for name in ("update", "visibility", "structure", "deficiency")]
     low, high = cost["sum_q1_q3"]
     assert 0 < max(parts) <= high and low <= cost["sum_ms"] <= high
+
+
+def test_what_is_found_and_what_it_costs_is_printed(monkeypatch, capsys):
+    monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
+    monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
+    assert run(Planes, ["--scene", "box", "--quick"]) == 0
+    out = capsys.readouterr().out
+    assert "0.125" in out and "7.5" in out and "320" not in out

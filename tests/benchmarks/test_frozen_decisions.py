@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.benchmarks.decisions import (
+from benchmarks.frozen_decisions import (
     Settings,
     _scored,
     decision_rows,

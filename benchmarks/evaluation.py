@@ -1,18 +1,23 @@
-"""``asg bench evaluation``: what the evaluation of one episode costs by stages, the truth already in the cache."""
+"""Measure what the evaluation of one episode costs by stages, the truth already in the cache."""
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.streams import escape
+from benchmarks.command import run
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -98,3 +103,24 @@ def _timed(work: Callable[[], T]) -> tuple[T, dict[str, float]]:
     wall, processor = time.perf_counter(), time.process_time()
     result = work()
     return result, {"wall_s": time.perf_counter() - wall, "processor_s": time.process_time() - processor}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What the evaluation of an episode costs, by stages."""
+
+    scene: str | None = None
+    """The scenes that are explored, separated by commas; a room and an apartment if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        rows = measure_evaluation(console, split_names(self.scene), quick=self.quick)
+        print_rows(console, rows, "cost of an episode's evaluation, the truth in the cache")
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(Evaluation))

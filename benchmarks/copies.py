@@ -15,11 +15,11 @@ from typing import Literal
 
 import numpy as np
 
-from activestructure_gym.evaluation.benchmarks.growth import STOREY, places, processor_ms, quartiles
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import MEAN, GaussianMap
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.scenes.scene import Scene
+from benchmarks.growth import STOREY, places, processor_ms, quartiles
 
 COUNTS = (250_000, 500_000, 1_000_000, 2_000_000)  # Gaussians
 KEYFRAMES = (6, 120)  # of the place, and of the apartment that is copied

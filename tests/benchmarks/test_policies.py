@@ -1,9 +1,10 @@
 import pytest
 
-from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
-from activestructure_gym.evaluation.benchmarks.policies import run_policy_benchmark
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.reliability import DirectionalReliability
+from benchmarks import policies as policy_benchmark
+from benchmarks.command import run
+from benchmarks.policies import Policies, run_policy_benchmark
 
 
 def test_a_row_per_policy_on_one_state():
@@ -56,3 +57,24 @@ def test_new_keyframes_are_measured_in_every_round(monkeypatch):
     assert votes[0][1] > 0 and len({*votes}) == 1
     assert shares[0][0] > 0 and len({*shares}) == 1
     assert votes[0][1] < rows[0]["keyframes"]  # the others voted before
+
+
+def test_every_scene_is_measured(monkeypatch, capsys):
+    def measured(scene, **options):
+        assert options.pop("notify")
+        return [{"policy": "random", "decision_s": 0.125, "options": options}]
+
+    monkeypatch.setattr(policy_benchmark, "run_policy_benchmark", measured)
+    assert run(Policies, ["--scene", "box,room", "--quick"]) == 0
+    out = capsys.readouterr().out
+    assert "0.125" in out and "box" in out and "room" in out and "repeats 1" in out
+    assert run(Policies, []) == 0
+    assert policy_benchmark.SCENE in capsys.readouterr().out
+    words = "--policies random hole_area --gaussians 80 --frames 30 --repeats 3 --quick"
+    assert run(Policies, words.split()) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "frames 30, repeats 3, gaussians 80" in out and "policies random .. hole_area" in out
+    assert run(Policies, ["--policies", "nobody"]) == 2
+    assert "unknown policy 'nobody'" in capsys.readouterr().err
+    assert run(Policies, ["--repeats", "0"]) == 2
+    assert "--repeats must be at least 1, got 0" in capsys.readouterr().err

@@ -14,15 +14,19 @@ from __future__ import annotations
 import copy
 import os
 import statistics
+import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from activestructure_gym.evaluation.benchmarks.mapping_views import KEYFRAME_EVERY, capture, random_walk, true_volume
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
@@ -31,7 +35,10 @@ from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.motion import DistanceMap, path_lengths
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.streams import escape
 from activestructure_gym.volume import VoxelVolume
+from benchmarks.command import measuring, run, write_rows
+from benchmarks.mapping_views import KEYFRAME_EVERY, capture, random_walk, true_volume
 
 SCENE = "apartment?seed=1&rooms=4"
 SIZE = (160, 90)  # pixels
@@ -241,3 +248,75 @@ def processor_ms(action: Callable[[], object]) -> float:
     before = time.process_time()
     action()
     return 1e3 * (time.process_time() - before)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What one place costs while the map grows elsewhere, to millions of Gaussians, and the map's memory."""
+
+    scene: str | None = None
+    """The scene that is mapped; an apartment if not given."""
+    out: str | None = None
+    """Directory for growth.jpg and growth.json; only printed if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        rows = _growth(console, self.scene, quick=self.quick, out=self.out)
+        print_rows(console, rows, "cost of one place while the map grows elsewhere")
+        return 0
+
+
+def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None) -> list[dict[str, Any]]:
+    from activestructure_gym.mapping import Mapper, MapperConfig
+    from activestructure_gym.scenes.library import load_scene
+    from benchmarks import copies
+    from benchmarks.mapping_figures import plot_growth
+
+    checkpoints, pair = ((2, 4, 27), (4, 27)) if quick else (CHECKPOINTS, PAIR)
+    size, scored, probes = ((96, 54), 8, 2) if quick else (SIZE, SCORED, 15)
+    with console.status("loading the scene"):
+        scene = load_scene(spec or ("box" if quick else SCENE))
+    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
+    with measuring(console, growth_steps(checkpoints)) as advance:
+        measured, compared = run_growth_benchmark(
+            scene, mapper, checkpoints=checkpoints, size=size, scored=scored, probes=probes, pair=pair, advance=advance
+        )
+    rows = [asdict(row) for row in measured]
+    counts, keyframes = ((30_000,), (2, 20)) if quick else (copies.COUNTS, copies.KEYFRAMES)
+    with measuring(console, 2 * len(counts)) as advance:
+        among = copies.run_copies_benchmark(
+            scene,
+            Mapper(MapperConfig(), np.random.default_rng(0)),
+            counts=counts,
+            keyframes=keyframes,
+            size=size,
+            probes=probes,
+            advance=advance,
+        )
+    for row in among:
+        low, middle, high = row.event_ratio
+        console.print(
+            f"an event among copies ({row.where}), {row.gaussians[1]:,} Gaussians, costs {middle:.2f} "
+            f"[{low:.2f}, {high:.2f}] times that with {row.gaussians[0]:,} ({row.pairs} pairs; "
+            f"{row.event_ms[0]:.0f} and {row.event_ms[1]:.0f} ms)"
+        )
+    console.print(f"the map's arrays take {among[-1].mb_per_million:.0f} MB a million Gaussians of room")
+    for name, (low, middle, high) in (("an event", compared.event_ratio), ("a decision", compared.decision_ratio)):
+        console.print(
+            f"{name} with {compared.keyframes[1]} keyframes costs {middle:.2f} [{low:.2f}, {high:.2f}] times that with "
+            f"{compared.keyframes[0]} ({compared.pairs} pairs)"
+        )
+    if out is not None:
+        settings = {"scene": scene.name, "size": size, "scored": scored, "pair": asdict(compared)}
+        settings["copies"] = [asdict(row) for row in among]
+        folder = write_rows(out, "growth.json", settings, rows)
+        plot_growth(measured, folder / "growth.jpg", title="One place, looked at again while the map grows elsewhere")
+        console.print(f"written: {escape(str(folder / 'growth.jpg'))}, {escape(str(folder / 'growth.json'))}")
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(run(Growth))

@@ -6,25 +6,32 @@ module maps and renders; the report measures and draws.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from activestructure_gym.evaluation.benchmarks.mapping_views import (
-    KEYFRAME_EVERY,
-    capture,
-    held_out_poses,
-    random_walk,
-    true_volume,
-)
+from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping.config import MAPPERS
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.streams import escape
+from benchmarks.command import measuring, run, write_rows
+from benchmarks.mapping_views import (
+    KEYFRAME_EVERY,
+    capture,
+    held_out_poses,
+    random_walk,
+    true_volume,
+)
 
 SIZE = (160, 90)  # pixels: what comparisons use
 SUPERSAMPLE = 4
@@ -154,3 +161,50 @@ def run_quality_benchmark(
 def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
     """Number of times `run_quality_benchmark` calls ``advance``."""
     return scenes * (keyframes + views + recipes * keyframes)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Quality of maps on held-out views, by every recipe of the mapper."""
+
+    scene: str | None = None
+    """The scenes that are mapped, separated by commas; two apartments if not given."""
+    out: str | None = None
+    """Directory for mapping.jpg and mapping.json; only printed if not given."""
+    quick: bool = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        rows = _quality(console, split_names(self.scene), quick=self.quick, out=self.out)
+        print_rows(console, rows, "quality of maps on held-out views")
+        return 0
+
+
+def _quality(console: Console, scenes: Sequence[str], *, quick: bool, out: str | None) -> list[dict[str, Any]]:
+    from activestructure_gym.scenes.library import load_scene
+    from benchmarks.mapping_figures import quality_row, quality_strip, with_means
+
+    keyframes, views, recipes = (10, 3, RECIPES[::3]) if quick else (60, 24, RECIPES)
+    size = (96, 54) if quick else (160, 90)
+    with console.status("loading the scenes"):
+        loaded = [load_scene(spec) for spec in scenes or (("box",) if quick else PROCEDURAL_SCENES)]
+    rows, courses, results = [], [], []
+    with measuring(console, quality_steps(len(loaded), len(recipes), keyframes, views)) as advance:
+        for course, mapped in run_quality_benchmark(
+            loaded, recipes=recipes, keyframes=keyframes, views=views, size=size, advance=advance
+        ):
+            rows += [quality_row(course, entry) for entry in mapped]
+            courses.append(course)
+            results.append(mapped)
+    rows = with_means(rows)
+    if out is not None:
+        folder = write_rows(out, "mapping.json", {"keyframes": keyframes, "views": views, "size": size}, rows)
+        quality_strip(courses, results).save(folder / "mapping.jpg", quality=85)
+        console.print(f"written: {escape(str(folder / 'mapping.jpg'))}, {escape(str(folder / 'mapping.json'))}")
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(run(Quality))

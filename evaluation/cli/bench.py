@@ -1,0 +1,151 @@
+"""``asg bench``: how fast the sensor, the rasteriser and the environment are on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from activestructure_gym.evaluation.cli.fields import Names, PresetName, Switch, option
+from activestructure_gym.evaluation.cli.options import split_list
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.streams import escape
+
+SceneNames = Annotated[str | None, option("SCENE,...", "")]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Speed of the sensor: RGB-D frames per second by renderer and size."""
+
+    scene: SceneNames = None
+    """The scenes it looks at, separated by commas; room if not given."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.evaluation.benchmarks.sensors import run_sensor_benchmark
+
+        console = make_console()
+        with console.status("measuring the sensor"):
+            rows = run_sensor_benchmark(split_names(self.scene) or ["room"])
+        print_rows(console, rows, "speed of the sensor on this machine")
+        return 0
+
+
+@dataclass(frozen=True)
+class Splatting:
+    """Speed of the rasteriser, in what mapping and the scoring of candidate views ask of it."""
+
+    workloads: Names = ("W1", "W2", "W3", "W4")
+    (
+        "Mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k (W3), and 64 "
+        "candidate views of 50k (W4)."
+    )
+    repeats: int = 15
+    """How often everything is timed."""
+    baseline: bool = True
+    """Measure plain torch beside it, for the ratios: minutes instead of half a minute."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.evaluation.benchmarks.information import run_information_benchmark
+        from activestructure_gym.evaluation.benchmarks.splatting import run_splatting_benchmark
+
+        console = make_console()
+        with console.status("measuring the splatting") as status:
+
+            def tell(line: str) -> None:
+                status.update(f"measuring the {line}")
+
+            rows = run_splatting_benchmark(
+                split_list(self.workloads), repeats=self.repeats, baseline=self.baseline, progress=tell
+            )
+            of_keyframes = run_information_benchmark(repeats=self.repeats, progress=tell)
+        print_rows(console, rows, "speed of the rasteriser on this machine")
+        print_rows(console, of_keyframes, "a decision's information of the keyframes, processor ms")
+        return 0
+
+
+@dataclass(frozen=True)
+class Env:
+    """Steps per second of the environment in one process and in two, and where their time goes."""
+
+    scene: SceneNames = None
+    """The scenes in which steps are taken, separated by commas; apartment?rooms=3 if not given."""
+    preset: PresetName = "fast"
+    """What `asg config PRESET` prints."""
+    quick: Switch = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.config import known_preset
+        from activestructure_gym.evaluation.benchmarks.env import SCENES, run_env_benchmark
+
+        console = make_console()
+        size: dict[str, Any] = {"rounds": 1, "seconds": 0.5} if self.quick else {}
+        with console.status("measuring the environment") as status:
+            speed, rows = run_env_benchmark(
+                split_names(self.scene) or (["box"] if self.quick else SCENES),
+                preset=known_preset(self.preset),
+                notify=lambda line: status.update(f"measuring the {escape(line)}"),
+                **size,
+            )
+        print_rows(console, speed, "steps of the environment on this machine")
+        print_rows(console, rows, "where the time of a step goes, milliseconds of processor time")
+        return 0
+
+
+@tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
+@dataclass(frozen=True)
+class Bench:
+    """Measure a part on this machine, and print what was measured."""
+
+    part: (
+        Annotated[Sensor, tyro.conf.subcommand("sensor")]
+        | Annotated[Splatting, tyro.conf.subcommand("splatting")]
+        | Annotated[Env, tyro.conf.subcommand("env")]
+    )
+    """The part to measure."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        return self.part.run()
+
+
+def split_names(scenes: str | None) -> tuple[str, ...]:
+    """Scenes separated by commas; () where none is given."""
+    return split_list([scenes] if scenes else [])
+
+
+def print_rows(console: Console, rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Print one table."""
+    print_whole(console, rows_table(rows, title=title))
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
+    """Rows of any names as a table; numbers to three digits."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = plain_table(title)
+    for name in names:
+        numeric = all(isinstance(row.get(name), int | float | type(None)) for row in rows)
+        table.add_column(name.replace("_", " "), justify="right" if numeric else "left")
+    for row in rows:
+        table.add_row(*(escape(_text(row.get(name))) for name in names))
+    return table
+
+
+def _text(value: Any) -> str:
+    if value is None or value != value:  # NaN is not equal to itself
+        return "n/a"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(entry)}" for key, entry in value.items())
+    if isinstance(value, tuple | list):
+        return " .. ".join(_text(entry) for entry in value)
+    return str(value)

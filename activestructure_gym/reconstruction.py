@@ -404,23 +404,32 @@ class Reconstruction:
                 self._empty.add(self.stage)
                 self.candidates = rows_with(self._empty)
         with self._timed("gains"):
-            context = FeatureContext(
-                mapper=self.mapper,
-                volume=self.volume,
-                planes=self.planes,
-                camera=self.scoring_camera,
-                bounds=self.scene.bounds.copy(),
-                coverage_alpha=config.views.coverage_alpha,
-                max_range=config.sensor.max_range,
-                world_from_camera=self.candidates.world_from_camera[: self.candidates.views].copy(),
-                agent=agent,
-                revisit=self.candidates.revisit[: self.candidates.views].copy(),
-            )
+            views = self.candidates.views
+            context = self.feature_context(self.candidates.world_from_camera[:views], self.candidates.revisit[:views])
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
             self.gains = np.pad(evaluate_features(config.gains, context), asks)
             self.visible = np.pad(context.visible, asks)
             # A row that ends the episode has a pose but gets no features.
             self.gains[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
+
+    def feature_context(
+        self,
+        world_from_camera: np.ndarray,  # [K, 4, 4] views
+        revisit: np.ndarray | None = None,  # [K] bool, which are a stored keyframe's pose
+    ) -> FeatureContext:
+        """The reconstruction as it is now, as features read it, with these views as candidates."""
+        return FeatureContext(
+            mapper=self.mapper,
+            volume=self.volume,
+            planes=self.planes,
+            camera=self.scoring_camera,
+            bounds=self.scene.bounds.copy(),
+            coverage_alpha=self.config.views.coverage_alpha,
+            max_range=self.config.sensor.max_range,
+            world_from_camera=world_from_camera.copy(),
+            agent=self.agent,
+            revisit=None if revisit is None else revisit.copy(),
+        )
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
         """Return distinct keyframe poses [R, 4, 4] in order of PSNR, lowest first.

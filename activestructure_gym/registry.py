@@ -5,6 +5,7 @@ A name is looked up in this order:
 - entries registered in this process;
 - ``"family:rest"``: a family makes the entry from ``rest`` (``learned:CHECKPOINT``);
 - ``"package.module:attribute"``, imported; works in worker processes without registering;
+- files of this package that the registry names by a pattern (``policies/*/features.py``), imported;
 - entry points of installed packages in the group ``activestructure_gym.<kind>``, which ``pip install`` adds.
 """
 
@@ -15,6 +16,7 @@ import importlib
 import os
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
@@ -29,14 +31,22 @@ class Registry(Generic[T]):
     """Map names to objects of one ``kind``; ``plural`` names the group of entry points.
 
     `get` refuses an entry for which ``fits`` is false; the message says that it must be ``wanted``.
+    ``files`` are patterns of files of this package, ``ROOM/PATTERN``, that register entries here. They are imported when
+    all names are asked for, or one that is not registered.
     """
 
     def __init__(
-        self, kind: str, plural: str, *, fits: Callable[[Any], bool] = lambda _: True, wanted: str = "anything"
+        self,
+        kind: str,
+        plural: str,
+        *,
+        fits: Callable[[Any], bool] = lambda _: True,
+        wanted: str = "anything",
+        files: tuple[str, ...] = (),
     ) -> None:
         self.kind = kind
         self.group = f"activestructure_gym.{plural}"
-        self._fits, self._wanted = fits, wanted
+        self._fits, self._wanted, self._files = fits, wanted, files
         self._entries: dict[str, T] = {}
         self._families: dict[str, Callable[[str], T]] = {}
 
@@ -59,6 +69,7 @@ class Registry(Generic[T]):
         return remember
 
     def __iter__(self) -> Iterator[str]:
+        self._import_files()
         return iter(sorted(self._entries.keys() | {point.name for point in entry_points(group=self.group)}))
 
     def __contains__(self, name: object) -> bool:
@@ -76,6 +87,8 @@ class Registry(Generic[T]):
     def imports(self, name: str) -> bool:
         """Return whether `get` would import the module named by ``name`` and so run its code."""
         family, colon, _ = name.partition(":")
+        if colon and name not in self._entries:
+            self._import_files()
         return bool(colon) and name not in self._entries and family not in self._families
 
     def module_of(self, name: str) -> str | None:
@@ -102,10 +115,22 @@ class Registry(Generic[T]):
         family, colon, rest = name.partition(":")
         if colon:
             return self._families[family](rest)
+        self._import_files()
+        if name in self._entries:
+            return self._entries[name]
         for point in entry_points(group=self.group):
             if point.name == name:
                 return self._entries.setdefault(name, point.load())
         raise unknown_name(self.kind, name, self)
+
+    def _import_files(self) -> None:
+        """Import the files of this package that register entries here."""
+        ours = __name__.partition(".")[0]
+        for room, _, pattern in (file.partition("/") for file in self._files):
+            package = f"{ours}.{room}"
+            for folder in map(Path, importlib.import_module(package).__path__):
+                for file in sorted(folder.glob(pattern)):
+                    importlib.import_module(".".join((package, *file.relative_to(folder).with_suffix("").parts)))
 
     def _import(self, path: str) -> T:
         module_name, _, attribute = path.partition(":")

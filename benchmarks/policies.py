@@ -94,13 +94,12 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
 
 
 def _ask(env: Any) -> None:
-    """Update what planners keep of the keyframes: movement, reliability, information, looks."""
-    mapper = env.reconstruction.mapper
-    mapper.movement()
-    mapper.reliability()
-    for of_depth in (False, True):
-        mapper.keyframe_information(env.reconstruction.scoring_camera, of_depth=of_depth)
-    mapper.surface_looks()
+    """Update what features keep of the keyframes (`FeatureContext.episode`), without a view."""
+    from activestructure_gym.features import FEATURES
+
+    context = env.reconstruction.feature_context(np.zeros((0, 4, 4)))
+    for name in ("rt_guide", "gauss_mi", "next_best_sense", "r3_recon"):
+        FEATURES.get(name)(context)
 
 
 def _decision(env: Any, name: str) -> dict[str, float]:

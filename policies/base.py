@@ -98,6 +98,7 @@ POLICIES: Registry[type[Policy]] = Registry(
     "policies",
     fits=is_policy,
     wanted="a class derived from activestructure_gym.policies.Policy that defines act()",
+    files=("policies/*/policy.py",),
 )
 
 

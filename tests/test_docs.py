@@ -171,7 +171,8 @@ def test_the_rasteriser_s_example_runs() -> None:
 
 
 def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
-    from activestructure_gym.policies import LADDER, POLICIES
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.activestructure import LADDER
 
     page = (ROOT / "docs" / "guide" / "planners.md").read_text().partition("## Cost")
     told = page[0] + page[2].partition("The sections stand")[2]

@@ -151,8 +151,43 @@ def test_no_room_of_the_planners_side_knows_the_truth(room: str) -> None:
             assert room_of(found.imported) not in ("scenes", "ground_truth"), found.place
 
 
+@cache
+def blind() -> frozenset[str]:
+    """Files of `policies` that never see the map: all but `features.py` and `sources.py` of a planner, and their own.
+
+    Those are `policy.py` of every folder, what stands in none, the folder `learned`, and whatever these import.
+    """
+    room = [name for name in modules() if name != PACKAGE and room_of(name) == "policies"]
+    waiting = [name for name in room if name.endswith(".policy") or name.count(".") < 3 or ".learned." in name]
+    found: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += [one.imported for one in every_import() if one.importer == name and one.imported in room]
+    return frozenset(found)
+
+
 def test_policies_know_names_and_nothing_of_the_world() -> None:
     allowed = ("policies", "registry", "errors", "files", "specs", "ranges")
     for found in every_import():
-        if room_of(found.importer) == "policies":
+        if found.importer in blind():
             assert room_of(found.imported) in allowed or found.imported.endswith("envs.observation"), found.place
+
+
+def test_a_planner_s_features_and_sources_stand_where_the_shared_ones_do() -> None:
+    """They import what those rooms may, and their own folder; nothing else of `policies` is left."""
+    seeing = {name for name in modules() if name != PACKAGE and room_of(name) == "policies"} - blind()
+    assert len([name for name in seeing if name.endswith(".features")]) > 15
+    for found in every_import():
+        if found.importer in seeing and room_of(found.imported) != "policies":
+            assert LEVEL[room_of(found.imported)] <= LEVEL["sources"], found.place
+            assert room_of(found.imported) not in ("scenes", "ground_truth"), found.place
+        elif found.importer in seeing:
+            assert found.imported.rpartition(".")[0] == found.importer.rpartition(".")[0], found.place
+
+
+def test_a_policy_that_looks_at_the_map_would_be_found() -> None:
+    planner = f"{PACKAGE}.policies.naruto"
+    assert {f"{planner}.policy", f"{PACKAGE}.policies.base"} <= blind()
+    assert not {f"{planner}.features", f"{planner}.sources", f"{PACKAGE}.policies.popgs.block_features"} & blind()

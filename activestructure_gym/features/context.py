@@ -72,6 +72,17 @@ class FeatureContext:
             self._results[compute] = compute(self)
         return self._results[compute]
 
+    def episode(self, make: Callable[[FeatureContext], T]) -> T:
+        """``make(self)``, called at most once per episode: what a feature keeps from one step to the next.
+
+        The object belongs to the episode's map and is copied with it. With methods ``before_steps`` and ``after_steps``
+        it is called around the optimisation steps of every mapping event from then on.
+        """
+        memory = self.mapper.memory
+        if make not in memory:
+            memory[make] = make(self)
+        return memory[make]
+
     @cached_property
     def _results(self) -> dict[Callable[[FeatureContext], Any], Any]:
         return {}

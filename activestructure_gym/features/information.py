@@ -18,7 +18,9 @@ import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import hole_area
+from activestructure_gym.features.keyframe_information import COLUMNS, KeyframeInformation
 from activestructure_gym.features.registry import FEATURES, Compute, Feature
+from activestructure_gym.mapping import Mapper
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
@@ -30,14 +32,38 @@ MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
 _COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # of `ViewInformation.numbers`, by kind
 
 
+class _Trained:
+    """H_train of an episode: measured when it is asked for, and at most once between two mapping events.
+
+    So it does not depend on how many features ask for it.
+    """
+
+    of_depth = False
+
+    def __init__(self, context: FeatureContext) -> None:
+        self._information = KeyframeInformation(
+            context.mapper.persistent_map, camera=context.camera, of_depth=self.of_depth
+        )
+        self._event, self._found = -1, np.empty((0, COLUMNS))
+
+    def of(self, mapper: Mapper) -> np.ndarray:  # [N, 24] float64, to be read only
+        if self._event != mapper.events:
+            self._event, self._found = mapper.events, self._information.update(mapper.keyframes)
+        return self._found
+
+
+class _TrainedOfDepth(_Trained):
+    of_depth = True
+
+
 def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
     """H_train, columns as in `ViewInformation.numbers`."""
-    return context.mapper.keyframe_information(context.camera)
+    return context.episode(_Trained).of(context.mapper)
 
 
 def trained_of_depth(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
     """H_train of the rendered depth."""
-    return context.mapper.keyframe_information(context.camera, of_depth=True)
+    return context.episode(_TrainedOfDepth).of(context.mapper)
 
 
 def units(context: FeatureContext) -> np.ndarray:  # [4]

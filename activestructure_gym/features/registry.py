@@ -125,7 +125,13 @@ class FeatureRegistry(Registry[Feature]):
         return names
 
 
-FEATURES = FeatureRegistry("feature", "features", fits=callable, wanted="a function of a FeatureContext")
+FEATURES = FeatureRegistry(
+    "feature",
+    "features",
+    fits=callable,
+    wanted="a function of a FeatureContext",
+    files=("features/*.py", "policies/*/features.py"),
+)
 
 
 def _beginnings(column: str) -> list[str]:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from activestructure_gym.features.gs_planner import LOSS_KEYFRAMES, spread
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.volume import VoxelVolume
 
+LOSS_KEYFRAMES = 16  # rendered per step, half of them the newest ones: the cost does not grow with the episode
 Error = Callable[[Frame, Rendering], np.ndarray]  # of every pixel, [H, W]
 
 
@@ -43,3 +43,17 @@ def voxel_sums(
         sums += np.bincount(flat, errors[inside], len(sums))
         number += np.bincount(flat, minlength=len(sums))
     return sums.reshape(volume.shape), number.reshape(volume.shape)
+
+
+def voxel_colour_errors(mapper: Mapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
+    """Mean squared error of the rendered colours over what 16 keyframes saw in each voxel; 0 where they saw nothing."""
+    sums, number = voxel_sums(mapper, volume, squared_colour_error)
+    return (sums / np.maximum(number, 1.0)).astype(np.float32)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most ``most`` of the indices below ``count``: half of them the last ones, the others evenly over the rest."""
+    newest = range(max(0, count - most // 2), count)
+    rest = count - len(newest)
+    others = np.unique(np.linspace(0, rest - 1, min(rest, most - len(newest))).round().astype(int))
+    return [int(i) for i in others] + list(newest)

@@ -75,10 +75,10 @@ class CoSLAMMapper(Mapper):
     @property
     def map(self) -> GaussianMap:
         """The zero level of the field as it is, as disks; made anew when it is asked for after a change."""
-        if self._mapped != self._events:
+        if self._mapped != self.events:
             self._gaussians.keep(np.zeros(self._gaussians.count, dtype=bool))
             self._gaussians.append(self._surface())
-            self._mapped = self._events
+            self._mapped = self.events
         return self._gaussians
 
     @map.setter
@@ -90,7 +90,7 @@ class CoSLAMMapper(Mapper):
         frame = checked_frame(frame)
         config = self.config
         iterations = config.iterations if iterations is None else iterations
-        self._events += 1
+        self.events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         # What is new is counted in vertices, not in pixels.
         before = int(np.count_nonzero(self._vertices.seen))
@@ -120,7 +120,7 @@ class CoSLAMMapper(Mapper):
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
         """Learn from the rays kept of all keyframes (or of the given ones)."""
         indices = sorted(set(self._rounds(len(self.keyframes), keyframe_indices)))
-        self._events += 1
+        self.events += 1
         with one_thread():
             losses = self._learn(None, iterations, indices) if indices else np.zeros((0, 3))
         return summed_up(self._gaussians.count, indices[:iterations], losses, 0)
@@ -134,17 +134,13 @@ class CoSLAMMapper(Mapper):
         alpha = met.astype(np.float32).reshape(shape)
         return Rendering(color.reshape(*shape, 3) * alpha[..., None], depth.reshape(shape) * alpha, alpha)
 
-    def movement(self) -> np.ndarray:
-        """Raises `InputError`: nothing here lives on from event to event."""
-        raise _without_gaussians("movements")
-
-    def keyframe_information(self, camera: PinholeCamera, *, of_depth: bool = False) -> np.ndarray:
-        """Raises `InputError`: nothing here lives on from event to event."""
-        raise _without_gaussians("Fisher information")
-
-    def reliability(self) -> np.ndarray:
-        """Raises `InputError`: nothing here lives on from event to event."""
-        raise _without_gaussians("reliability")
+    @property
+    def persistent_map(self) -> GaussianMap:
+        """Raises `InputError`: the Gaussians are made anew after every event."""
+        raise InputError(
+            "mapper co_slam has no Gaussians that persist from one event to the next, which a feature of this planner "
+            "follows: choose another mapper or planner"
+        )
 
     def _learn(
         self, newest: Rays | None, steps: int, keyframes: Sequence[int] | None = None
@@ -279,10 +275,4 @@ def rays_of(frame: Frame, index: int) -> Rays:
         directions.astype(np.float32),
         unit_rgb(frame).reshape(-1, 3),
         frame.depth.reshape(-1).astype(np.float32),
-    )
-
-
-def _without_gaussians(what: str) -> InputError:
-    return InputError(
-        f"mapper co_slam has no Gaussians that live on, and so no {what}; choose another mapper or planner"
     )

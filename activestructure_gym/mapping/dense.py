@@ -46,15 +46,15 @@ class DenseMapper(Mapper):
         """Make ``frame`` a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
-        self._events += 1
+        self.events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         with one_thread():
             block, new_share = self._seeds(frame)
             added, left_out = self._append(block)
             index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
-            self._begin_event()
+            self._before_steps()
             views, losses, pruned = self._event(index, iterations)
-            self._end_event()
+            self._after_steps()
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return summed_up(
             self.map.count,
@@ -70,16 +70,16 @@ class DenseMapper(Mapper):
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
         """Optimise the whole map over all keyframes (or the given ones), in shuffled rounds, by their colours alone."""
         views = self._rounds(iterations, keyframe_indices)
-        self._events += 1
+        self.events += 1
         losses = np.full((len(views), 3), np.nan)
         with one_thread():
-            self._begin_event()
+            self._before_steps()
             self.map.reset_moments()
             for step, view in enumerate(views):
                 rows = leaf(self.map.parameters[:, : self.map.count])
                 losses[step] = self._look(rows, view, _refining_loss)
                 self._step(rows, slice(0, self.map.count), self.config.learning_rates(refining=True), step + 1)
-            self._end_event()
+            self._after_steps()
         return summed_up(self.map.count, views, losses, 0)
 
     def _append(self, block: np.ndarray) -> tuple[int, int]:
@@ -131,14 +131,6 @@ class DenseMapper(Mapper):
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least = np.log(threshold) - np.log1p(-threshold)
         return (np.arange(self.map.count) >= start) & ~(logits >= least)
-
-    def _begin_event(self) -> None:
-        if self._movement is not None:
-            self._movement.begin()
-
-    def _end_event(self) -> None:
-        if self._movement is not None:
-            self._movement.end()
 
 
 def _refining_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor) -> MappingLoss:

@@ -7,8 +7,9 @@ numbers behind them: docs/notebook/groundwork.md. Rendering and the optimisation
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,20 +28,14 @@ from activestructure_gym.mapping.density import (
     wanted_spacing,
 )
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, GaussianMap
-from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
-from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reduced import reduced
-from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
-from activestructure_gym.mapping.surface_looks import SurfaceLooks
 from activestructure_gym.splatting import LossWeights, Rendering
 from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
-
-_NOTHING = np.empty((0, 0))
 
 # Keyframes that a decision renders to know which are mapped worst: an eighth of what scoring 256 candidates at half the
 # size draws in pixels (own choice, docs/notebook/performance.md).
@@ -70,6 +65,17 @@ class MappingReport:
     psnr: float  # decibel, of the observed frame afterwards; nan for a refinement
 
 
+@runtime_checkable
+class StepFollower(Protocol):
+    """What is kept in `Mapper.memory` and has to be called around the steps of every mapping event."""
+
+    def before_steps(self) -> None:
+        """Called after the seeding of an event and before its steps."""
+
+    def after_steps(self) -> None:
+        """Called after the steps. Gaussians may have been removed, but none added."""
+
+
 class Mapper:
     """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
 
@@ -91,15 +97,11 @@ class Mapper:
         self.map = GaussianMap()
         self._rng = rng
         self._store = KeyframeStore(border_share=config.overlap_border)
-        self._events = 0  # observations and refinements so far
-        self._information: dict[tuple[PinholeCamera, bool], KeyframeInformation] = {}
-        self._informed: dict[tuple[PinholeCamera, bool], tuple[int, np.ndarray]] = {}  # event, what was found then
-        self._reliability: DirectionalReliability | None = None
-        self._surface_looks: SurfaceLooks | None = None
+        self.events = 0  # observations and refinements so far
+        self.memory: dict[Hashable, Any] = {}  # what features keep of this episode, see `FeatureContext.episode`
         self._ordered_above = _ORDERED_ABOVE  # Gaussians
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
-        self._movement: Movement | None = None
         self._weights = LossWeights(
             image=config.image_weight,
             l1_share=config.l1_share,
@@ -113,6 +115,11 @@ class Mapper:
     def rasterizer(self) -> Rasterizer:
         """Draws the map and steps it, for whoever needs other pictures than `render` and `render_depth_alpha` give."""
         return rasterizer(self.config.backend)
+
+    @property
+    def persistent_map(self) -> GaussianMap:
+        """The map, for those who follow its Gaussians by their ids from one event to the next."""
+        return self.map
 
     @property
     def keyframes(self) -> list[Frame]:
@@ -131,7 +138,7 @@ class Mapper:
         """Make ``frame`` a keyframe, seed what the map lacks there and optimise (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
-        self._events += 1
+        self.events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         boxes = MapParts(self.map, **self._slack(iterations), kept=True)
         unseen = boxes.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
@@ -161,7 +168,7 @@ class Mapper:
         Learns colours alone, unless ``config.refine_shapes``.
         """
         views = self._rounds(iterations, keyframe_indices)
-        self._events += 1
+        self.events += 1
         losses, pruned = self._optimize(views, refining=True)
         return summed_up(self.map.count, views, losses, pruned)
 
@@ -189,41 +196,6 @@ class Mapper:
         count = len(self.keyframes) if renders is None else renders
         self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
-
-    def movement(self) -> np.ndarray:  # [N] float32 metres
-        """Metres each Gaussian moved in the last event that moved it; 0 until then. Followed from the first call on."""
-        self._movement = self._movement or Movement(self.map)
-        return self._movement.metres()
-
-    def keyframe_information(
-        self, camera: PinholeCamera, *, of_depth: bool = False
-    ) -> np.ndarray:  # [N, 24] float64, to be read only
-        """Fisher information of all keyframes about every Gaussian, as seen by ``camera`` (`KeyframeInformation`).
-
-        Measured when somebody asks, and at most once between two mapping events: who else asks cannot change it.
-        """
-        asked = camera, of_depth
-        event, found = self._informed.get(asked, (-1, _NOTHING))
-        if event != self._events:
-            if asked not in self._information:
-                self._information[asked] = KeyframeInformation(self.map, camera=camera, of_depth=of_depth)
-            found = self._information[asked].update(self.keyframes)
-            self._informed[asked] = self._events, found
-        return found
-
-    def reliability(self) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only
-        """Log-odds of every Gaussian's reliability from four sides (`DirectionalReliability`).
-
-        Keyframes vote when somebody asks for the first time after them.
-        """
-        if self._reliability is None:
-            self._reliability = DirectionalReliability(self.map, self.config.backend)
-        return self._reliability.update(self.keyframes)
-
-    def surface_looks(self) -> SurfaceLooks:  # to be read only
-        """What all keyframes have seen of every 5 cm of surface; new ones are taken in when somebody asks."""
-        self._surface_looks = self._surface_looks or SurfaceLooks()
-        return self._surface_looks.update(self.keyframes)
 
     def _rounds(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
         """So many looks at the given keyframes (None: all), in shuffled rounds."""
@@ -369,8 +341,7 @@ class Mapper:
         """
         config = self.config
         losses = np.full((len(views), 3), np.nan)
-        if self._movement is not None:
-            self._movement.begin()
+        self._before_steps()
         if config.adam_reset:
             self.map.reset_moments()
         own_rates, epsilon = config.learning_rates(refining=refining), config.adam_epsilon
@@ -416,9 +387,20 @@ class Mapper:
             losses[step] = result.color, result.depth, result.ssim
         if -1 in config.prune_steps:
             pruned += self._prune(changed)
-        if self._movement is not None:
-            self._movement.end()
+        self._after_steps()
         return losses, pruned
+
+    def _before_steps(self) -> None:
+        """Notify what is kept in `memory`: seeding is done, and the steps of an event begin."""
+        for kept in self.memory.values():
+            if isinstance(kept, StepFollower):
+                kept.before_steps()
+
+    def _after_steps(self) -> None:
+        """Notify what is kept in `memory`: the steps of an event, and its pruning, are done."""
+        for kept in self.memory.values():
+            if isinstance(kept, StepFollower):
+                kept.after_steps()
 
     def _prune(self, changed: np.ndarray) -> int:
         """Remove Gaussians that are transparent, too large, or were driven to values that are not finite.

@@ -13,6 +13,8 @@ first::
 
 ``views.stages`` of the configuration names those that are offered together: ``(("pool", "mine"),)``. Several stages are
 several tables, of which a policy asks for another one by choosing a row.
+
+This room holds the sources that two planners or more use; `SOURCES` finds them and those in the planners' folders.
 """
 
 from activestructure_gym.sources.base import (
@@ -23,31 +25,13 @@ from activestructure_gym.sources.base import (
     make_source,
     sources_in,
 )
-from activestructure_gym.sources.facing import FrontierFacing, RegionsOfInterest, UnsureFacing
 from activestructure_gym.sources.offering import make_stages, offer, random_of
-from activestructure_gym.sources.places import Around, Lattice, Turns
-from activestructure_gym.sources.shared_pool import Pool
-from activestructure_gym.sources.standing import Finish, Stay
-from activestructure_gym.sources.targets import TargetFacing
-from activestructure_gym.sources.wheels import Floor, Nodes
 
 __all__ = [
     "SOURCES",
-    "Around",
-    "Finish",
-    "Floor",
-    "FrontierFacing",
-    "Lattice",
-    "Nodes",
-    "Pool",
     "Proposals",
-    "RegionsOfInterest",
     "Source",
     "SourceContext",
-    "Stay",
-    "TargetFacing",
-    "Turns",
-    "UnsureFacing",
     "make_source",
     "make_stages",
     "offer",

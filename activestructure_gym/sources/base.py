@@ -89,6 +89,7 @@ SOURCES: Registry[type[Source]] = Registry(
     "sources",
     fits=is_source,
     wanted="a class derived from activestructure_gym.sources.Source that defines propose()",
+    files=("sources/*.py", "policies/*/sources.py"),
 )
 
 

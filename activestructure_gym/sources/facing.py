@@ -7,23 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from activestructure_gym.features.aiisrfe import voxel_colour_errors
-from activestructure_gym.features.confidence import gaussian_confidence
 from activestructure_gym.features.uncertain_surface import free_side
-from activestructure_gym.mapping.sightings import sightings
+from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
-_SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
+SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
 _MOST_REGIONS = 1000  # the foremost ones, of which views are sought
 _TRIES = 8  # regions of a cube of side `apart_m` of which views are sought, until one has some
 
 
 @dataclass(frozen=True)
-class _Facing(Source):
+class Facing(Source):
     """Views of regions, the nearest first: from free places 0.3 to 2 m away, within 60 degrees of their normal.
 
     With ``apart_m`` one region of every cube of that side has views, so that they spread as far as anything is known.
@@ -39,7 +37,7 @@ class _Facing(Source):
         ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]", "apart_m": "[0, 100]"}
         check_ranges(self, {**ranges, "rows": f"[1, {MOST_ROWS}]"})
 
-    def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels
+    def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
         """Which cells are to be looked at."""
         raise NotImplementedError
 
@@ -88,7 +86,7 @@ class _Facing(Source):
 
 @SOURCES.register("frontier_facing")
 @dataclass(frozen=True)
-class FrontierFacing(_Facing):
+class FrontierFacing(Facing):
     """Views that face the frontier: unobserved space that has free space beside it."""
 
     def regions(self, context: SourceContext) -> np.ndarray:
@@ -96,30 +94,9 @@ class FrontierFacing(_Facing):
         return frontier_cells(context.volume)
 
 
-@SOURCES.register("roi")
-@dataclass(frozen=True)
-class RegionsOfInterest(_Facing):
-    """Views that face the frontier, or surface that the map is not confident of ([active_gs, code]).
-
-    Not confident of: cells with more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The normal of a
-    region is the mean direction to its free neighbours; that a place sees its region is asked for here, not there.
-    """
-
-    def regions(self, context: SourceContext) -> np.ndarray:
-        """The frontier's cells, and those of doubtful Gaussians."""
-        cells = frontier_cells(context.volume)
-        gaussians, volume = context.mapper.map, context.volume
-        doubtful = (gaussian_confidence(sightings(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)
-        inside = volume.voxel_of(gaussians.means[doubtful]) // _SIDE
-        inside = inside[((inside >= 0) & (inside < np.array(cells.shape))).all(axis=1)]
-        count = np.zeros(cells.shape, dtype=np.int64)
-        np.add.at(count, tuple(inside.T), 1)
-        return cells | (count > 5)
-
-
 @SOURCES.register("unsure_facing")
 @dataclass(frozen=True)
-class UnsureFacing(_Facing):
+class UnsureFacing(Facing):
     """Views that face surface whose colour is rendered worse than the mean, the worst first.
 
     By the mean squared colour error of keyframes in every voxel, as the feature `aiisrfe`.
@@ -142,7 +119,7 @@ def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] how many of the
     return rank
 
 
-def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels
+def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
     """Cells of which half or more is unobserved, without the outermost layer, which lies beyond the workspace."""
     inner = np.zeros(volume.shape, dtype=bool)
     inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
@@ -159,15 +136,15 @@ def standing_places(context: SourceContext) -> np.ndarray:  # [P, 3] metres
     places = reachable[np.abs(reachable[:, 2] - np.clip(reachable[:, 2], low, high)) <= 0.5 * volume.voxel_size]
     places[:, 2] = np.clip(places[:, 2], low, high)
     places = places[volume.clearance_at(places) >= context.clearance_m]
-    _, first = np.unique(volume.voxel_of(places) // _SIDE, axis=0, return_index=True)
+    _, first = np.unique(volume.voxel_of(places) // SIDE, axis=0, return_index=True)
     return places[np.sort(first)]
 
 
 def _coarse(grid: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [X / 2, Y / 2, Z / 2, 8]
     """The voxels of every whole cell."""
-    x, y, z = (size // _SIDE for size in grid.shape)
-    cells = grid[: x * _SIDE, : y * _SIDE, : z * _SIDE].reshape(x, _SIDE, y, _SIDE, z, _SIDE)
-    return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, _SIDE**3)
+    x, y, z = (size // SIDE for size in grid.shape)
+    cells = grid[: x * SIDE, : y * SIDE, : z * SIDE].reshape(x, SIDE, y, SIDE, z, SIDE)
+    return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, SIDE**3)
 
 
 def _facing_free(
@@ -186,5 +163,5 @@ def _facing_free(
             towards += beside[:, None] * (offset / np.linalg.norm(offset))
     length = np.linalg.norm(towards, axis=1)
     kept = length > 1e-6
-    centres = volume.origin + (at[kept] + 0.5) * _SIDE * volume.voxel_size
+    centres = volume.origin + (at[kept] + 0.5) * SIDE * volume.voxel_size
     return centres, towards[kept] / length[kept, None]

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import rotation_angle
-from activestructure_gym.motion import planar_graph
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.places import directions, looking
 
 
 @dataclass(frozen=True)
-class _OnWheels(Source):
+class OnWheels(Source):
     """Places at the height of the start, the same yaws at each; an even choice of places where all do not fit.
 
     A view that was had is left out until there is no other.
@@ -56,7 +55,7 @@ class _OnWheels(Source):
 
 @SOURCES.register("floor")
 @dataclass(frozen=True)
-class Floor(_OnWheels):
+class Floor(OnWheels):
     """A square lattice of places around the start."""
 
     spacing_m: float = 1.0
@@ -70,17 +69,3 @@ class Floor(_OnWheels):
         low, high = (np.trunc((end - context.start)[:2] / self.spacing_m) for end in context.bounds)
         steps = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij"), axis=-1)
         return np.asarray(context.start[:2] + self.spacing_m * steps.reshape(-1, 2))
-
-
-@SOURCES.register("nodes")
-@dataclass(frozen=True)
-class Nodes(_OnWheels):
-    """The nodes of the floor plan's Voronoi graph, where ANM-S goes and comes back to ([anm_s, code])."""
-
-    def places(self, context: SourceContext) -> np.ndarray:
-        """As far from all walls as can be."""
-        return planar_graph(context.volume, context.start).nodes
-
-    def spent(self, context: SourceContext) -> np.ndarray:
-        """The view it has now, alone."""
-        return context.agent.pose[None]

@@ -31,7 +31,7 @@ from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
 from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate
-from activestructure_gym.policies import LADDER
+from activestructure_gym.policies.activestructure import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
 BASELINES = ("hole_area", "pixel_only")

@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from activestructure_gym.evaluation.benchmarks.splatting import make_workload
+from activestructure_gym.features.keyframe_information import RENDERS, KeyframeInformation
 from activestructure_gym.geometry import se3_exp
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.information import RENDERS, KeyframeInformation
 
 CHECKPOINTS = (10, 20, 50, 100, 200)
 _CHANGED = 200  # Gaussians that go, and as many that come, between two decisions

@@ -57,7 +57,8 @@ def split_policies(words: Sequence[str]) -> tuple[str, ...]:
     Raises `InputError` for a word that is neither, nor ``package.module:Class``, and for a reference.
     """
     from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
-    from activestructure_gym.policies import LADDER, POLICIES
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.activestructure import LADDER
 
     groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
     for word in split_list(words):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -48,19 +49,6 @@ _ALWAYS = {
     ),
     "volume.integration": "_nearest_in_footprint carve mark_hits",
 }
-# The kernels of single features, by the module of the feature.
-_OF_FEATURES = {
-    "features.gavis": "visibility",
-    "features.gs_planner": "_walk",
-    "features.hgs_planner": "_transmitted_unknown",
-    "features.magician": "_look",
-    "features.popgs_block": "block_numbers",
-    "features.r3_recon": "lost_renderability",
-    "features.unexplored": "_sums",
-    "features.unknown_volume": "_open",
-    "features.unseen_sides": "_look _sorted_into_cells",
-    "features.view_angle": "cover",
-}
 _OURS = __name__.partition(".")[0]
 
 
@@ -68,9 +56,16 @@ def kernels_of(gains: Sequence[str]) -> set[str]:
     """Return the names of the kernels that a comparison compiles whose policies ask for these features."""
     from activestructure_gym.features import FEATURES
 
-    modules = {FEATURES.get(FEATURES.owner(gain)).__module__.removeprefix(f"{_OURS}.") for gain in gains}
-    by_module = _ALWAYS | {module: names for module, names in _OF_FEATURES.items() if module in modules}
-    return {f"{_OURS}.{module}.{name}" for module, names in by_module.items() for name in names.split()}
+    names = {f"{_OURS}.{module}.{name}" for module, of_module in _ALWAYS.items() for name in of_module.split()}
+    return names.union(*(_kernels_in(FEATURES.get(FEATURES.owner(gain)).__module__) for gain in gains))
+
+
+def _kernels_in(module: str) -> set[str]:
+    """Names of the kernels that a module of this package defines."""
+    from activestructure_gym.compiling.decorator import name_of
+
+    found = [thing for thing in vars(sys.modules[module]).values() if hasattr(thing, "py_func")]
+    return {name for name in map(name_of, found) if name.startswith(f"{module}.")}
 
 
 def not_compiled(names: Iterable[str], files: Iterable[Path]) -> set[str]:

@@ -17,10 +17,10 @@ from activestructure_gym.evaluation.training.playing import Choose, normalised, 
 from activestructure_gym.evaluation.training.runs import SCORE
 from activestructure_gym.evaluation.training.world import learning_layouts, learning_truth, make_env
 from activestructure_gym.ground_truth import GroundTruth
-from activestructure_gym.policies import Random
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
+from activestructure_gym.policies.random import Random
 
 _SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
 _FILE = "references.json"

@@ -7,6 +7,6 @@ in ``activestructure_gym/features``: `activesplat` (panoramas at the nodes, subr
 """
 
 from activestructure_gym.policies.activesplat.nodes import Nodes, choose_node, node_scores
-from activestructure_gym.policies.activesplat.planner import ActiveSplat
+from activestructure_gym.policies.activesplat.policy import ActiveSplat
 
 __all__ = ["ActiveSplat", "Nodes", "choose_node", "node_scores"]

@@ -6,7 +6,7 @@ Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phas
 
 from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
 from activestructure_gym.policies.activestructure.phases import PHASES, Phase, PhaseMachine
-from activestructure_gym.policies.activestructure.planner import (
+from activestructure_gym.policies.activestructure.policy import (
     LADDER,
     ActiveStructure,
     ActiveStructureA,

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from activestructure_gym.policies.learned import features
+from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 
 MASKED = -1e8  # the score of a row without a candidate: finite, so that entropies stay finite
@@ -43,13 +43,13 @@ class CandidateNetwork(nn.Module):
         super().__init__()
         self.config = config
         planes, width, gains = config.planes, config.candidates, len(config.gains)
-        self.plane_in = nn.Linear(features.PLANE_INPUTS, planes)
+        self.plane_in = nn.Linear(inputs.PLANE_INPUTS, planes)
         self.rounds = nn.ModuleList(nn.Linear(2 * planes, planes) for _ in range(config.rounds))
-        rows_in = nn.Linear(features.CANDIDATE_INPUTS + features.INPUTS_PER_GAIN * gains + planes, width)
+        rows_in = nn.Linear(inputs.CANDIDATE_INPUTS + inputs.INPUTS_PER_GAIN * gains + planes, width)
         with torch.no_grad():
-            rows_in.weight[:, list(features.CONSTANT_IF_FAST)] = 0.0
+            rows_in.weight[:, list(inputs.CONSTANT_IF_FAST)] = 0.0
         self.candidate_in = nn.Sequential(rows_in, nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        pooled = 2 * width + 2 * planes + features.GLOBAL_INPUTS + gains
+        pooled = 2 * width + 2 * planes + inputs.GLOBAL_INPUTS + gains
         self.context = nn.Sequential(nn.Linear(pooled, width), nn.ReLU())
         self.scorer = _head(2 * width, width)
         self.critic = _head(pooled, width)
@@ -63,16 +63,16 @@ class CandidateNetwork(nn.Module):
         if not self.config.planes_told:
             observation = {**observation, **{key: torch.zeros_like(observation[key]) for key in PLANE_KEYS}}
         valid, present = observation["action_mask"], observation["plane_mask"]
-        links = features.plane_links(observation)
-        planes = torch.relu(self.plane_in(features.plane_inputs(observation)))
+        links = inputs.plane_links(observation)
+        planes = torch.relu(self.plane_in(inputs.plane_inputs(observation)))
         for layer in self.rounds:
             planes = torch.relu(layer(torch.cat([planes, links @ planes], dim=-1)))
         planes = planes * present[..., None]
         seen = observation["candidate_planes"]
         summary = seen @ planes / (1.0 + seen.sum(-1, keepdim=True))  # [B, K, planes]
-        tokens = self.candidate_in(torch.cat([features.candidate_inputs(observation), summary], dim=-1))
+        tokens = self.candidate_in(torch.cat([inputs.candidate_inputs(observation), summary], dim=-1))
         pooled = torch.cat(
-            [masked_pool(tokens, valid), masked_pool(planes, present), features.global_inputs(observation)], dim=-1
+            [masked_pool(tokens, valid), masked_pool(planes, present), inputs.global_inputs(observation)], dim=-1
         )
         context = self.context(pooled)[:, None].expand_as(tokens)
         scores = self.scorer(torch.cat([tokens, context], dim=-1)).squeeze(-1)

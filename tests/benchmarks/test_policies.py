@@ -1,7 +1,7 @@
 import pytest
 
-from activestructure_gym.mapping.information import KeyframeInformation
-from activestructure_gym.mapping.reliability import DirectionalReliability
+from activestructure_gym.features.keyframe_information import KeyframeInformation
+from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliability
 from benchmarks import policies as policy_benchmark
 from benchmarks.command import run
 from benchmarks.policies import Policies, run_policy_benchmark

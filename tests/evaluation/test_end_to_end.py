@@ -259,7 +259,8 @@ def test_a_policy_that_returns_no_row_is_told(runs, tmp_path, monkeypatch):
     from dataclasses import replace
 
     from activestructure_gym.errors import InputError
-    from activestructure_gym.policies import POLICIES, Random
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.random import Random
 
     class Silent(Random):
         def act(self, observation):

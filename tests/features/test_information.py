@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.features.information import adaptive, observed_share, share_below, units
+from activestructure_gym.features.information import _Trained, adaptive, observed_share, share_below, trained, units
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
 
 def test_units_are_medians_of_what_is_known(hand_made) -> None:
     assert units(hand_made) == pytest.approx([4.0, 9.0, 2.0, 5.0])
-    known = np.concatenate([hand_made.mapper.keyframe_information(None)] * 2 + [np.zeros((3, 24))])
+    known = np.concatenate([trained(hand_made)] * 2 + [np.zeros((3, 24))])
     known[2, 0], known[2, 22] = 1.0, 7.0
-    hand_made.mapper.keyframe_information = lambda camera: known
+    hand_made.mapper.memory[_Trained].of = lambda mapper: known
     # Of two Gaussians: means of (4 + 4 + 4) / 3 and (1 + 4 + 4) / 3, colours of 5 and 7.
     assert units(hand_made) == pytest.approx([3.5, 9.0, 2.0, 6.0])
-    hand_made.mapper.keyframe_information = lambda camera: np.zeros((3, 24))
+    hand_made.mapper.memory[_Trained].of = lambda mapper: np.zeros((3, 24))
     assert units(hand_made) == pytest.approx([1.0] * 4)
 
 

@@ -255,7 +255,7 @@ def test_a_description_that_does_not_fit_is_refused(description: dict[str, Any])
 
 
 def test_a_feature_can_be_called_and_says_what_it_is() -> None:
-    from activestructure_gym.features import pixel
+    from activestructure_gym.features.pixel import pixel
 
     ctx = context(np.zeros((2, 24, 40), np.float32))
     assert pixel(ctx).tolist() == [1.0, 1.0]

@@ -12,7 +12,8 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.unexplored import unknown_cells
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.policies import ActiveGS, Frontier
+from activestructure_gym.policies.active_gs import ActiveGS
+from activestructure_gym.policies.frontier import Frontier
 from activestructure_gym.sensors import Frame
 from activestructure_gym.volume import FREE, UNKNOWN, VoxelVolume
 

@@ -11,8 +11,15 @@ import numpy as np
 import pytest
 
 from activestructure_gym import Reconstruction, configure, ground_truth_of, load_scene
-from activestructure_gym.features import FeatureContext, unknown_volume
-from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH, SHORTLIST, opened_volume, worth_a_look
+from activestructure_gym.features import FeatureContext
+from activestructure_gym.features.unknown_volume import (
+    MEAN_DEPTH,
+    REACH,
+    SHORTLIST,
+    opened_volume,
+    unknown_volume,
+    worth_a_look,
+)
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 

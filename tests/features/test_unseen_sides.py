@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.features import FeatureContext, unseen_sides
-from activestructure_gym.features.unseen_sides import NEAR, shown_from_behind
+from activestructure_gym.features import FeatureContext
+from activestructure_gym.features.unseen_sides import NEAR, shown_from_behind, unseen_sides
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from activestructure_gym.features import FeatureContext, evaluate_features, floor_graph
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.in_horizon import last_on_the_way
-from activestructure_gym.features.voronoi_node import NODE_REACH
+from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 

@@ -95,9 +95,8 @@ def test_same_bytes_with_any_number_of_threads(room_frames):
     assert found[0] == found[1]
 
 
-def test_what_needs_gaussians_that_live_on_is_refused(room_frames):
+def test_what_follows_gaussians_is_refused(room_frames):
     mapper = _mapper(iterations=1)
     mapper.observe(room_frames[0])
-    for ask in (mapper.movement, mapper.reliability, lambda: mapper.keyframe_information(room_frames[0].camera)):
-        with pytest.raises(InputError, match="co_slam has no Gaussians that live on"):
-            ask()
+    with pytest.raises(InputError, match="co_slam has no Gaussians that persist"):
+        _ = mapper.persistent_map

@@ -12,8 +12,10 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, candidate_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import column_names
-from activestructure_gym.policies import HoleArea, Naruto, candidates
+from activestructure_gym.policies import candidates
 from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.hole_area import HoleArea
+from activestructure_gym.policies.naruto import Naruto
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = column_names(("gs_planner_loss", "naruto_look", "pixel", "activeinr", "gs_planner_volume"))

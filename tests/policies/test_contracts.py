@@ -18,10 +18,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES, FeatureContext, column_names, evaluate_features
-from activestructure_gym.mapping.information import KeyframeInformation
-from activestructure_gym.mapping.reliability import DirectionalReliability
+from activestructure_gym.features.keyframe_information import KeyframeInformation
+from activestructure_gym.mapping.mapper import StepFollower
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliability
 from activestructure_gym.scenes import Scene, SceneMesh
 from activestructure_gym.scenes.raycaster import RayCaster
 
@@ -84,12 +85,12 @@ def swap_truth(env: ReconstructionEnv) -> None:
 def scored_anew(env: ReconstructionEnv) -> Observation:
     """The observation of the present state, as if nothing had been asked of the mapper before.
 
-    What it measures from keyframes (information, votes) is otherwise kept until the next mapping event.
+    What features measure from keyframes (information, votes) is otherwise kept until the next mapping event.
     """
     mapper = env.reconstruction.mapper
-    mapper._informed.clear()
-    mapper._information.clear()
-    mapper._reliability = None
+    for make, kept in list(mapper.memory.items()):
+        if not isinstance(kept, StepFollower):  # what follows steps cannot be measured anew
+            del mapper.memory[make]
     env.reconstruction._refresh()
     return env._observe()
 

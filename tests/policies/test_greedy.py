@@ -7,7 +7,8 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies import POLICIES, Greedy, PixelOnly, canonical_policy, make_policy
+from activestructure_gym.policies import POLICIES, Greedy, canonical_policy, make_policy
+from activestructure_gym.policies.pixel_only import PixelOnly
 from tests.policies.binding import bound
 
 FRAMES = CANDIDATE_FEATURES.index("frames")

@@ -9,8 +9,9 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.features import FEATURES
-from activestructure_gym.policies import POLICIES, HGSPlanner
-from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.policies.hgs_planner import HGSPlanner
+from activestructure_gym.policies.hgs_planner.policy import WORTH, first_of_tour
 from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, make_env_and_policy
+from activestructure_gym.policies import POLICIES, Policy, make_env_and_policy
+from activestructure_gym.policies.hole_area import HoleArea
+from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.scenes import load_scene
 
 ROOM = "activestructure_gym:ActiveStructure/Room-v0"

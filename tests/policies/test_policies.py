@@ -14,8 +14,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, Table
 from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
-from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, Random, travel_discount
+from activestructure_gym.policies import POLICIES, Policy, travel_discount
 from activestructure_gym.policies.base import best_valid, nearest_new
+from activestructure_gym.policies.hole_area import HoleArea
+from activestructure_gym.policies.pixel_only import PixelOnly
+from activestructure_gym.policies.random import Random
 from tests.policies.binding import bound, columns
 
 ALL = sorted(POLICIES)

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies import POLICIES, ActiveGS, Frontier, Planner, RTGuide, ViewAngle
+from activestructure_gym.policies import POLICIES, Planner
+from activestructure_gym.policies.active_gs import ActiveGS
+from activestructure_gym.policies.frontier import Frontier
+from activestructure_gym.policies.rt_guide import RTGuide
+from activestructure_gym.policies.view_angle import ViewAngle
 from tests.policies.binding import bound, columns
 
 LENGTH, FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")

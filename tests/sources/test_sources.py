@@ -12,17 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
-from activestructure_gym.features.aiisrfe import voxel_colour_errors
+from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT
 from activestructure_gym.motion import planar_graph
+from activestructure_gym.policies.active_gs import sources as roi
+from activestructure_gym.policies.active_gs.sources import RegionsOfInterest
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, facing, make_source
 from activestructure_gym.sources.facing import (
     FrontierFacing,
-    RegionsOfInterest,
     UnsureFacing,
     _rank_within,
     frontier_cells,
@@ -318,7 +319,7 @@ def test_regions_of_interest_are_the_frontier_and_known_surface_that_is_doubtful
     gaussians.parameters[OPACITY_LOGIT, rows] = 3.0  # a logit: .95
     confidence = np.ones(gaussians.count)
     confidence[rows] = 0.29
-    monkeypatch.setattr(facing, "gaussian_confidence", lambda seen: confidence)
+    monkeypatch.setattr(roi, "gaussian_confidence", lambda seen: confidence)
     context = SimpleNamespace(volume=volume, mapper=run.mapper)
     more = RegionsOfInterest().regions(context) & ~FrontierFacing().regions(context)  # type: ignore[arg-type]
     np.testing.assert_array_equal(np.argwhere(more), [doubted])  # of five Gaussians alone nothing is made

@@ -16,7 +16,7 @@ from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.policies import Random
+from activestructure_gym.policies.random import Random
 from tests.evaluation.written_runs import write_comparison
 
 BAD = "\x1b]0;T\x07\x1b[8m\x1b[2J\x9b5m\r\x00\x7f\u202ecba\u2066\u200f\n✓ forged"

@@ -10,7 +10,8 @@ from activestructure_gym.evaluation.cli.options import (
     split_scenes,
     start_of,
 )
-from activestructure_gym.policies import LADDER, POLICIES
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.policies.activestructure import LADDER
 
 
 @pytest.mark.parametrize(

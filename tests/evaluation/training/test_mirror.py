@@ -10,7 +10,7 @@ import torch
 from activestructure_gym.evaluation.training import oracle
 from activestructure_gym.evaluation.training.mirror import mirrored
 from activestructure_gym.ground_truth import ground_truth_of
-from activestructure_gym.policies.learned import features
+from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import as_tensors
 from activestructure_gym.scenes import Scene, load_scene
@@ -30,12 +30,12 @@ def test_every_y_of_the_heading_frame_changes_its_sign_and_nothing_else(rng: np.
     before, which = states(rng), torch.tensor([True, False] * 3)
     after = mirrored(before, which)
     sides = {
-        features.candidate_inputs: [1, 4],  # offset, look
-        features.plane_inputs: [1, 4],  # normal, offset of the centroid
-        features.global_inputs: [],
+        inputs.candidate_inputs: [1, 4],  # offset, look
+        inputs.plane_inputs: [1, 4],  # normal, offset of the centroid
+        inputs.global_inputs: [],
     }
-    for inputs, sideways in sides.items():
-        one, other = inputs(before), inputs(after)
+    for made, sideways in sides.items():
+        one, other = made(before), made(after)
         signs = torch.ones(one.shape[-1])
         signs[sideways] = -1.0
         assert torch.allclose(other[which], one[which] * signs, atol=1e-5)

@@ -25,8 +25,9 @@ from activestructure_gym.evaluation.training.world import (
     world_config,
 )
 from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
-from activestructure_gym.policies import POLICIES, Random
+from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.learned.config import USED_KEYS
+from activestructure_gym.policies.random import Random
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import RGBDSensor
 from tests.envs.test_contract import digest

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.learned import features
+from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import MASKED, CandidateNetwork, as_tensors, masked_pool
 
@@ -128,8 +128,8 @@ def test_neighbours_are_heard_of_and_strangers_not(network, make_observation) ->
         table[changed, -1] += 5.0
         tensors = as_tensors({key: value[None] for key, value in (observation | {"plane_features": table}).items()})
         with torch.no_grad():
-            links = features.plane_links(tensors)
-            planes = torch.relu(network.plane_in(features.plane_inputs(tensors)))
+            links = inputs.plane_links(tensors)
+            planes = torch.relu(network.plane_in(inputs.plane_inputs(tensors)))
             for layer in network.rounds:
                 planes = torch.relu(layer(torch.cat([planes, links @ planes], dim=-1)))
         return planes[0, 0].numpy()
@@ -149,12 +149,12 @@ def test_pooling_and_links_by_hand() -> None:
         "plane_edges": torch.tensor([[[0.0, weight, 0.0], [weight, 0.0, 0.0], [0.0, 0.0, 0.0]]]),
         "plane_mask": torch.tensor([[1.0, 1.0, 0.0]]),
     }
-    links = features.plane_links(observation)[0]
+    links = inputs.plane_links(observation)[0]
     np.testing.assert_allclose(links, [[2 / 3, 1 / 3, 0], [1 / 3, 2 / 3, 0], [0, 0, 0]], atol=1e-6)
 
 
 def test_gains_by_hand() -> None:
-    sizes = features.gain_sizes(torch.tensor([0.0, 0.999, -0.999])).tolist()
+    sizes = inputs.gain_sizes(torch.tensor([0.0, 0.999, -0.999])).tolist()
     assert sizes == pytest.approx([0, np.log(1000) / 7, -np.log(1000) / 7], abs=1e-4)
 
 
@@ -164,8 +164,8 @@ def test_inputs_stay_small_whatever_the_scene(make_observation) -> None:
     observation["candidates"][observation["action_mask"] > 0, 6:8] = [1000.0, 10_000.0]
     observation["plane_features"][0, 7:10] = [10_000.0, 4e6, 1e5]
     tensors = as_tensors({key: value[None] for key, value in observation.items()})
-    for inputs in (features.candidate_inputs, features.plane_inputs, features.global_inputs):
-        values = inputs(tensors)
+    for made in (inputs.candidate_inputs, inputs.plane_inputs, inputs.global_inputs):
+        values = made(tensors)
         assert torch.isfinite(values).all() and values.abs().max() < 5.0
 
 
@@ -187,7 +187,7 @@ def test_what_never_varies_in_the_fast_preset_counts_nothing_until_it_is_learnt(
     tensors = as_tensors({key: value[None] for key, value in observation.items()})
     scores = fresh(tensors)[0][0]
     scores[torch.as_tensor(there)].pow(2).sum().backward()
-    assert (fresh.candidate_in[0].weight.grad[:, list(features.CONSTANT_IF_FAST)].abs().max(0).values > 0).all()
+    assert (fresh.candidate_in[0].weight.grad[:, list(inputs.CONSTANT_IF_FAST)].abs().max(0).values > 0).all()
 
 
 def test_a_critic_that_knows_nothing_bends_nothing(network, make_observation) -> None:

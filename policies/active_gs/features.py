@@ -1,0 +1,36 @@
+"""ActiveGS's utility of a view: unexplored space, and surface of which the map is not confident."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.features.blending import blended
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.sightings import REACH, Sightings, sightings
+from activestructure_gym.features.unexplored import unexplored
+
+EXPLORATION = 1000.0  # lambda: what the whole workspace is worth beside an image without any confidence
+UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
+
+
+@FEATURES.register("confidence", unit="weighted sum of shares", low=0.0)
+def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
+    """U = 1000 #unexplored visible / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS).
+
+    C is the confidence blended like a colour, as a mean over what the pixel shows, and D the depth. A pixel without
+    coverage has C = 0 and D = 2.5 m; one that shows something beyond 5 m counts nothing.
+    Source: [active_gs, code].
+    """
+    alpha, covered = context.alpha, context.alpha > context.coverage_alpha
+    values = gaussian_confidence(sightings(context.mapper)).astype(np.float32)
+    safe = np.maximum(alpha, 1e-6)
+    sure = np.where(covered, np.minimum(blended(context, values) / safe, 1.0), 0.0)
+    depth = np.where(covered, context.depth / safe, UNSEEN_DEPTH)
+    doubt = np.where(depth > REACH, 0.0, (1.0 - sure) * depth / REACH)
+    return EXPLORATION * unexplored(context) + doubt.mean(axis=(1, 2))
+
+
+def gaussian_confidence(seen: Sightings) -> np.ndarray:  # [N] 0..1
+    """C = min(e^(1 - |mean v|) s, 1): s sums near and frontal looks, and looks from many sides count more."""
+    return np.minimum(np.exp(1.0 - seen.concentration) * seen.nearness, 1.0)

@@ -1,0 +1,88 @@
+"""ANM (ActiveINR): go to the largest piece of uncertain surface, however far."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies.anm_s.policy import Uncertainty
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.greedy import Planner, Travel
+from activestructure_gym.policies.schedule import Schedule
+
+REACHED_M = 0.8  # metres from the target at which the next one is chosen
+ONE_HEIGHT_M = 1e-3  # candidates that differ by less are those of a robot on wheels
+PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next one is chosen anyway
+
+
+@POLICIES.register("activeinr")
+class ActiveINR(Planner):
+    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
+
+    Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; targets that
+    are free, more than 1 m away and inside the workspace come first (feature ``activeinr``). No travel term. The target
+    is kept until the agent is nearer than 0.8 m or a tenth of the frame budget has passed; meanwhile the candidate
+    nearest to it is gone to. Where all candidates have one height, targets have it, too.
+
+    ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: [activeinr, code].
+    """
+
+    decides_by = "the largest piece of uncertain surface"
+    source = "Yan et al., Active Neural Mapping, ICCV 2023"
+    brings = Schedule(
+        stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
+        candidates=512,
+        budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
+    )
+
+    def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
+        super().__init__(travel)
+        self._feature = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
+        self.required_gains = (self._feature,)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin without a target."""
+        super().reset(seed)
+        self._target: np.ndarray | None = None  # [3] metres
+        self._chosen_at = 1.0  # budget left then
+
+    def act(self, observation: Observation) -> int:
+        """The candidate that stands for the largest cluster, or on the way the one nearest to the target."""
+        candidates = self.candidates(observation)
+        usable = candidates.valid & ~candidates.revisit & ~standing(candidates)
+        share = np.where(usable, candidates[self._feature], 0.0)
+        left = float(observation["budget"][0])
+        if self._target is not None:
+            self._level(candidates)
+            gap = float(np.linalg.norm(observation["pose"][:3] - self._target))
+            if gap < REACHED_M or self._chosen_at - left >= PATIENCE:
+                self._target = None
+        if self._target is None and share.any():
+            choice = best_valid(self.scores(share, observation), observation)
+            self._target = candidates.feature(self._feature)[choice, 1:].astype(float)
+            self._chosen_at, stage = left, "new target"
+            self._level(candidates)
+        elif self._target is not None and usable.any():
+            gap_of = np.linalg.norm(candidates.xyz - self._target, axis=1)
+            choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
+        else:  # no surface is known yet
+            choice, stage = nearest_new(observation), "no target"
+        self._trace = {
+            "stage": stage,
+            self._feature: float(share[choice]),
+            "target": None if self._target is None else self._target.round(2).tolist(),
+        }
+        return choice
+
+    def _level(self, candidates: Candidates) -> None:
+        """Put the target where a robot on wheels can reach it, at the one height of all views (`agent_Y` there)."""
+        heights = candidates.xyz[candidates.valid, 2]
+        if self._target is not None and len(heights) and np.ptp(heights) < ONE_HEIGHT_M:
+            self._target[2] = float(heights[0])

@@ -1,0 +1,152 @@
+"""ActiveSplat: integer scores of Voronoi nodes, subregion by subregion, and local views at each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from activestructure_gym.policies.activesplat.nodes import Nodes, choose_node, node_scores
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.greedy import Planner, Travel
+from activestructure_gym.policies.naruto.policy import forward
+from activestructure_gym.policies.schedule import SPLATAM
+
+UNARRIVED_M = 0.65  # metres from the way driven: 10 steps of 6.5 cm
+AT_NODE = 0.5  # metres: what stands for a node is no farther from it
+FAILED_M = 0.3  # metres around the end of a way that was not reached; a node with a view there has failed
+ARRIVED_M = 0.15  # metres from the chosen view: farther away the way was not finished
+
+LOCAL_VIEWS = 5  # at one stop
+LOCAL_M = 0.75  # metres from the stop: the original turns on the spot; here the directions on offer stand around it
+LOCAL_DEG2 = 100.0  # square degrees that a local view must show of gaps
+LOCAL_TURN = np.cos(np.radians(15.0))  # of the angle from which it is another view
+STOP_M = 0.6  # metres: 3 radii of the agent; a stop this near to an earlier one has no local views
+
+LATE_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
+
+
+@POLICIES.register("activesplat")
+class ActiveSplat(Planner):
+    """node* = argmax 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
+
+    Then the view there that shows most gaps, and up to LOCAL_VIEWS around it. I and V come from panoramas of the map at
+    the node (feature `activesplat`); the score, its late weights and the order of subregions are those of
+    [activesplat, code], `planner_node.py`.
+    """
+
+    decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"
+    source = "Li et al., ActiveSplat, RA-L 2025"
+    brings = replace(SPLATAM, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees")
+    required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
+
+    def __init__(self, travel: Travel = "native") -> None:
+        super().__init__(travel)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin with the views around the start, in place of the original's turn on the spot."""
+        super().reset(seed)
+        self._goal: np.ndarray | None = None  # [3] metres: where the last chosen view stands
+        self._failed = np.zeros((0, 3))  # metres
+        self._stop = np.zeros(0)  # [3] metres, once known: where the agent went last, local views aside
+        self._stops = np.zeros((0, 3))  # metres: the earlier ones that had local views
+        self._spent = np.zeros((0, 3))  # metres: all earlier ones
+        self._looks = 0  # local views at this stop
+        self._idle, self._late = 0, False  # node decisions in a row with nowhere to go; the late weights are in use
+
+    def act(self, observation: Observation) -> int:
+        """A local view while the stop lasts, else a view at the best node."""
+        candidates = self.candidates(observation)
+        here = observation["pose"][:3].astype(np.float64)
+        if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:
+            self._failed = np.vstack([self._failed, self._goal])
+        if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # at first, or on a way not finished
+            self._stop = here
+        choice = self._decide(observation, candidates, candidates["activesplat_view"].astype(np.float64))
+        self._goal = candidates.xyz[choice].astype(np.float64)
+        return choice
+
+    def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:
+        xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        new = candidates.valid & ~candidates.revisit
+        valid = new if new.any() else candidates.valid
+        nodes = self._nodes(candidates, valid)
+        self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
+        if not nodes.rows:  # nothing of the plan is known yet, or no view on offer stands at a node
+            choice = best_valid(np.where(valid, self.scores(show, observation), -1.0), observation)
+            self._leave(xyz[choice])
+            return choice
+        if self.travel == "shared":
+            nodes = self._aged(nodes)
+            gain = np.zeros(len(valid))
+            for rows, score, here in zip(nodes.rows, node_scores(nodes, self._late), nodes.here):
+                # What a view shows decides between those of a node, and where it stands already alone.
+                gain[rows] = (0 if here else max(int(score), 0)) + show[rows] / max(float(show[rows].max()), 1e-12)
+            choice = best_valid(self.scores(gain, observation), observation)
+            self._leave(xyz[choice])
+            return choice
+        turn = candidates.look.astype(np.float64) @ forward(observation["pose"][3:])
+        local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
+        local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
+        repeated = (_apart(self._stops, self._stop) <= STOP_M).any()
+        if self._looks < LOCAL_VIEWS and local.any() and not repeated:
+            self._looks += 1
+            self._trace["mode"] = "local"
+            return best_valid(np.where(local, show, -1.0), observation)
+        nodes = self._aged(nodes)
+        scores = node_scores(nodes, self._late)
+        node = choose_node(nodes, scores, self.rng if self._late else None)
+        rows = nodes.rows[node]
+        self._trace |= {"score": int(scores[node]), "region": int(nodes.region[node]), "late": self._late}
+        choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
+        if not repeated:
+            self._stops = np.vstack([self._stops, self._stop])
+        self._leave(xyz[choice], even_if_near=True)
+        return choice
+
+    def _leave(self, place: np.ndarray, *, even_if_near: bool = False) -> None:
+        """The stop that is left is spent; a view beside it is none of its own, unless a node was chosen."""
+        if even_if_near or _apart(place[None], self._stop)[0] > LOCAL_M:
+            self._spent = np.vstack([self._spent, self._stop])
+            self._stop, self._looks = place, 0
+
+    def _aged(self, nodes: Nodes) -> Nodes:
+        """Turn to the late weights, for good, and forget the failures once there has been nowhere to go for a while."""
+        self._idle = 0 if (nodes.unarrived & ~nodes.failed).any() else self._idle + 1
+        if self._idle < LATE_AFTER:
+            return nodes
+        self._late, self._failed = True, self._failed[:0]
+        return replace(nodes, failed=np.zeros(len(nodes.rows), dtype=bool))
+
+    def _nodes(self, candidates: Candidates, valid: np.ndarray) -> Nodes:
+        xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        visited, horizon = candidates["visited_distance"].astype(np.float64), candidates["in_horizon"]
+        information, volume, region, _ = candidates.feature("activesplat").astype(np.float64).T
+        number = np.where(valid, np.round(candidates["voronoi_node"]), -1)
+        rows = tuple(np.flatnonzero(number == n) for n in np.unique(number[number >= 0]))
+        first = np.array([r[0] for r in rows], dtype=np.int64)
+        from_stop = _apart(xyz[:, :2], self._stop[:2])
+        return Nodes(
+            rows=rows,
+            information=information[first],
+            volume=volume[first],
+            unarrived=visited[first] > UNARRIVED_M,
+            horizon=np.array([horizon[r].any() for r in rows], dtype=bool),
+            failed=np.array([self._has_failed(xyz[r]) for r in rows], dtype=bool),
+            region=region[first],
+            length=np.array([length[r].min() for r in rows]),
+            here=np.array([np.minimum(length[r], from_stop[r]).min() <= AT_NODE for r in rows], dtype=bool),
+            spent=np.array([self._is_spent(xyz[r]) for r in rows], dtype=bool),
+        )
+
+    def _is_spent(self, positions: np.ndarray) -> bool:  # [n, 3]
+        return bool((np.linalg.norm((positions[:, None] - self._spent)[..., :2], axis=2) <= AT_NODE).any())
+
+    def _has_failed(self, positions: np.ndarray) -> bool:  # [n, 3]
+        return bool((np.linalg.norm(positions[:, None] - self._failed, axis=2) <= FAILED_M).any())
+
+
+def _apart(places: np.ndarray, place: np.ndarray) -> np.ndarray:  # [n, d], [d] -> [n] metres
+    return np.linalg.norm(places - place, axis=1)

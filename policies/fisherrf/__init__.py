@@ -1,0 +1,5 @@
+"""FisherRF as a policy ([fisherrf])."""
+
+from activestructure_gym.policies.fisherrf.policy import FisherRF as FisherRF
+from activestructure_gym.policies.fisherrf.policy import FisherRFCov as FisherRFCov
+from activestructure_gym.policies.fisherrf.policy import FisherRFPath as FisherRFPath

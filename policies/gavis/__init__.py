@@ -1,0 +1,3 @@
+"""GAVIS as a policy ([gavis])."""
+
+from activestructure_gym.policies.gavis.policy import Gavis as Gavis

@@ -1,0 +1,158 @@
+"""GAVIS: the entropy of a view's colours, of which only what was seen from that side is known ([gavis])."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.sightings import Sightings, sightings
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, ROWS, GaussianMap
+from activestructure_gym.mapping.parts import MapParts, may_be_seen
+from activestructure_gym.volume import VoxelVolume
+
+KAPPA = 2.0  # concentration of what a look tells about other directions (own choice)
+VIRTUAL_SHARE = 0.1  # virtual Gaussians per Gaussian of the map, at most ...
+VIRTUAL_LEAST = 1000  # ... or so many, where the map is small (own choice)
+VIRTUAL_OPACITY_LOGIT = 0.0  # of one half (own choice)
+VIRTUAL_SIGMA = 0.35  # of the distance between them (own choice)
+KNOWN_VARIANCE = 0.05**2  # of the brightness of what was seen (own choice)
+UNSEEN_MEAN, UNSEEN_VARIANCE = 0.5, 1.0 / 12.0  # of the brightness of what was not: anything from 0 to 1
+
+
+@FEATURES.register("gavis", unit="nats, mean over pixels", low=0.0)
+def gavis(context: FeatureContext) -> np.ndarray:  # [K]
+    """Mean over pixels of the entropy of p(z) = sum w_i v_i N(c_i, q) + N(mu_0, q_0) sum w_i (1 - v_i).
+
+    w_i is the weight of Gaussian i in the pixel, c_i its brightness and v_i the visibility of the direction from which
+    the pixel looks at it (`visibility`). Virtual Gaussians with v = 0 stand in unobserved space (`virtual_gaussians`),
+    so that a void nobody looked into is not taken for free space. Entropy: that of the normal distribution with the
+    mixture's mean and variance, above what is left when all is seen, 1/2 log(variance / q); no mixture with these has
+    more. What lets light through counts by its opacity. Source: [gavis], the mixture and the arg max of its entropy.
+    """
+    everything, real = with_virtual(context.mapper.map, context.volume)
+    camera, render = context.camera, context.mapper.rasterizer.render
+    parameters, count = everything.parameters, everything.count
+    brightness = context.mapper.map.parameters[COLOR, :real].mean(axis=0)
+    parameters[COLOR] = 0.0
+    looks = _sums(sightings(context.mapper))
+    boxes, parts = block_boxes(parameters, real), MapParts(everything)
+    red, green, blue = parameters[COLOR]
+    gains = np.zeros(len(context.world_from_camera))
+    for k, pose in enumerate(context.world_from_camera):
+        seen = may_be_seen(boxes, camera, pose)
+        visibility(parameters, real, seen, pose[:3, 3].astype(np.float64), looks, red)
+        green[:real] = red[:real] * brightness
+        blue[:real] = green[:real] * brightness
+        shown = render(parameters, count, camera, pose, unseen=parts.unseen(camera, pose))
+        gains[k] = excess_entropy(shown.color.astype(np.float64), shown.alpha.astype(np.float64)).mean()
+    return gains
+
+
+def excess_entropy(
+    moments: np.ndarray,  # [h, w, 3] sums of w v, w v c and w v c^2
+    alpha: np.ndarray,  # [h, w] sum of w
+) -> np.ndarray:  # [h, w] >= 0 nats
+    """1/2 log(variance / q) of the mixture of what stops a pixel's light, times the chance that anything does."""
+    known, first, second = (moments[..., i] for i in range(3))
+    unseen, whole = np.maximum(alpha - known, 0.0), np.maximum(alpha, 1e-9)
+    mean = (first + unseen * UNSEEN_MEAN) / whole
+    square = second + known * KNOWN_VARIANCE + unseen * (UNSEEN_MEAN**2 + UNSEEN_VARIANCE)
+    variance = np.maximum(square / whole - mean**2, KNOWN_VARIANCE)
+    return alpha * 0.5 * np.log(variance / KNOWN_VARIANCE)
+
+
+def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianMap, int]:
+    """A copy of the map with the virtual Gaussians behind its own, and how many are its own."""
+    real = gaussians.count
+    added = virtual_gaussians(volume, max(VIRTUAL_LEAST, int(VIRTUAL_SHARE * real)))
+    everything = GaussianMap(real + added.shape[1] + 1)
+    everything.append(gaussians.parameters[:, :real])
+    everything.append(added)
+    return everything, real
+
+
+def virtual_gaussians(volume: VoxelVolume, most: int) -> np.ndarray:  # [14, V] float32
+    """Balls on the finest lattice that has at most ``most`` of them in space of which nobody has seen anything.
+
+    A ball stands for a cube of the lattice that is wholly unobserved: no ray went through the middle of any of its
+    voxels, so that its visibility 1 - prod(1 - Phi T) is 0, and those with more are left out.
+    """
+    inner = volume.unobserved[1:-1, 1:-1, 1:-1]  # the outermost layer lies beyond the workspace
+    side = 1
+    while True:
+        x, y, z = (size // side for size in inner.shape)
+        even = inner[: x * side, : y * side, : z * side].reshape(x, side, y, side, z, side)
+        cubes = np.argwhere(even.all(axis=(1, 3, 5)))
+        if len(cubes) <= most:
+            break
+        side += 1
+    spacing = side * volume.config.voxel_size
+    balls = np.zeros((ROWS, len(cubes)), np.float32)
+    balls[:3] = (volume.origin + volume.config.voxel_size + (cubes + 0.5) * spacing).T
+    balls[3] = 1.0
+    balls[LOG_SCALE] = np.log(VIRTUAL_SIGMA * spacing)
+    balls[10] = VIRTUAL_OPACITY_LOGIT
+    return balls
+
+
+class Looks(NamedTuple):
+    """Looks at every Gaussian, summed up: all that a series to degree 2 in the direction asks for."""
+
+    number: np.ndarray  # [N] float64
+    sum: np.ndarray  # [N, 3] of the unit directions v to the cameras
+    products: np.ndarray  # [N, 6] of v v^T, upper triangle row by row
+    keyframes: int
+    factors: np.ndarray  # [3] of degree 0, 1 and 2, zeta among them
+
+
+def _sums(seen: Sightings) -> Looks:
+    return Looks(seen.count.astype(np.float64), seen.sum, seen.products, seen.keyframes, degree_factors(KAPPA))
+
+
+def degree_factors(kappa: float) -> np.ndarray:  # [3]
+    """e^-kappa (2 l + 1) i_l(kappa): exp(kappa (cos - 1)) = sum over l of these times P_l(cos).
+
+    i_l are the modified spherical Bessel functions of the first kind, which are the coefficients of [gavis] by the
+    addition theorem: sum over m of Y_lm(a) Y_lm(b)* = (2 l + 1) / (4 pi) P_l(a b).
+    """
+    i0 = np.sinh(kappa) / kappa
+    i1 = (kappa * np.cosh(kappa) - np.sinh(kappa)) / kappa**2
+    i2 = i0 - 3.0 * i1 / kappa
+    return np.exp(-kappa) * np.array([i0, 3.0 * i1, 5.0 * i2])
+
+
+@kernel
+def visibility(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+    seen: np.ndarray,  # [blocks] bool; the others keep their value
+    eye: np.ndarray,  # [3] metres
+    looks: Looks,
+    result: np.ndarray,  # [N] float32 0..1, written
+) -> None:
+    """V = 1 - (1 - V~ / P)^P, the bound of [gavis] on the chance that any of P keyframes has seen this side.
+
+    V~ = sum over the keyframes that saw it of zeta exp(kappa d d_p), to degree 2 of spherical harmonics.
+    """
+    number, total, products, keyframes, factors = looks
+    if keyframes == 0:
+        result[:count] = 0.0
+        return
+    for block in range(len(seen)):
+        if not seen[block]:
+            continue
+        for i in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+            x, y, z = eye[0] - parameters[0, i], eye[1] - parameters[1, i], eye[2] - parameters[2, i]
+            length = max(np.sqrt(x * x + y * y + z * z), 1e-9)
+            x, y, z = x / length, y / length, z / length
+            p = products[i]
+            squares = x * x * p[0] + y * y * p[3] + z * z * p[5] + 2.0 * (x * y * p[1] + x * z * p[2] + y * z * p[4])
+            once = factors[0] * number[i] + factors[1] * (x * total[i, 0] + y * total[i, 1] + z * total[i, 2])
+            once += factors[2] * 0.5 * (3.0 * squares - number[i])
+            share = min(max(once / keyframes, 0.0), 1.0)
+            result[i] = 1.0 - (1.0 - share) ** keyframes

@@ -1,0 +1,84 @@
+"""What the keyframes have seen of every 5 cm of surface, from their pictures alone: no Gaussian is asked.
+
+A keyframe observes each voxel that one of its pixels falls into, once: with the mean colour of these pixels, from the
+direction and the distance of the voxel's centre. Kept are the number of looks, mean and spread of the colours, which of
+64 directions it was seen from, and the least distance. Source: [r3_recon, code].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from activestructure_gym.geometry import fibonacci_directions
+from activestructure_gym.geometry.frame import Frame
+
+VOXEL = 0.05  # metres
+DIRECTIONS = 64  # bits of a word
+_HALF = 1 << 20  # voxels to each side of the origin along an axis: 52 km
+
+
+class SurfaceViews:
+    """Voxels in rising order of their keys, and what is known of each."""
+
+    def __init__(self) -> None:
+        self._keys = np.zeros(0, np.int64)
+        self.centres = np.zeros((0, 3))  # [V, 3] metres, world
+        self.looks = np.zeros(0)  # [V]
+        self.colour = np.zeros((0, 3))  # [V, 3] mean, 0..1
+        self.deviation = np.zeros(0)  # [V] sum of squared deviations from the mean, over the three colours
+        self.directions = np.zeros(0, np.uint64)  # [V] one bit for each of `fibonacci_directions(DIRECTIONS)`
+        self.nearest = np.zeros(0)  # [V] metres
+        self._known = 0  # keyframes that were taken in
+
+    @property
+    def spread(self) -> np.ndarray:  # [V]
+        """Trace of the covariance of the colours; 0 after one look."""
+        return self.deviation / np.maximum(self.looks - 1.0, 1.0)
+
+    def update(self, keyframes: Sequence[Frame]) -> SurfaceViews:
+        """Take in the keyframes that are new since the last call, each once; returns itself."""
+        if len(keyframes) < self._known:
+            raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
+        for frame in keyframes[self._known :]:
+            self._see(frame)
+        self._known = len(keyframes)
+        return self
+
+    def _see(self, frame: Frame) -> None:
+        measured = frame.depth > 0
+        pose = frame.world_from_camera.astype(np.float64)
+        points = frame.camera.backproject(frame.depth)[measured] @ pose[:3, :3].T + pose[:3, 3]
+        voxels = np.floor(points / VOXEL).astype(np.int64) + _HALF
+        keys, which, pixels = np.unique(
+            (voxels[:, 0] << 42) | (voxels[:, 1] << 21) | voxels[:, 2], return_inverse=True, return_counts=True
+        )
+        rows = self._rows_of(keys)
+        colours = frame.rgb[measured] / 255.0
+        sums = [np.bincount(which.ravel(), colours[:, i], len(keys)) for i in range(3)]
+        seen = np.stack(sums, axis=1) / pixels[:, None]
+        self.looks[rows] += 1.0
+        before = seen - self.colour[rows]
+        self.colour[rows] += before / self.looks[rows, None]
+        self.deviation[rows] += ((seen - self.colour[rows]) * before).sum(axis=1)
+        back = pose[:3, 3] - self.centres[rows]
+        distance = np.maximum(np.linalg.norm(back, axis=1), 1e-8)
+        nearest = (back @ fibonacci_directions(DIRECTIONS).T).argmax(axis=1).astype(np.uint64)
+        self.directions[rows] |= np.uint64(1) << nearest
+        self.nearest[rows] = np.minimum(self.nearest[rows], distance)
+
+    def _rows_of(self, keys: np.ndarray) -> np.ndarray:  # [n] int64, rising -> [n] rows, made where there are none
+        places = np.searchsorted(self._keys, keys)
+        there = places < len(self._keys)
+        there[there] = self._keys[places[there]] == keys[there]
+        new, at = keys[~there], places[~there]
+        corners = np.stack([new >> 42, (new >> 21) & (2 * _HALF - 1), new & (2 * _HALF - 1)], axis=1) - _HALF
+        self._keys = np.insert(self._keys, at, new)
+        self.centres = np.insert(self.centres, at, (corners + 0.5) * VOXEL, axis=0)
+        self.looks = np.insert(self.looks, at, 0.0)
+        self.colour = np.insert(self.colour, at, 0.0, axis=0)
+        self.deviation = np.insert(self.deviation, at, 0.0)
+        self.directions = np.insert(self.directions, at, np.uint64(0))
+        self.nearest = np.insert(self.nearest, at, np.inf)
+        return np.searchsorted(self._keys, keys)

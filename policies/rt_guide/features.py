@@ -1,0 +1,85 @@
+"""RT-GuIDE's features: how much Gaussians move under optimisation, per view and per region, without rendering."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.unexplored import sums_in_front
+from activestructure_gym.policies.rt_guide.displacement import Displacement
+
+CUBOID_M = 2.5  # side of a region
+_SPREAD = 0.5  # standard deviations from the mean to the sets H and L
+_LOW = 1.0  # weight of L
+
+
+@FEATURES.register(
+    "rt_guide",
+    columns=("", "region", "cuboid"),
+    unit=("share of the Gaussians, net", "m", "index"),
+    low=(-1.0, 0.0, 0.0),
+    high=(1.0, np.inf, np.inf),
+)
+def rt_guide(context: FeatureContext) -> np.ndarray:  # [K, 3]
+    """xi of the view; Omega of the cuboid it stands in, 0 where no Gaussian is; and that cuboid's number.
+
+    xi is `moving_in_view`, Omega the mean uncertainty of the Gaussians in the cuboid.
+    """
+    regions = _regions(context)
+    return np.column_stack([moving_in_view(context), regions.uncertainty, regions.cuboid])
+
+
+def displacement(context: FeatureContext) -> np.ndarray:  # [N] float32 metres
+    """How far each Gaussian moved in the last event that moved it; 0 until then. Followed from the first call on."""
+    return context.episode(_displacement).metres()
+
+
+def _displacement(context: FeatureContext) -> Displacement:
+    return Displacement(context.mapper.persistent_map)
+
+
+def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
+    """xi = (#H - 1.0 #L) / #Gaussians, of those in the frustum (RT-GuIDE, Tao et al. 2025).
+
+    A Gaussian's uncertainty is |change of its mean| in the last mapping event that touched it; H is above the mean of
+    all by half a standard deviation, L below. Culled by the range that the volume takes in, not by what stands in
+    front.
+    Source: [rt_guide].
+    """
+    moved = displacement(context).astype(np.float64)
+    if not len(moved):
+        return np.zeros(len(context.world_from_camera))
+    middle, spread = moved.mean(), _SPREAD * moved.std()
+    weights = (moved > middle + spread) - _LOW * (moved < middle - spread)
+    chosen, camera = weights != 0, context.camera
+    reach = min(context.max_range, context.volume.config.max_range)
+    shape = (len(context.world_from_camera), camera.height, camera.width)
+    anywhere = np.broadcast_to(np.float32(reach), shape).copy()
+    points = context.mapper.map.means[chosen].astype(np.float64)
+    in_view = sums_in_front(points, weights[chosen], anywhere, context)[:, 0]
+    return in_view / len(moved)
+
+
+@dataclass(frozen=True)
+class _Regions:
+    uncertainty: np.ndarray  # [K] metres
+    cuboid: np.ndarray  # [K] int64
+
+
+def _regions(context: FeatureContext) -> _Regions:
+    volume, moved = context.volume, displacement(context).astype(np.float64)
+    shape = np.ceil(np.array(volume.state.shape) * volume.config.voxel_size / CUBOID_M).astype(int)
+
+    def number(points: np.ndarray) -> np.ndarray:
+        cells = np.floor((points - volume.origin) / CUBOID_M).astype(int)
+        return np.ravel_multi_index(tuple(np.clip(cells, 0, shape - 1).T), tuple(shape))
+
+    of_gaussians = number(context.mapper.map.means.astype(np.float64))
+    size = int(shape.prod())
+    counts = np.bincount(of_gaussians, minlength=size)
+    mean = np.bincount(of_gaussians, weights=moved, minlength=size) / np.maximum(counts, 1)
+    own = number(context.world_from_camera[:, :3, 3])
+    return _Regions(mean[own], own)

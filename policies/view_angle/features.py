@@ -1,0 +1,62 @@
+"""COVER's feature: how far a view's directions to the map lie from those it was seen from before."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.blending import blended
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.sightings import DIRECTIONS, sightings
+from activestructure_gym.geometry import fibonacci_directions
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.parts import may_be_seen
+
+
+@FEATURES.register("view_angle", unit="mean of 1 - coverage", low=0.0, high=1.0)
+def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
+    """1 - mean over pixels of the coverage of the viewing direction (COVER, Chen et al. 2026).
+
+    A Gaussian covers a direction by (cos theta + 1) / 2, theta the angle to the nearest of the 128 bins from which a
+    keyframe has seen it; it is blended like a colour over 0, so that a pixel without a map is not covered at all.
+    Source: [cover, code].
+    """
+    gaussians, camera, bins = context.mapper.map, context.camera, sightings(context.mapper).bins
+    boxes = block_boxes(gaussians.parameters, gaussians.count)
+    directions = fibonacci_directions(DIRECTIONS)
+
+    def repaint(row: np.ndarray, pose: np.ndarray) -> None:
+        seen = may_be_seen(boxes, camera, pose)
+        cover(gaussians.parameters, gaussians.count, seen, pose[:3, 3].astype(np.float64), bins, directions, row)
+
+    return 1.0 - blended(context, np.zeros(gaussians.count, np.float32), repaint=repaint).mean(axis=(1, 2))
+
+
+@kernel
+def cover(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+    seen: np.ndarray,  # [blocks] bool; the others keep their value
+    eye: np.ndarray,  # [3] metres
+    bins: np.ndarray,  # [N, 2] uint64
+    directions: np.ndarray,  # [128, 3] unit
+    coverage: np.ndarray,  # [N] float32, written
+) -> None:
+    """(max over the bins of cos + 1) / 2 of the direction from each Gaussian to the eye; 0 where no bin is set."""
+    for block in range(len(seen)):
+        if not seen[block]:
+            continue
+        for i in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
+            x, y, z = eye[0] - parameters[0, i], eye[1] - parameters[1, i], eye[2] - parameters[2, i]
+            length = np.sqrt(x * x + y * y + z * z)
+            best = -1.0
+            for word in range(2):
+                left, at = bins[i, word], 64 * word
+                while left:
+                    if left & np.uint64(1):
+                        cosine = (x * directions[at, 0] + y * directions[at, 1] + z * directions[at, 2]) / length
+                        best = max(best, cosine)
+                    left >>= np.uint64(1)
+                    at += 1
+            coverage[i] = 0.5 * (best + 1.0)

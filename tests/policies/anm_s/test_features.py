@@ -1,0 +1,157 @@
+"""What ANM-S and ActiveINR are told about every candidate, with surfaces drawn by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from activestructure_gym.features import FeatureContext, evaluate_features
+from activestructure_gym.features.uncertain_surface import Surface, by_proxy
+from activestructure_gym.features.voronoi_node import floor_graph
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.motion import VoronoiGraph
+from activestructure_gym.policies.activeinr.features import CEILING, preferred
+from activestructure_gym.policies.anm_s.features import count_looks
+from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
+
+X, Y, Z = np.eye(3)
+BOUNDS = np.array([[0.0, 0, 0], [10.0, 4, 3]])
+
+
+def context(poses: list[tuple], surface: Surface, nodes: list | None = None, **graph: list) -> FeatureContext:
+    """Candidates (position, direction); the agent stands at (1, 2, 1.5); surface and graph as given."""
+    volume = VoxelVolume(BOUNDS, VolumeConfig())
+    volume.state[:] = FREE
+    here = look_along(np.array([1.0, 2.0, 1.5]), X)
+    made = FeatureContext(
+        mapper=SimpleNamespace(keyframes=[SimpleNamespace(world_from_camera=here)]), volume=volume, planes=None,
+        camera=PinholeCamera.from_size(40, 24), bounds=BOUNDS, coverage_alpha=0.5, max_range=10.0,
+        world_from_camera=np.stack([look_along(np.array(p, float), np.array(d, float)) for p, d in poses]),
+    )  # fmt: skip
+    known = VoronoiGraph(
+        np.reshape(nodes or [], (-1, 2)).astype(float), np.ones(len(nodes or [])), np.zeros((0, 2), np.int64),
+        np.zeros(0), np.reshape(graph.get("ends", []), (-1, 2)).astype(float),
+        np.array(graph.get("of", []), np.int64),
+    )  # fmt: skip
+    made._results[floor_graph] = known
+    made._results[by_proxy] = surface
+    return made
+
+
+def patches(*places: tuple[tuple, np.ndarray, int, float]) -> Surface:
+    """Rows of voxels along y: (first point, normal, how many, uncertainty)."""
+    points, normals, values = [], [], []
+    for first, normal, count, value in places:
+        points += [np.array(first) + 0.1 * k * Y for k in range(count)]
+        normals += [normal] * count
+        values += [value] * count
+    voxels = np.round(np.array(points) / 0.1).astype(np.int64)
+    return Surface(voxels, np.array(points), np.array(normals), np.array(values))
+
+
+def columns(ctx: FeatureContext, *names: str) -> np.ndarray:  # [K, G]
+    return evaluate_features(names, ctx)
+
+
+SURE = ((0.0, 0.0, 0.0), X, 40, 0.0)  # of no cluster of ANM-S: four fifths of the surface
+
+
+def test_clusters_belong_to_the_node_nearest_to_their_target() -> None:
+    # Two patches on the walls at x = 9 (seen from x < 9) and y = 0 under node 0.
+    surface = patches(SURE, ((9.0, 1.8, 1.5), -X, 5, 1.0), ((2.0, 3.6, 1.5), -Y, 5, 1.0))
+    poses = [((2, 2, 1.5), Y), ((2, 2, 1.5), X), ((8, 2, 1.5), X), ((5, 2, 1.5), X)]
+    ctx = context(poses, surface, nodes=[[2.0, 2.0], [8.0, 2.0]])
+    table = columns(ctx, "anm_s_proxy_clusters", "anm_s_proxy_looks", "anm_s_proxy_facing")
+    np.testing.assert_array_equal(table[:, 0], [1, 1, 1, 0])  # the last stands for no node
+    np.testing.assert_array_equal(table[:, 1], [1, 1, 1, 0])
+    centre = np.array([2.0, 3.8, 1.5]) - [2, 2, 1.5]
+    np.testing.assert_allclose(
+        table[:, 2], [centre @ Y / np.linalg.norm(centre), centre @ X / np.linalg.norm(centre), 1.0, -1.0], atol=1e-6
+    )
+
+
+def test_ends_of_cut_chains_are_looked_at_but_are_no_clusters() -> None:
+    nothing = patches(SURE)
+    poses = [((2, 2, 0.7), X), ((2, 2, 0.7), -X), ((8, 2, 1.5), X)]
+    ctx = context(poses, nothing, nodes=[[2.0, 2.0], [8.0, 2.0]], ends=[[0.5, 2.0]], of=[0])
+    # All is equally sure, so the first fifth is one cluster, at the corner below node 0.
+    table = columns(ctx, "anm_s_proxy_clusters", "anm_s_proxy_looks", "anm_s_proxy_facing")
+    np.testing.assert_array_equal(table[2], [0, 0, -1])
+    np.testing.assert_array_equal(table[:2, 0], [1, 1])
+    assert table[1, 2] == 1.0  # level, whatever the height
+
+
+def test_an_end_of_a_chain_at_the_candidate_itself_needs_no_look() -> None:
+    ctx = context([((2, 2, 1.5), X)], patches(SURE), nodes=[(2, 2)], ends=[(2, 2), (4, 2)], of=[0, 0])
+    np.testing.assert_allclose(columns(ctx, "anm_s_proxy"), [[1, 2, 1]])  # the corner below, and the other end
+
+
+def test_directions_within_45_degrees_take_one_look() -> None:
+    turns = np.radians([0.0, 20.0, 44.0, 46.0, 180.0])
+    ways = np.stack([np.cos(turns), np.sin(turns), np.zeros(5)], axis=1)
+    assert count_looks(ways) == 3
+    assert count_looks(ways[:0]) == 0
+    assert count_looks(np.concatenate([np.eye(3), -np.eye(3)])) == 6
+
+
+def test_a_cluster_stands_with_the_candidate_at_its_target_that_looks_at_it() -> None:
+    surface = patches(((9.0, 1.8, 1.5), -X, 5, 1.0), ((5.0, 1.9, 0.0), Z, 3, 0.5))
+    poses = [
+        ((8.5, 2, 1.5), -X),  # at the target of the larger cluster, but looking away
+        ((8.4, 2, 1.5), X),  # nearly there, looking at it
+        ((5, 2, 1.0), -Z),  # half a metre above the target of the smaller one
+        ((5, 2, 1.0), Z),
+    ]
+    table = columns(context(poses, surface), *(f"activeinr_proxy{axis}" for axis in ("", "_x", "_y", "_z")))
+    # Four fifths of 8, rounded up, are 7: all of the first and 2 of the second.
+    np.testing.assert_allclose(table[:, 0], [0, 5 / 8, 2 / 8, 0])
+    np.testing.assert_allclose(table[1, 1:], [8.5, 2.0, 1.5], atol=1e-6)
+    np.testing.assert_allclose(table[2, 1:], [5.0, 1.95, 0.5], atol=1e-6)
+    np.testing.assert_allclose(table[0, 1:], [8.5, 2.0, 1.5])  # none: its own place
+
+
+def test_targets_that_are_not_free_or_too_near_or_outside_come_last() -> None:
+    wall, agent = ((9.0, 1.8, 1.5), -X, 5, 1.0), ((1.0, 1.8, 2.0), -Z, 5, 1.0)
+    outside = ((0.2, 1.8, 1.5), -X, 5, 1.0)
+    poses = [((8.5, 2, 1.5), X), ((1.0, 2, 1.5), Z), ((0.3, 2, 1.5), X)]
+    ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
+    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [True, False, False]
+    # Each wish counts as far as anything is left: what is free is too near then, and taken all the same.
+    ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
+    ctx.volume.state[80:90] = OCCUPIED
+    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [False, True, False]
+
+
+def test_wishes_that_nothing_fulfils_are_dropped_one_by_one() -> None:
+    first, second, third = np.array([[1, 1, 0], [0, 0, 1], [1, 0, 1]], dtype=bool)
+    assert preferred(first, second, third).tolist() == [True, False, False]
+    assert preferred(second, first, third).tolist() == [False, False, True]
+    assert preferred(~first & first, second).tolist() == [False, False, True]
+    assert preferred(np.zeros(2, bool), np.zeros(2, bool)).tolist() == [True, True]
+
+
+def test_no_cluster_stands_with_a_revisit_or_is_lost_to_a_larger_one() -> None:
+    surface = patches(((9.0, 1.8, 1.5), -X, 5, 1.0), ((9.0, 1.8, 1.0), -X, 3, 1.0), ((5.0, 0.0, 0.0), Z, 2, 0.0))
+    poses = [((8.5, 2, 1.25), X), ((8.0, 2, 1.25), X), ((7.0, 2, 1.25), X), ((2.0, 2, 1.25), X)]
+    assert columns(context(poses, surface), "activeinr_proxy")[:, 0].tolist() == pytest.approx([0.5, 0.3, 0, 0])
+    ctx = context(poses, surface)
+    ctx.mapper.keyframes.insert(0, SimpleNamespace(world_from_camera=ctx.world_from_camera[0]))
+    assert ctx.revisits.tolist() == [True, False, False, False]
+    assert columns(ctx, "activeinr_proxy")[:, 0].tolist() == pytest.approx([0, 0.5, 0.3, 0])
+    assert (columns(context(poses[:1], surface), "activeinr_proxy")[:, 0] > 0).all()  # fewer views than clusters
+
+
+def test_the_ceiling_is_no_cluster_of_activeinr_and_joins_none() -> None:
+    top = BOUNDS[1, 2] - CEILING
+    poses = [((5, 2, 1.0), X), ((5, 2, 1.0), -X)]
+    high = patches(((5.0, 1.8, top), -Z, 5, 1.0), ((9.0, 1.8, 1.5), -X, 3, 1.0))
+    assert columns(context(poses, high), "activeinr_proxy")[:, 0].tolist() == [1.0, 0.0]
+
+
+def test_without_a_surface_there_is_nothing_to_look_at() -> None:
+    empty = Surface(np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    ctx = context([((2, 2, 1.5), X)], empty, nodes=[[2.0, 2.0]])
+    table = columns(ctx, "anm_s_proxy_clusters", "anm_s_proxy_looks", "anm_s_proxy_facing", "activeinr_proxy")
+    np.testing.assert_array_equal(table[:, :4], [[0, 0, -1, 0]])

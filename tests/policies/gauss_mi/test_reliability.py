@@ -1,0 +1,78 @@
+"""The reliability of Gaussians by hand: directions, votes, and who follows whom."""
+
+import numpy as np
+import pytest
+
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.mapping import Mapper, MapperConfig
+from activestructure_gym.policies.gauss_mi.reliability import (
+    LIMIT,
+    DirectionalReliability,
+    direction_shares,
+    pixel_votes,
+)
+from activestructure_gym.sensors import Frame
+from activestructure_gym.splatting.cpu import Rendering
+
+CAMERA = PinholeCamera.from_size(32, 24)
+
+
+def frame(colour, depth=2.0):
+    picture = np.full((24, 32, 3), colour, np.uint8)
+    return Frame(picture, np.full((24, 32), depth, np.float32), look_along(np.zeros(3), np.array([1.0, 0, 0])), CAMERA)
+
+
+def mapped(colour):
+    """A Gaussian every two pixels of the wall: those are 12.5 cm apart."""
+    mapper = Mapper(MapperConfig(seed_spacing=0.24, seed_footprint=0.6), np.random.default_rng(0))
+    mapper.observe(frame(colour), iterations=0)
+    return mapper
+
+
+def test_shares_of_the_four_directions():
+    eye = np.array([1.0, 1.0, 0.0])
+    means = eye + np.array([[2.0, 0, 0], [0, -3, 0], [-3, 4, 0], [0, 0, 1], [1, 2, 2]])
+    expected = [[1, 0, 0, 0], [0, 0, 0, 1], [0, 0.8, 0.6, 0], [0, 0, 0, 0], [1 / 3, 2 / 3, 0, 0]]
+    assert direction_shares(means, eye) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_votes_of_pixels_by_hand():
+    seen = frame(51, depth=2.0)  # .2
+    seen.depth[0, 0] = 0.0
+    color, depth = np.full((24, 32, 3), 0.2, np.float32), np.full((24, 32), 2.0, np.float32)
+    color[0, 1], depth[0, 2], color[0, 3] = 0.5, 2.4, 1.2
+    votes = pixel_votes(seen, Rendering(color, depth, np.ones((24, 32), np.float32)))
+    assert votes[1, 0] == pytest.approx(-np.log(1e-4), rel=1e-5)  # nothing wrong
+    assert votes[0, 0] == pytest.approx(-np.log(1e-4), rel=1e-5)  # a depth nobody measured
+    assert votes[0, 1] == pytest.approx(-np.log(1.7 * 0.95 * 0.3), rel=1e-5)
+    assert votes[0, 2] == pytest.approx(-np.log(1.7 * 0.05 * 0.4), rel=1e-4)
+    assert votes[0, 3] == pytest.approx(-np.log(1.7 * 0.95 * 1.0), rel=1e-5) and votes[0, 3] < 0
+    # Of a map that lets a tenth through, nine tenths of the depth are accumulated: the surface stands where it was.
+    veiled = pixel_votes(seen, Rendering(color, np.float32(0.9) * depth, np.full((24, 32), 0.9, np.float32)))
+    assert veiled == pytest.approx(votes, rel=1e-3)
+
+
+def test_a_look_speaks_for_its_own_direction_and_errors_speak_against_it():
+    mapper = mapped(60)
+    agreeing = DirectionalReliability(mapper.map).update(mapper.keyframes).copy()
+    middle = np.linalg.norm(mapper.map.means[:, 1:], axis=1) < 0.5
+    assert (agreeing[middle, 0] > 5.0).all() and agreeing.max() <= LIMIT
+    assert (agreeing[:, 2] == 0.0).all()  # nobody has looked towards -x
+    wrong = DirectionalReliability(mapper.map).update([frame(255, depth=4.0)])
+    assert (wrong[middle, 0] < -5.0).all() and wrong.min() >= -LIMIT
+
+
+def test_every_keyframe_votes_once_and_gaussians_keep_their_votes():
+    mapper = mapped(60)
+    reliability = DirectionalReliability(mapper.map)
+    first = reliability.update(mapper.keyframes).copy()
+    assert np.array_equal(reliability.update(mapper.keyframes), first)
+    names = mapper.map.ids[: mapper.map.count].copy()
+    mapper.map.keep(np.arange(mapper.map.count) % 3 != 0)
+    mapper.map.append(np.zeros((14, 5), np.float32))
+    after = reliability.update(mapper.keyframes)
+    left = mapper.map.ids[: mapper.map.count - 5]
+    assert np.array_equal(after[:-5], first[np.searchsorted(names, left)])
+    assert (after[-5:] == 0.0).all()
+    with pytest.raises(ValueError, match="1 keyframes"):
+        reliability.update([])

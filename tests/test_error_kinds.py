@@ -66,7 +66,7 @@ USERS_INSIDE = {
 # Who is called wrongly here, not given something wrong.
 PROGRAMMERS = {
     "policies/base.py": {"best_valid"},
-    "policies/random.py": {"Random.act"},
+    "policies/random/policy.py": {"Random.act"},
     "activestructure_gym/scenes/loaders/sequence.py": {"_parsed_camera"},  # its caller makes the sentence
     "activestructure_gym/specs.py": {"_typed"},  # as above
     "evaluation/cli/parsing.py": {"_rule.read"},  # tyro asks for it

@@ -62,7 +62,7 @@ def test_a_bound_policy_plays_as_it_does_alone_whatever_else_is_on_offer(
 
 
 def test_a_name_a_class_and_a_policy_are_the_same(alone: dict[str, list[int]]) -> None:
-    for given in (PixelOnly, PixelOnly(), "activestructure_gym.policies:PixelOnly"):
+    for given in (PixelOnly, PixelOnly(), "activestructure_gym.policies.pixel_only:PixelOnly"):
         assert played(*make_env_and_policy(given, scene="box", **SMALL)) == alone["pixel_only"]
 
 

@@ -31,7 +31,7 @@ class Registry(Generic[T]):
     """Map names to objects of one ``kind``; ``plural`` names the group of entry points.
 
     `get` refuses an entry for which ``fits`` is false; the message says that it must be ``wanted``.
-    ``files`` are patterns of files of this package, ``ROOM/PATTERN``, that register entries here. They are imported when
+    ``files`` are patterns ``ROOM/PATTERN`` of this package's files that register entries here. They are imported when
     all names are asked for, or one that is not registered.
     """
 

@@ -56,6 +56,7 @@ INSIDE = (
 # What inside of those rooms looks at a machine, a file or a whole scene, which is the user's.
 USERS_INSIDE = {
     "activestructure_gym/compiling/decorator.py": {"check_compiling"},
+    "activestructure_gym/mapping/co_slam.py": {"CoSLAMMapper.persistent_map"},
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
@@ -66,6 +67,8 @@ USERS_INSIDE = {
 # Who is called wrongly here, not given something wrong.
 PROGRAMMERS = {
     "policies/base.py": {"best_valid"},
+    "policies/gauss_mi/reliability.py": {"DirectionalReliability.update"},
+    "policies/r3_recon/surface_views.py": {"SurfaceViews.update"},
     "policies/random/policy.py": {"Random.act"},
     "activestructure_gym/scenes/loaders/sequence.py": {"_parsed_camera"},  # its caller makes the sentence
     "activestructure_gym/specs.py": {"_typed"},  # as above

@@ -110,7 +110,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "box", "--seeds", "3-1"], ["the least one first", "3-1"]),
         (["compare", "--scenes", "box", "--seeds", "0..3"], ["0,2,5 or 0-4", "0..3"]),
         (["policies", "my_policy.py:Mine"], ["without .py it is my_policy:Mine"]),
-        (["policies", "activestructure_gym.policies.pixel_only:pixelonly"], ["did you mean 'pixel_only'"]),
+        (["policies", "activestructure_gym.policies.pixel_only:pixelonly"], ["did you mean 'PixelOnly'"]),
         (["compare", "--scenes", "box", "--lpips-weights", "~nobody_there"], ["the LPIPS weights"]),
         (["compare", "--scenes", "box", "--lpips-weights", "text.glb"], ["LPIPS"]),
         (["compare", "--scenes", "x" * 5000], ["File name too long", "x... ("]),

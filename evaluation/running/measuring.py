@@ -1,4 +1,4 @@
-"""From a played episode to a finished run: its map is measured, and its pictures are drawn, from its files alone.
+"""Turn a played episode into a finished run from its files alone: measure its map, then draw its pictures.
 
 The episode keeps its place until the run takes it, so whatever ends measuring, the episode can be measured again.
 """
@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import json
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from activestructure_gym.errors import InputWarning
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
+from activestructure_gym.evaluation.archive.temporary import atomic_files
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
@@ -49,10 +52,11 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
         pictures = picture_arrays(job.protocol, truth, gaussians, played.read_plan(place), views)
         write_npz(part / store.PICTURES, pictures)
         _write_clocks(part, episode["clock"], time.perf_counter() - began)
-        _draw_pictures(part)
         # Last: a directory without it is not a result.
         store.finish(part, job)
-    return store.read_run(directory)
+    run = store.read_run(directory)
+    _draw_pictures(run)
+    return run
 
 
 def measure_played(directory: Path) -> store.Run | None:
@@ -111,7 +115,13 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
     store.write_json(part / "timing.json", timing)
 
 
-def _draw_pictures(part: Path) -> None:
+def _draw_pictures(run: store.Run) -> None:
+    """Draw the pictures of a finished run. A failure is a warning, since the run is complete without them."""
     from activestructure_gym.evaluation.report.pictures.run import draw_run
 
-    draw_run(part)
+    try:
+        with atomic_files(run.directory) as part:
+            draw_run(run, part)
+    except Exception as error:
+        text = f"no pictures of {run.job.title}: {error}; its numbers and files are complete"
+        warnings.warn(text, InputWarning, stacklevel=2)

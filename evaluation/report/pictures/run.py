@@ -1,18 +1,17 @@
-"""The pictures of one run, from what stands in its directory."""
+"""Draw the pictures of one run from its stored arrays."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from activestructure_gym.evaluation.archive.store import open_run
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.pictures.canvas import save_with_panels
 from activestructure_gym.evaluation.report.pictures.planes_pages import run_planes_3d, run_planes_plan
 from activestructure_gym.evaluation.report.pictures.views_and_plans import run_plan, run_views
 
 
-def draw_run(directory: Path) -> None:
-    """Draw views, plan and Plane Scene Graph of the run in ``directory``, whose data are whole."""
-    run = open_run(directory)
+def draw_run(run: Run, directory: Path) -> None:
+    """Draw views, plan and Plane Scene Graph of a finished run into ``directory``."""
     title = run.job.title
     run_views(run.pictures, title=title).save(directory / "views.png")
     run_plan(run.pictures, run.trajectory, run.graph, title=title).save(directory / "plan.png")

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli.evaluate import Evaluate
 from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.report.pictures import run as pictures
 from activestructure_gym.evaluation.running import episode, measuring
 from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import run_comparison
@@ -42,7 +43,7 @@ def interrupted(job, finished, tmp_path_factory) -> Path:
     """The same run, of which measuring has failed."""
     directory = tmp_path_factory.mktemp("interrupted") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measuring, "_draw_pictures", _disk_is_full)
+        patch.setattr(measuring, "_write_clocks", _disk_is_full)
         with pytest.raises(OSError, match="No space left"):
             episode.run_job(job, directory)
     return directory
@@ -53,7 +54,7 @@ def kept(interrupted, tmp_path) -> Path:
     return Path(shutil.copytree(interrupted, tmp_path / "kept"))
 
 
-def _disk_is_full(part: Path) -> None:
+def _disk_is_full(*given: object) -> None:
     raise OSError(28, "No space left on device")
 
 
@@ -141,12 +142,24 @@ def test_evaluate_measures_an_episode_and_finishes_its_run(kept, finished, capsy
     _check_equal(finished, kept)
 
 
+def test_a_picture_that_fails_does_not_fail_the_run(kept, finished, job, monkeypatch):
+    def half_drawn(run: store.Run, directory: Path) -> None:
+        assert store.is_done(run.directory, job)
+        (directory / "views.png").touch()
+        raise ValueError("no font")
+
+    monkeypatch.setattr(pictures, "draw_run", half_drawn)
+    with pytest.warns(InputWarning, match="no pictures of box · random · seed 0: no font"):
+        episode.run_job(job, kept)
+    _check_equal(finished, kept)
+
+
 def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path, monkeypatch):
     for way in ("resume", "evaluate"):
         directory = tmp_path / way
         directory.mkdir()
         with monkeypatch.context() as patch:
-            patch.setattr(measuring, "_draw_pictures", _disk_is_full)
+            patch.setattr(measuring, "_write_clocks", _disk_is_full)
             result = run_comparison([job], directory, NullListener(), engine="inline")
         assert [outcome.job for outcome in result.failed] == [job] and not result.runs
         assert open_comparison(directory) == []

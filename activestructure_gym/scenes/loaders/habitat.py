@@ -57,11 +57,22 @@ def load_habitat_scene(
 ) -> Scene:
     """Load a scene of a dataset configured for Habitat.
 
-    Args: path: the ``*.scene_dataset_config.json``. scene: a scene instance, or a stage if the dataset has no
-    instances, by name or end of path. Optional if there is only one. objects: whether to include the objects of a scene
-    instance. max_texture: pixels; larger textures are shrunk.
+    Parameters
+    ----------
+    path
+        The ``*.scene_dataset_config.json``.
+    scene
+        A scene instance, or a stage if the dataset has no instances, by name or end of path. Optional if there is only
+        one.
+    objects
+        Whether to include the objects of a scene instance.
+    max_texture
+        Pixels; larger textures are shrunk.
 
-    Raises: InputError: a file is missing or damaged, or the scene does not exist.
+    Raises
+    ------
+    InputError
+        If a file is missing or damaged, or the scene does not exist.
     """
     if max_texture < 1:
         raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")

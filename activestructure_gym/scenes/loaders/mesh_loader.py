@@ -55,14 +55,27 @@ def load_mesh_scene(
 ) -> Scene:
     """Read a mesh file and return it as a scene.
 
-    Args: path: a .glb, .gltf, .obj, .ply, .stl or .dae file. units: "m", "dm", "cm", "mm", "in", "ft", or metres per
-    file unit. None = as declared by the file (COLLADA only), else metres. up: the file's up axis: "x", "y", "z", "-x",
-    "-y" or "-z"; "auto" = estimated from the geometry. None = as declared by the file (COLLADA; glTF under "up" in the
-    extras of its asset or scene), else y for glTF (its standard) and z for others; refused if the geometry clearly
-    contradicts it. name: of the scene; default: the file's name. max_texture: pixels; larger textures are shrunk.
+    Parameters
+    ----------
+    path
+        A .glb, .gltf, .obj, .ply, .stl or .dae file.
+    units
+        "m", "dm", "cm", "mm", "in", "ft", or metres per file unit. None: as declared by the file (COLLADA only), else
+        metres.
+    up
+        The file's up axis: "x", "y", "z", "-x", "-y" or "-z"; "auto": estimated from the geometry. None: as declared by
+        the file (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF (its standard) and z for
+        others. An axis from the format alone is refused if the geometry clearly contradicts it.
+    name
+        Name of the scene; by default the file's name.
+    max_texture
+        Pixels; larger textures are shrunk.
 
-    Raises: InputError: the file is missing, unsupported, damaged, empty, not finite, of implausible size, or not
-    upright. Doubts are reported as `InputWarning` and in the scene's notes.
+    Raises
+    ------
+    InputError
+        If the file is missing, unsupported, damaged, empty, not finite, of implausible size, or not upright. Doubts are
+        reported as `InputWarning` and in the scene's notes.
     """
     from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, assemble
 

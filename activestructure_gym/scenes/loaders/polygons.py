@@ -18,8 +18,12 @@ _MOST_CORNERS = 10_000  # of a concave polygon: ear clipping then takes a third 
 def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return triangles [F, 3] over the corners of polygons, and the polygon index [F] of each, in order.
 
-    Args: points: [C, 3] corners of all polygons, concatenated, each in order around its polygon. sizes: [P] number of
-    corners of each polygon; fewer than 3 give no triangle.
+    Parameters
+    ----------
+    points
+        [C, 3] corners of all polygons, concatenated, each in order around its polygon.
+    sizes
+        [P] number of corners of each polygon; fewer than 3 give no triangle.
     """
     fans = np.maximum(sizes - 2, 0)
     polygon = np.repeat(np.arange(len(sizes)), fans)

@@ -51,10 +51,19 @@ _SMALL = (0.15, 0.15, 0.15)  # objects on other objects
 def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects: bool = True) -> Scene:
     """Load a house of ProcTHOR.
 
-    Args: path: a house as JSON, or a file with one per line, ``.jsonl`` or ``.jsonl.gz``. house: index of the house in
-    the file, from 0. objects: whether to add boxes for the furniture.
+    Parameters
+    ----------
+    path
+        A house as JSON, or a file with one per line, ``.jsonl`` or ``.jsonl.gz``.
+    house
+        Index of the house in the file, from 0.
+    objects
+        Whether to add boxes for the furniture.
 
-    Raises: InputError: the file or the house in it is missing or invalid.
+    Raises
+    ------
+    InputError
+        If the file or the house in it is missing or invalid.
     """
     path = Path(os.path.expanduser(path))
     if not path.is_file():

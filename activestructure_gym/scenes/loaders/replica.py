@@ -47,13 +47,20 @@ _FIRST_FACE = 256  # bytes that contain its number of corners
 def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathLike[str] | None = None) -> Scene:
     """Load a Replica scene.
 
-    Args: path: the scene's folder, its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the stage config
-    json. Also its name (``office_0``) with the dataset's folder in ``ASG_REPLICA`` (see
-    `activestructure_gym.scenes.datasets`), or a NICE-SLAM sequence folder with ``<folder>_mesh.ply`` or
-    ``<folder>.ply`` next to it. sequence: folder of a posed RGB-D sequence of the scene (NICE-SLAM layout), used as its
-    evaluation views.
+    Parameters
+    ----------
+    path
+        The scene's folder, its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the stage config json. Also
+        its name (``office_0``) with the dataset's folder in ``ASG_REPLICA`` (see
+        `activestructure_gym.scenes.datasets`), or a NICE-SLAM sequence folder with ``<folder>_mesh.ply`` or
+        ``<folder>.ply`` next to it.
+    sequence
+        Folder of a posed RGB-D sequence of the scene (NICE-SLAM layout), used as its evaluation views.
 
-    Raises: InputError: the scene is missing, or a file is damaged.
+    Raises
+    ------
+    InputError
+        If the scene is missing, or a file is damaged.
     """
     path = find_scene(REPLICA, path)
     if path.name in ("", ".."):  # "." has a name too

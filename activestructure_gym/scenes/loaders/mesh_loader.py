@@ -64,8 +64,8 @@ def load_mesh_scene(
         metres.
     up
         The file's up axis: "x", "y", "z", "-x", "-y" or "-z"; "auto": estimated from the geometry. None: as declared by
-        the file (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF (its standard) and z for
-        others. An axis from the format alone is refused if the geometry clearly contradicts it.
+        the file (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF (its standard) and z
+        for others. An axis from the format alone is refused if the geometry clearly contradicts it.
     name
         Name of the scene; by default the file's name.
     max_texture

@@ -1,8 +1,8 @@
-"""Differentiable rendering of 3D Gaussians on plain CPUs, on CUDA through gsplat, and in plain torch as the oracle.
+"""Render 3D Gaussians differentiably: on CPUs, on CUDA through gsplat, and in plain torch as the test oracle.
 
-The mapper and the features take what `rasterizers` gives by name: ``cpu`` (numpy in, numpy out), or the others behind
-the same protocol. ``rasterize`` (torch, autograd) is for any other loss. Its names load when they are first asked for,
-so that a mapper on the CPU does not load torch.
+The mapper and the features use the implementations of `rasterizers` by name: ``cpu`` (numpy arrays), or the others
+behind the same protocol. ``rasterize`` (torch, autograd) serves any other loss. Names are loaded on first use, so a
+mapper on the CPU does not load torch.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""One differentiable function over three implementations."""
+"""Provide one differentiable function over three implementations."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ __all__ = ["Rasterization", "camera_twist_gradient", "parameter_rows", "rasteriz
 
 @dataclass(frozen=True)
 class Rasterization:
-    """Pictures of one camera, or of C cameras with a leading axis."""
+    """Hold the images of one camera, or of C cameras with a leading axis."""
 
     color: torch.Tensor  # [..., H, W, 3]
-    depth: torch.Tensor  # [..., H, W] accumulated: sum of weight times depth
+    depth: torch.Tensor  # [..., H, W] accumulated: sum of weight times depth, metres
     alpha: torch.Tensor  # [..., H, W]
     channels: torch.Tensor | None = None  # [..., H, W, D] sum of weight times channel, if any were given
-    median_depth: torch.Tensor | None = None  # [..., H, W] metres, if asked for; see `rasterize`
+    median_depth: torch.Tensor | None = None  # [..., H, W] metres, if requested; see `rasterize`
 
     @property
     def expected_depth(self) -> torch.Tensor:  # [..., H, W]
-        """Metres: accumulated depth over alpha, 0 where nothing was hit."""
+        """Return accumulated depth over alpha in metres; 0 where nothing is rendered."""
         return self.depth / self.alpha.clamp_min(1e-10)
 
 
 @dataclass(frozen=True)
 class _Request:
-    """Arguments of every implementation; exactly one of ``colors`` and ``sh`` is given."""
+    """Hold the arguments of every implementation; exactly one of ``colors`` and ``sh`` is given."""
 
     means: torch.Tensor
     quaternions: torch.Tensor
@@ -59,12 +59,13 @@ def rasterize(
     quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
     log_scales: torch.Tensor,  # [N, 3] log of metres
     opacity_logits: torch.Tensor,  # [N]
-    colors: torch.Tensor | None = None,  # [N, 3] used as they are
+    colors: torch.Tensor | None = None,  # [N, 3] used unchanged
     *,
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
-    sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
-    channels: torch.Tensor | None = None,  # [N, D] anything else to blend
+    # [N, K, 3] spherical harmonics of degree 0 to 3 instead of colours, K = 1, 4, 9 or 16
+    sh: torch.Tensor | None = None,
+    channels: torch.Tensor | None = None,  # [N, D] further values to blend
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,
     median_depth: bool = False,
@@ -72,8 +73,10 @@ def rasterize(
     max_alpha: float = 0.999,
     threads: int | None = None,
 ) -> Rasterization:
-    """Render Gaussians, with gradients to every tensor given (of ``camera_from_world`` rows 0 to 2, as if its twelve
-    numbers were free; see `camera_twist_gradient`).
+    """Render Gaussians, with gradients to every given tensor.
+
+    The gradient of ``camera_from_world`` treats its rows 0 to 2 as twelve independent numbers; see
+    `camera_twist_gradient`.
 
     Parameters
     ----------
@@ -86,50 +89,52 @@ def rasterize(
     opacity_logits
         [N].
     colors
-        [N, 3], used as they are; either these or ``sh``.
+        [N, 3], used unchanged; either these or ``sh``.
     camera_from_world
         [4, 4], or [C, 4, 4] for several cameras at once: the same as one call each.
     camera
         Pixels and focal lengths.
     sh
-        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting: colour =
-        max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
+        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting: colour = max(0,
+        0.5 + sum of coefficient times harmonic), seen from the camera centre.
     channels
-        [N, D] anything else to blend.
+        [N, D] further values to blend.
     centre_depth
-        Take every Gaussian at the depth of its centre, as 3D Gaussian splatting does. Otherwise a pixel takes it where
-        its ray meets it (see Notes), which for a disk seen at a slant is on the disk.
+        Whether to use the depth of each Gaussian's centre, as 3D Gaussian splatting does. Otherwise a pixel uses the
+        depth where its ray meets the Gaussian (see Notes); for an oblique disc this is on the disc.
     blur_variance
-        px^2 that a Gaussian's covariance in the image is wider than its projection; 3D Gaussian splatting and gsplat
-        take 0.3, which is much for pictures of few pixels.
+        px^2 added to a Gaussian's covariance in the image. 3D Gaussian splatting and gsplat use 0.3, which blurs small
+        images noticeably.
     median_depth
-        Also give the depth of the Gaussian with which the transmittance, front to back, first falls to 0.5 or below; 0
-        where alpha stays under 0.5; it has no gradient.
+        Whether to also return the depth of the Gaussian at which the transmittance, front to back, first falls to 0.5
+        or below. It is 0 where alpha stays below 0.5, and has no gradient.
     backend
         ``"cpu"`` (compiled kernels), ``"gsplat"``, ``"reference"`` (plain torch), or ``"auto"``: gsplat for CUDA
-        tensors, the kernels for float32 on the CPU, the reference for anything else.
+        tensors, the kernels for float32 on the CPU, the reference otherwise.
     max_alpha
-        A Gaussian's opacity in a pixel is cut off here.
+        Upper limit of a Gaussian's opacity in a pixel.
     threads
-        Of ``"cpu"`` alone; the cores of this process, or ``OMP_NUM_THREADS``, if not given; results do not depend
-        on it.
+        Threads of the backend ``"cpu"``. Default: ``OMP_NUM_THREADS``, else the cores of this process. Results are the
+        same for any number.
 
     Returns
     -------
     Rasterization
-        Colour, accumulated depth in metres, alpha, and what else was asked for, with a leading axis [C] for several
-        cameras.
+        Colour, accumulated depth in metres, alpha, and the further requested images; with a leading axis [C] for
+        several cameras.
 
     Raises
     ------
     InputError
-        Tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
+        For tensors that do not fit together, an unknown backend, or one that cannot run this request here.
 
     Notes
     -----
     Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
-    6; cut-offs are those of [gsplat, code] 1.5.3. A ray meets a Gaussian where it is densest along the ray; to the
-    first order in the pixel, as in Zhang et al., "RaDe-GS: Rasterizing Depth in Gaussian Splatting", 2024.
+    6;
+    cut-offs are those of [gsplat, code] 1.5.3. A ray meets a Gaussian at its highest density along the ray, to first
+    order
+    in the pixel, as in Zhang et al., "RaDe-GS: Rasterizing Depth in Gaussian Splatting", 2024.
 
     Examples
     --------
@@ -155,10 +160,12 @@ def rasterize(
 
 def camera_twist_gradient(
     camera_from_world: torch.Tensor,  # [..., 4, 4]
-    gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as `rasterize` gives it
+    gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as returned by `rasterize`
 ) -> torch.Tensor:  # [..., 6]
-    """Derivative by a twist (rho metres, phi radians) at 0, where camera_from_world becomes Exp(rho, phi)
-    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: [sola2018].
+    """Return the derivative by a twist (rho metres, phi radians) at 0.
+
+    The twist changes camera_from_world to Exp(rho, phi) camera_from_world (`activestructure_gym.geometry.se3_exp`).
+    Source: [sola2018].
     """
     pose, gradient = camera_from_world.detach()[..., :3, :], gradient[..., :3, :]
     turn = torch.linalg.cross(pose, gradient, dim=-2).sum(dim=-1)  # column by column
@@ -166,7 +173,7 @@ def camera_twist_gradient(
 
 
 def _check(request: _Request) -> None:
-    """Raise `InputError` where the parts of a request do not fit together."""
+    """Raise `InputError` if the parts of a request do not fit together."""
     count = len(request.means) if isinstance(request.means, torch.Tensor) and request.means.dim() else 0
     shapes = {
         "means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "opacity_logits": (count,),

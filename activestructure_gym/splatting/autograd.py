@@ -1,6 +1,6 @@
-"""The CPU kernels as one node of torch's graph.
+"""Make the CPU kernels one node of torch's graph.
 
-Parameters go through `packing` both ways: without a copy if they lie in memory as the kernels want them.
+Parameters go through `packing` in both directions, without a copy if their memory layout is the kernels'.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TO_GRADIENT[layout.MODE], _TO_POSE[layout.MODE] = layout.TO_GRADIENT, layout.PO
 
 @dataclass(frozen=True)
 class CpuOptions:
-    """Options of a rendering that are not tensors."""
+    """Hold the options of a rendering that are not tensors."""
 
     camera: PinholeCamera
     max_alpha: float
@@ -35,7 +35,7 @@ class CpuOptions:
 
 
 class _Given(NamedTuple):
-    """The tensors of a rendering, see `api.rasterize`; torch follows them only as arguments one by one."""
+    """Hold the tensors of a rendering, see `api.rasterize`; torch tracks them only as separate arguments."""
 
     means: torch.Tensor  # [N, 3]
     quaternions: torch.Tensor  # [N, 4]
@@ -48,11 +48,11 @@ class _Given(NamedTuple):
 
 
 class CpuRasterization(torch.autograd.Function):
-    """Colour, depth, alpha, channels and median depth (None where not asked for) of one or several cameras."""
+    """Compute colour, depth, alpha, channels and median depth (None if not requested) of one or several cameras."""
 
     @staticmethod
     def forward(ctx: Any, options: CpuOptions, *tensors: Any) -> Any:
-        """``tensors`` are those of `_Given`, in that order."""
+        """Render; ``tensors`` are those of `_Given`, in order."""
         ctx.save_for_backward(*tensors)
         ctx.set_materialize_grads(False)
         given = _Given(*tensors)
@@ -99,14 +99,14 @@ class CpuRasterization(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, by_color, by_depth, by_alpha, by_extra, _):
-        given = _Given(*ctx.saved_tensors)  # refused by torch if one has been changed in place since
+        given = _Given(*ctx.saved_tensors)  # torch raises if one was changed in place
         sh, channels, camera_from_world = given.sh, given.channels, given.camera_from_world
         cameras, batched = len(ctx.rendered), camera_from_world.dim() == 3
         poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
-        still = sh is None and channels is None and not any(ctx.needs_input_grad[1:6])  # a camera looks for its place
-        total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory that numpy would fetch anew
+        still = sh is None and channels is None and not any(ctx.needs_input_grad[1:6])  # only the pose is optimised
+        total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory; numpy would allocate anew
         by_sh = torch.zeros(sh.shape if sh is not None else 0)
         by_channels = torch.zeros(channels.shape if channels is not None else 0)
         by_pose = np.zeros((cameras, 4, 4), np.float32)
@@ -141,11 +141,11 @@ class CpuRasterization(torch.autograd.Function):
 
 
 def _detached(given: _Given) -> tuple[torch.Tensor | None, ...]:
-    """Means, quaternions, log-scales, opacity logits and colours without their graph."""
+    """Return means, quaternions, log-scales, opacity logits and colours, detached."""
     return tuple(None if tensor is None else tensor.detach() for tensor in given[:5])
 
 
 def _filled(images: list[np.ndarray | None], camera: PinholeCamera) -> list[np.ndarray]:
-    """The gradient pictures of colour, depth and alpha, zeros for those the loss does not use."""
+    """Return the gradient images of colour, depth and alpha, zeros for those the loss does not use."""
     shapes = ((camera.height, camera.width, 3), (camera.height, camera.width), (camera.height, camera.width))
     return [np.zeros(shape, np.float32) if image is None else image for image, shape in zip(images, shapes)]

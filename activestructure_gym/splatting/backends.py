@@ -1,4 +1,4 @@
-"""Which implementations of the rasteriser can run here."""
+"""Report which implementations of the rasteriser can run here."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
 def backend_status() -> dict[str, str]:
-    """For every backend ``"works"`` or one sentence on what is missing (shown by ``asg doctor``)."""
+    """Return for every backend ``"works"`` or one sentence on what is missing (shown by ``asg doctor``)."""
     return {"cpu": "works", "gsplat": _gsplat_status(), "reference": "works"}
 
 
 @functools.cache
 def _gsplat_status() -> str:
-    """Found out by rendering one Gaussian: importing gsplat succeeds without a compiler or a CUDA device."""
+    """Test gsplat by rendering one Gaussian.
+
+    Importing gsplat succeeds without a compiler or CUDA device.
+    """
     if importlib.util.find_spec("gsplat") is None:
         return "package gsplat is missing: pip install 'activestructure-gym[gpu]'"
     import torch
@@ -38,6 +41,6 @@ def _gsplat_status() -> str:
             torch.eye(4, device=device)[None],
             PinholeCamera.from_size(16, 16),
         )
-    except Exception as error:  # a missing compiler, driver or wheel shows in many types
+    except Exception as error:  # a missing compiler, driver or wheel causes errors of many types
         return f"gsplat cannot render: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
     return "works" if bool(color[0, 8, 8, 0] > 0.5) else "gsplat renders a black picture"

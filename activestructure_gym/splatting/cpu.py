@@ -1,7 +1,7 @@
-"""Rendering, scoring and one optimisation step of a Gaussian map on the CPU, without torch.
+"""Render, score and optimise a Gaussian map on the CPU, without torch.
 
 Parameters are one float32 array ``[14, capacity]``: rows 0-2 mean, 3-6 quaternion wxyz, 7-9 log-scale, 10 opacity
-logit, 11-13 colour (0..1, used as it is); the first ``count`` columns live.
+logit, 11-13 colour (0..1, used unchanged). The first ``count`` columns are in use.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PARAMETER_ROWS = layout.ROWS
 
 @dataclass(frozen=True)
 class Rendering:
-    """Colour, depth and alpha of one camera."""
+    """Hold colour, depth and alpha of one camera."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth; divide by alpha for metres
@@ -38,21 +38,21 @@ class Rendering:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the mapping loss.
+    """Weight the terms of the mapping loss.
 
-    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of
-    (1 - A)^2 where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is above 0.5;
-    with ``normalised_depth=False`` it is the accumulated depth itself, compared wherever one was measured; either sum
-    is divided by the number of pixels with a measured depth. Without the last term black surfaces become transparent:
-    against the black background that is as good as being black.
+    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of (1 - A)^2
+    where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is above 0.5. With
+    ``normalised_depth=False`` it is the accumulated depth itself, compared wherever a depth was measured. Either sum is
+    divided by the number of pixels with a measured depth. Without the last term black surfaces become transparent,
+    which is equivalent in front of the black background.
     """
 
     image: float = 0.5  # of the colour terms
-    l1_share: float = 0.8  # of L1 in the colour terms, the rest is SSIM
+    l1_share: float = 0.8  # of L1 in the colour terms; the rest is SSIM
     depth: float = 1.0  # per metre
-    alpha: float = 0.0  # of the missing opacity where there is a depth
+    alpha: float = 0.0  # of missing opacity where there is a depth
     normalised_depth: bool = True
-    centre_depth: bool = False  # every Gaussian at the depth of its centre, not where the ray meets it
+    centre_depth: bool = False  # use the depth of each Gaussian's centre instead of the ray's intersection
 
     def __post_init__(self) -> None:
         check_ranges(self, {**dict.fromkeys(("image", "depth", "alpha"), "[0, 1e6]"), "l1_share": "[0, 1]"})
@@ -60,20 +60,21 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class StepLosses:
-    """The unweighted terms of the loss before the step."""
+    """Hold the unweighted terms of the loss before the step."""
 
     color: float  # mean |colour difference| over pixels and channels
-    depth: float  # metres, sum of |ED - D| over the pixels that have a depth (see `LossWeights`)
-    ssim: float  # mean SSIM (1 = equal); nan where the weights leave it out
+    # metres, sum of |ED - D| over the pixels with a measured depth, divided by their number (see `LossWeights`)
+    depth: float
+    ssim: float  # mean SSIM (1 = equal); nan if its weight is 0
 
 
 @dataclass(frozen=True)
 class TrackingWeights:
-    """The loss a camera pose is found by: color * |C - I| + depth * |D / A - D_measured|.
+    """Weight the loss of pose tracking: color * |C - I| + depth * |D / A - D_measured|.
 
-    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha``
-    ([splatam, eq. 8]; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
-    ``mean`` takes both as means over these pixels, colour over its three channels too.
+    Both are summed over the pixels with a measured depth and an accumulated alpha above ``min_alpha`` ([splatam, eq.
+    8]; depth is divided by alpha as in the mapping loss, unlike in SplaTAM). With ``mean`` they are means over these
+    pixels, and colour also over its three channels.
     """
 
     color: float = 0.5
@@ -87,13 +88,13 @@ class TrackingWeights:
 
 @dataclass(frozen=True)
 class PoseGradient:
-    """Tracking loss at a pose and how it changes when camera_from_world becomes exp(xi) camera_from_world."""
+    """Hold the tracking loss at a pose, and its gradient for camera_from_world -> exp(xi) camera_from_world."""
 
     loss: float
-    gradient: np.ndarray  # [6] float64 by xi = (rho, phi): metres and radians in the camera's frame
+    gradient: np.ndarray  # [6] float64 by xi = (rho, phi): metres and radians in the camera frame
     color: float  # unweighted sum or mean of |C - I|
     depth: float  # metres, unweighted sum or mean of |D / A - D_measured|
-    pixels: int  # compared
+    pixels: int  # number of pixels compared
 
 
 def render(
@@ -108,11 +109,11 @@ def render(
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool
 ) -> Rendering:
-    """Colour, accumulated depth and alpha of one camera.
+    """Render colour, accumulated depth and alpha of one camera.
 
-    A pixel takes a Gaussian at the depth where its ray meets it, with ``centre_depth`` at that of its centre, and its
-    covariance in the image is wider by ``blur_variance``, for which [gsplat, code] has 0.3.
-    ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
+    A pixel uses a Gaussian's depth where its ray meets it, with ``centre_depth`` that of its centre. ``blur_variance``
+    is added to the covariance in the image; [gsplat, code] uses 0.3. ``unseen`` marks chunks known to be outside the
+    view, which then cost nothing in a large map.
     """
     check_map(parameters, count)
     pooled = PooledWorkspace()
@@ -133,7 +134,7 @@ def render_depth_alpha(
     blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-    """Depth and alpha of many cameras, for scoring candidates."""
+    """Render accumulated depth and alpha of many cameras, for scoring candidates."""
     check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
@@ -168,13 +169,11 @@ def mapping_step(
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `render`
 ) -> StepLosses:
-    """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam).
+    """Render, compare, differentiate, and update the Gaussians that contribute to some pixel (Adam).
 
-    ``isotropic`` takes the three log-scales of a Gaussian as one: each row gets the derivative by all of them, so that
-    equal scales stay equal.
-
-    Raises:
-        ValueError: arrays of another shape or type, or isotropic with different learning rates for the log-scales.
+    With ``isotropic`` the three log-scales of a Gaussian are one parameter: each row gets the derivative by all of
+    them, so equal scales stay equal. Raises `ValueError` for arrays of another shape or type, or isotropic with
+    different learning rates of the log-scales.
     """
     check_map(parameters, count)
     check_step(parameters, first_moment, second_moment, learning_rates, isotropic=isotropic)
@@ -221,9 +220,9 @@ def pose_gradient(
     *,
     threads: int | None = None,
 ) -> PoseGradient:
-    """Tracking loss of a picture and its derivative by the pose it is rendered from; the map stays as it is.
+    """Return the tracking loss of an image and its derivative by the pose; the map is unchanged.
 
-    The step of a gradient descent is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
+    A gradient descent step is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
     """
     check_map(parameters, count)
     pose = inverse_of_pose(world_from_camera)
@@ -240,7 +239,7 @@ def pose_gradient(
     gradient[:3] = by_pose[:, 3]
     gradient[3:] = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
     if weights.mean:
-        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images, whose derivative is linear in them
+        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images; the derivative is linear in them
         gradient, color, depth = gradient * of_pixel, color * of_pixel / 3.0, depth * of_pixel
     return PoseGradient(weights.color * color + weights.depth * depth, gradient, color, depth, pixels)
 

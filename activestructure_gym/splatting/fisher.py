@@ -1,8 +1,8 @@
-"""The rasteriser's second pass: Fisher information of single Gaussians, weights and counts of a view, without torch.
+"""Compute the rasteriser's second pass, without torch: Fisher information of single Gaussians, weights and counts.
 
-The block of a Gaussian is the sum over pixels and colour channels of J^T J, J the derivative of a rendered colour by
-the Gaussian's mean (metres, world) and log-scales: what information planners compare between a candidate and the
-keyframes ([fisherrf]; [popgs], for which these parameters alone do as well as all).
+A Gaussian's block is the sum over pixels and colour channels of J^T J. J is the derivative of a rendered colour by the
+Gaussian's mean (metres, world) and log-scales. Information-based planners compare it between a candidate and the
+keyframes ([fisherrf]; for [popgs] these parameters perform as well as all).
 """
 
 from __future__ import annotations
@@ -19,51 +19,51 @@ from activestructure_gym.splatting.cpu import check_map
 from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
 
-TOUCH_TRANSMITTANCE = 0.5  # the released counters take 0.5 or 0.8
+TOUCH_TRANSMITTANCE = 0.5  # the published programs use 0.5 or 0.8
 BLOCK_NUMBERS = 21  # of a symmetric 6 x 6 matrix
-DIAGONAL = np.array([0, 6, 11, 15, 18, 20])  # where in `ViewInformation.blocks`: mean x, y, z, log-scale 0, 1, 2
+DIAGONAL = np.array([0, 6, 11, 15, 18, 20])  # positions in `ViewInformation.blocks`: mean x, y, z, log-scale 0, 1, 2
 _NO_FLOATS = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True)
 class ViewInformation:
-    """Pictures of one camera, and its information about each of the S Gaussians that have a weight in it."""
+    """Hold the images of one camera, and its information about each of the S Gaussians that contribute to it."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth
     alpha: np.ndarray  # [H, W] float32 0..1
     channels: np.ndarray  # [H, W, D] float32: sum of weight times channel
-    indices: np.ndarray  # [S] int64, rising: columns of the parameters
-    numbers: np.ndarray  # [S, 26] float32, of which the following are views
+    indices: np.ndarray  # [S] int64, ascending: columns of the parameters
+    numbers: np.ndarray  # [S, 26] float32; the properties below are views of it
 
     @property
     def blocks(self) -> np.ndarray:  # [S, 21]
-        """Upper triangles, row by row, of the blocks by (mean 3, log-scale 3); see `full_blocks`."""
+        """Return the upper triangles, row by row, of the blocks by (mean 3, log-scale 3); see `full_blocks`."""
         return self.numbers[:, :BLOCK_NUMBERS]
 
     @property
     def logits(self) -> np.ndarray:  # [S]
-        """The information about the opacity logit: its own diagonal entry."""
+        """Return the information about the opacity logit: its diagonal entry."""
         return self.numbers[:, 21]
 
     @property
     def colors(self) -> np.ndarray:  # [S]
-        """The information about each colour channel: sum of squared weights, the same for all three."""
+        """Return the information about each colour channel: the sum of squared weights, equal for all three."""
         return self.numbers[:, 22]
 
     @property
     def weights(self) -> np.ndarray:  # [S] > 0
-        """Sum of weights (alpha times the transmittance in front) over the pixels."""
+        """Return the sum of weights (alpha times the transmittance in front) over the pixels."""
         return self.numbers[:, 23]
 
     @property
     def touches(self) -> np.ndarray:  # [S]
-        """Pixels in which it counts and the transmittance in front is above the limit; whole numbers."""
+        """Return the number of pixels to which it contributes with a transmittance in front above the limit."""
         return self.numbers[:, 24]
 
     @property
     def gathered(self) -> np.ndarray:  # [S]
-        """Sum of weight times pixel value over the pixels of `touches`; 0 without pixel values."""
+        """Return the sum of weight times pixel value over the pixels of `touches`; 0 without pixel values."""
         return self.numbers[:, 25]
 
 
@@ -73,20 +73,17 @@ def view_information(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4] or [C, 4, 4]
     *,
-    channels: np.ndarray | None = None,  # [N, D] any numbers of the Gaussians, to be blended
-    pixel_values: np.ndarray | None = None,  # [H, W] any numbers of the pixels, to be gathered by the Gaussians
+    channels: np.ndarray | None = None,  # [N, D] values of the Gaussians, to be blended
+    pixel_values: np.ndarray | None = None,  # [H, W] values of the pixels, to be summed per Gaussian
     touch_transmittance: float = TOUCH_TRANSMITTANCE,
     max_alpha: float = MAX_ALPHA,
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
 ) -> Iterator[ViewInformation]:
-    """One `ViewInformation` per camera, each made when it is asked for: all at once would fill the memory.
+    """Yield one `ViewInformation` per camera, computed on demand to save memory.
 
-    Results are the same to the bit for any number of threads. Source: [fisherrf] in its exact form
-    (channels are squared before they are summed; its program sums first).
-
-    Raises:
-        ValueError: arrays of another shape or type than said here.
+    Results are bit-equal for any number of threads. Source: [fisherrf] in its exact form: channels are squared before
+    they are summed, while its program sums first. Raises `ValueError` for arrays of another shape or type.
     """
     check_map(parameters, count)
     poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
@@ -111,15 +108,15 @@ def depth_information(
     *,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
 ) -> ViewInformation:
-    """`view_information` of one camera about the accumulated depth (sum of weight times depth) instead of the colours.
+    """Return `view_information` of one camera about the accumulated depth (sum of weight times depth), not colours.
 
-    Depths take the place of a colour, which is exact for log-scales and opacity. A mean also carries its own depth: the
-    block gets the sum of squared weights times z z^T, z the derivative of the depth by the mean. Left out is the
-    product of the two ways, whose sums nobody keeps: of Gaussians that are whole in the picture it nearly cancels, for
-    its sign is that of the offset from the mean. ``blocks`` and ``logits`` alone mean anything; there are no channels.
+    Depths replace a colour, which is exact for log-scales and opacity. A mean also changes its own depth: the block
+    gets the sum of squared weights times z z^T, with z the derivative of the depth by the mean. The product of both
+    effects is omitted, since its sums are not stored. For Gaussians entirely inside the image it almost cancels, since
+    its sign is that of the offset from the mean. Only ``blocks`` and ``logits`` are meaningful; there are no channels.
     Source: [next_best_sense], J^T J of the rendered depth.
     """
-    axis = np.asarray(world_from_camera, dtype=np.float64)[:3, 2]  # of the camera: the derivative of the depth
+    axis = np.asarray(world_from_camera, dtype=np.float64)[:3, 2]  # the camera's optical axis: derivative of the depth
     depths = axis @ (parameters[:3, :count] - np.asarray(world_from_camera)[:3, 3:])
     painted = fitted(parameters).copy()
     painted[11:] = 0.0
@@ -145,7 +142,7 @@ def _of_view(given, pose, channels, values, touch, options) -> ViewInformation: 
 def _run(
     workspace: Workspace, channels: np.ndarray, values: np.ndarray, touch: np.float32, pictures: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # [S], [S, 26]
-    """The kernel on a prepared workspace; leaves its pictures there."""
+    """Run the kernel on a prepared workspace, which then holds the images."""
     from activestructure_gym.splatting import fisher_kernels as f
 
     camera, grid = workspace.camera, workspace.grid
@@ -165,14 +162,14 @@ def _run(
     bits = np.unpackbits(words[taken].astype("<u2").view(np.uint8), axis=1, bitorder="little")
     chunk, place = np.nonzero(bits)
     indices = taken[chunk] * layout.CHUNK + place
-    indices = indices[indices < count]  # what stands behind them is of an earlier picture
+    indices = indices[indices < count]  # the rest is from an earlier image
     rows = result[: capacity * f.RESULT_FLOATS].reshape(capacity, f.RESULT_FLOATS)
-    # Whole rows: copying 26 numbers of 32 takes longer.
+    # Whole rows: copying 26 of 32 numbers takes longer.
     return indices, np.take(rows, indices, axis=0, mode="clip")[:, : f.COLUMNS]
 
 
 def full_blocks(blocks: np.ndarray) -> np.ndarray:  # [..., 21] -> [..., 6, 6]
-    """Symmetric matrices from their upper triangles."""
+    """Return symmetric matrices from their upper triangles."""
     full = np.empty((*blocks.shape[:-1], 6, 6), blocks.dtype)
     row, column = np.triu_indices(6)
     full[..., row, column] = blocks

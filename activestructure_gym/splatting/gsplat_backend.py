@@ -1,4 +1,4 @@
-"""The rasteriser's pictures by gsplat on a CUDA device (extra ``gpu``)."""
+"""Render with gsplat on a CUDA device (extra ``gpu``)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, camera_centre, depth_slopes, project_means
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
-_ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # from this version on the second
+_ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # version from which the second limit applies, and both limits
 
 
 @functools.cache
 def gsplat_max_alpha() -> float:
-    """The alpha limit compiled into the gsplat that is installed."""
+    """Return the alpha limit compiled into the installed gsplat."""
     version = tuple(int("".join(filter(str.isdigit, part)) or 0) for part in
                     importlib.metadata.version("gsplat").split(".")[:2])  # fmt: skip
     since, before, after = _ALPHA_LIMITS
@@ -32,15 +32,15 @@ def rasterize_gsplat(
     camera_from_world: torch.Tensor,  # [C, 4, 4]
     camera: PinholeCamera,
     *,
-    sh: torch.Tensor | None = None,  # [N, K, 3] in place of colours
+    sh: torch.Tensor | None = None,  # [N, K, 3] instead of colours
     channels: torch.Tensor | None = None,  # [N, D]
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
-    """Colour ``[C, H, W, 3]``, accumulated depth ``[C, H, W]``, alpha ``[C, H, W]`` and channels ``[C, H, W, D]``.
+    """Return colour ``[C, H, W, 3]``, accumulated depth and alpha ``[C, H, W]``, and channels ``[C, H, W, D]``.
 
-    gsplat blends any number of per-Gaussian channels, and centres' depths. Depth where the rays meet the Gaussians is
-    blended as three channels, of each camera its own: the linear functions of the pixel that `depth_planes` gives.
+    gsplat blends any number of channels per Gaussian, and centre depths. Depth at ray intersections is blended as three
+    channels per camera: the linear functions of the pixel given by `depth_planes`.
     """
     from gsplat import rasterization
 
@@ -72,7 +72,10 @@ def depth_planes(
     camera_from_world: torch.Tensor,  # [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [C, N, 3]
-    """Depth where a pixel's ray meets a Gaussian as a + b x + c y of the pixel, counted from the image's middle."""
+    """Return the depth at which a pixel's ray meets a Gaussian as coefficients of a + b x + c y.
+
+    The pixel coordinates x and y are relative to the image centre.
+    """
     position, depth = project_means(means, camera_from_world, camera)
     slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
     from_middle = position - position.new_tensor([0.5 * camera.width, 0.5 * camera.height])
@@ -80,7 +83,7 @@ def depth_planes(
 
 
 def depth_of_planes(blended: torch.Tensor) -> torch.Tensor:  # [C, H, W, 3] -> [C, H, W] metres
-    """Accumulated depth from the blended `depth_planes`."""
+    """Return the accumulated depth from the blended `depth_planes`."""
     height, width = blended.shape[-3:-1]
     x = torch.arange(width, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * width)
     y = torch.arange(height, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * height)

@@ -1,7 +1,8 @@
-"""The one way from a map to its pictures: a protocol, chosen by name, that the mapper and the features go through.
+"""Define the common protocol for rendering and optimising a map, with implementations by name.
 
-The map stands in numpy arrays on the host whatever the name is. What reads single Gaussians back out of a picture
-(`fisher`, `passes`) is in the compiled kernels alone and takes these arrays, so it works beside every name.
+The mapper and the features use it. The map is always in numpy arrays on the host. Functions that read single Gaussians
+back from an image (`fisher`, `passes`) exist only as compiled CPU kernels; they take the same arrays, so they work with
+every implementation.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_st
 
 
 class Rasterizer(Protocol):
-    """Pictures of a map and one step of its optimiser; rows and units of the arrays are those of `splatting.cpu`.
+    """Render a map and run optimiser steps; rows and units of the arrays are those of `splatting.cpu`.
 
-    It keeps nothing between two calls. ``unseen`` is a hint, the chunks of 1024 Gaussians that are known to be out of
-    view: whoever does not use it gives the same pictures.
+    No state is kept between calls. ``unseen`` is a hint, the chunks of 1024 Gaussians known to be outside the view;
+    images are the same without it.
     """
 
     def render(
@@ -33,7 +34,7 @@ class Rasterizer(Protocol):
         *,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> cpu.Rendering:
-        """Colour, accumulated depth and alpha of one camera."""
+        """Render colour, accumulated depth and alpha of one camera."""
         ...
 
     def render_depth_alpha(
@@ -43,7 +44,7 @@ class Rasterizer(Protocol):
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-        """Depth and alpha of many cameras."""
+        """Render accumulated depth and alpha of many cameras."""
         ...
 
     def mapping_step(
@@ -65,17 +66,18 @@ class Rasterizer(Protocol):
         isotropic: bool = False,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> cpu.StepLosses:
-        """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam without bias
-        correction; the others keep their moments too).
+        """Render, compare, differentiate, and update the Gaussians that contribute to some pixel.
+
+        The update is Adam without bias correction; other Gaussians keep their moments.
         """
         ...
 
 
 @functools.cache
 def rasterizer(name: Backend) -> Rasterizer:
-    """The rasteriser called ``name``.
+    """Return the rasteriser called ``name``.
 
-    Raises `InputError` for an unknown name, or saying what is missing for one that cannot run here.
+    Raises `InputError` for an unknown name, or with what is missing for one that cannot run here.
     """
     if name not in BACKENDS:
         raise unknown_name("splatting backend", name, BACKENDS)

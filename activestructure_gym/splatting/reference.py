@@ -1,8 +1,8 @@
-"""The rasteriser in plain torch: every pixel against every Gaussian. Slow, any dtype, the oracle of the tests.
+"""Rasterise in plain torch, every pixel against every Gaussian: slow, for any dtype, the oracle of the tests.
 
-Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, a blur
-added to the projected covariance (there 0.3 px^2), contributions below 1/255 skipped, a pixel stops *before* the
-Gaussian that would take its transmittance to 1e-4 or below.
+Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, a blur added to the projected covariance (there
+0.3 px^2), contributions below 1/255 skipped. A pixel stops *before* the Gaussian that would reduce its transmittance to
+1e-4 or below.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import torch
 from activestructure_gym.geometry import PinholeCamera
 
 NEAR_PLANE = 0.01  # metres
-BLUR_VARIANCE = 0.02  # px^2, the low-pass filter of EWA splatting
-SLANT_VARIANCE = 0.03  # px^2, added where the depth at a pixel is concerned
+BLUR_VARIANCE = 0.02  # px^2, low-pass filter of EWA splatting
+SLANT_VARIANCE = 0.03  # px^2, added for the depth at a pixel
 MIN_ALPHA = 1.0 / 255.0
 MIN_TRANSMITTANCE = 1e-4
-CLAMP_MARGIN = 0.3  # of half the image: how far outside the Jacobian of the projection still follows the mean
+CLAMP_MARGIN = 0.3  # fraction of half the image: margin in which the projection's Jacobian still follows the mean
 _PAIRS_AT_ONCE = 4_000_000
 
 
@@ -33,7 +33,7 @@ def rasterize_reference(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
-    """Render one camera; gradients of everything by autograd."""
+    """Render one camera; all gradients by autograd."""
     color, depth, alpha, _ = blend_reference(
         means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera,
         max_alpha=max_alpha, centre_depth=centre_depth, blur_variance=blur_variance,
@@ -54,10 +54,10 @@ def blend_reference(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pictures of one camera: features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``).
+    """Render features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``) of one camera.
 
-    The median depth is that of the Gaussian with which the transmittance first falls to 0.5 or below, 0 where none
-    does; it has no gradient.
+    The median depth is that of the Gaussian at which the transmittance first falls to 0.5 or below, 0 if there is none;
+    it has no gradient.
     """
     position, inverse_covariance, depth = project_gaussians(
         means, quaternions, log_scales, camera_from_world, camera, blur_variance
@@ -88,7 +88,7 @@ def blend_reference(
         alpha = torch.where(alpha.detach() < MIN_ALPHA, torch.zeros_like(alpha), alpha)
         after = torch.cumprod(1.0 - alpha, dim=1)
         before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
-        # The product only falls, so "stop before the one that takes it to 1e-4" is a test on every factor.
+        # The product only decreases, so "stop before it reaches 1e-4" is a test on every factor.
         counts = after.detach() > MIN_TRANSMITTANCE
         weight = alpha * before * counts
         here = (depth + (offset * slope).sum(dim=2)).clamp_min(NEAR_PLANE)  # [p, M]
@@ -103,7 +103,7 @@ def blend_reference(
 
 
 def camera_centre(camera_from_world: torch.Tensor) -> torch.Tensor:  # [4, 4] -> [3]
-    """Where the camera stands in the world, by a general inverse as in gsplat."""
+    """Return the camera's position in the world, by a general inverse as in gsplat."""
     return -torch.linalg.solve(camera_from_world[:3, :3], camera_from_world[:3, 3])
 
 
@@ -115,7 +115,7 @@ def project_gaussians(
     camera: PinholeCamera,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx xy yy, depth [N]
-    """EWA projection with the Jacobian taken at the mean, clamped near the image border."""
+    """Project by EWA with the Jacobian at the mean, clamped near the image border."""
     position, depth = project_means(means, camera_from_world, camera)
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     covariance = factor[:, :2] @ factor[:, :2].transpose(1, 2)
@@ -130,7 +130,7 @@ def project_means(
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 2] px, [..., N] metres
-    """Where the means are seen, and their depths; those before the near plane at a harmless place."""
+    """Return the means' pixels and depths; means in front of the near plane get a finite position."""
     points, inverse_depth = _camera_points(means, camera_from_world)
     focal, centre = points.new_tensor([camera.fx, camera.fy]), points.new_tensor([camera.cx, camera.cy])
     return points[..., :2] * inverse_depth[..., None] * focal + centre, points[..., 2]
@@ -143,14 +143,15 @@ def depth_slopes(
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [..., N, 2] metres per pixel
-    """How the depth at which a pixel's ray meets a Gaussian changes with the pixel, around its mean.
+    """Return the change of the ray intersection's depth per pixel, around the Gaussian's mean.
 
-    There it is densest along the ray ([yu2024]), to the first order of the projection a linear function of the pixel:
-    the covariance of image and depth over that of the image ([zhang2024]). For a flat Gaussian it is its plane's.
+    The intersection is the highest density along the ray ([yu2024]). To first order of the projection its depth is
+    linear in the pixel: the covariance of image and depth over that of the image ([zhang2024]). For a flat Gaussian it
+    is its plane's.
     """
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]
-    # By cross products, in which nothing cancels for needles: |x cross y|^2 = xx yy - xy^2, and so on.
+    # Cross products avoid cancellation for needles: |x cross y|^2 = xx yy - xy^2, and so on.
     area = torch.linalg.cross(x, y, dim=-1)
     numerators = [
         (torch.linalg.cross(z, y, dim=-1) * area + SLANT_VARIANCE * z * x).sum(dim=-1),
@@ -165,7 +166,7 @@ def _camera_points(
 ) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 3] metres, [..., N] one over their depth
     points = means @ camera_from_world[..., :3, :3].transpose(-1, -2) + camera_from_world[..., None, :3, 3]
     z = points[..., 2]
-    # What lies in front of the near plane is dropped later; a harmless depth keeps its gradient finite (and zero).
+    # Points in front of the near plane are dropped later; a finite depth keeps their gradient finite (and zero).
     return points, 1.0 / torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
 
 
@@ -176,9 +177,7 @@ def _projected_axes(
     camera_from_world: torch.Tensor,
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [..., N, 3, 3]
-    """Axes of the Gaussians, one standard deviation long, in pixels along x and y and in metres along z; an axis a
-    column.
-    """
+    """Return the Gaussians' axes as columns, one standard deviation long, in pixels (x, y) and metres (z)."""
     points, inverse_depth = _camera_points(means, camera_from_world)
     slope_x, slope_y = points[..., 0] * inverse_depth, points[..., 1] * inverse_depth
     margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
@@ -194,7 +193,7 @@ def _projected_axes(
 
 
 def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:  # [N, 4] wxyz -> [N, 3, 3]
-    """Rotation of (unnormalised) quaternions."""
+    """Return the rotation matrices of (unnormalised) quaternions."""
     w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=1, keepdim=True), dim=1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),

@@ -1,7 +1,7 @@
-"""Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; [ssim]).
+"""Compute structural similarity and its gradient (11 taps, sigma 1.5, zero padding; [ssim]).
 
-Only the sum of the two variances enters SSIM, so four blurs
-make the value and three the gradient. The loops live in `image_losses` and are the ones of the mapping step.
+Only the sum of the two variances enters SSIM, so four blurs give the value and three the gradient. The loops are those
+of the mapping step in `image_losses`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def ssim_and_gradient(
     *,
     threads: int | None = None,
 ) -> tuple[float, np.ndarray]:
-    """Mean SSIM over pixels and channels, and its derivative by ``image`` ``[H, W, 3]``."""
+    """Return mean SSIM over pixels and channels, and its derivative by ``image`` ``[H, W, 3]``."""
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"two images [H, W, 3] of one size are needed, got {image.shape} and {target.shape}")
     height, width = image.shape[:2]

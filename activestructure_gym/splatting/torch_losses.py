@@ -1,4 +1,4 @@
-"""The mapping loss and Adam's step of the compiled kernels, in torch."""
+"""Compute the mapping loss and Adam step of the compiled kernels in torch."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 class MappingLoss(NamedTuple):
-    """The weighted sum, and its terms as in `StepLosses`."""
+    """Hold the weighted sum, and its terms as in `StepLosses`."""
 
     total: torch.Tensor
     color: float
     depth: float  # metres
-    ssim: float  # nan where the weights leave it out
+    ssim: float  # nan if its weight is 0
 
 
 def mapping_loss(
@@ -31,7 +31,7 @@ def mapping_loss(
     target_depth: torch.Tensor,  # [H, W] metres, 0 = no return
     weights: LossWeights,
 ) -> MappingLoss:
-    """The loss of `LossWeights` of one picture."""
+    """Return the loss of `LossWeights` for one image."""
     measured = target_depth > 0
     by_color = (color - target_rgb).abs().mean()
     compared = measured & (alpha.detach() > 0.5) if weights.normalised_depth else measured
@@ -47,7 +47,7 @@ def mapping_loss(
 
 
 def ssim(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:  # [H, W, 3] each -> scalar
-    """Mean structural similarity over pixels and channels; zero padding."""
+    """Return the mean structural similarity over pixels and channels; zero padding."""
     x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
     mean_x, mean_y, square_x, square_y, product = _blurred(torch.stack([x, y, x * x, y * y, x * y]))
     variances = square_x - mean_x**2 + square_y - mean_y**2
@@ -70,7 +70,7 @@ def _taps() -> torch.Tensor:  # [11] float64
 
 
 class Adam(NamedTuple):
-    """Constants of one step of Adam without bias correction ([adam])."""
+    """Hold the constants of one step of Adam without bias correction ([adam])."""
 
     learning_rates: np.ndarray  # [14]
     beta1: float
@@ -84,7 +84,7 @@ class Adam(NamedTuple):
         first_moment: torch.Tensor,  # [14, n]
         second_moment: torch.Tensor,  # [14, n]
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Parameters and both moments after it."""
+        """Return parameters and both moments after the step."""
         first_moment = first_moment + (gradient - first_moment) * (1.0 - self.beta1)
         second_moment = second_moment + (gradient.square() - second_moment) * (1.0 - self.beta2)
         rates = torch.as_tensor(self.learning_rates).to(gradient)[:, None]

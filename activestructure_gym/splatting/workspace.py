@@ -1,4 +1,4 @@
-"""Buffers of one rendering and the order in which the kernels run on them."""
+"""Hold the buffers of one rendering, and run the kernels on them in order."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from activestructure_gym.splatting.simd import LANES
 
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)
-_STRIP = 30  # vectors, about: a third of a million bytes in the second cache
-_MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size reaches about 5 blocks of a tile
+_STRIP = 30  # vectors, approximately: a third of a megabyte in the second-level cache
+_MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a typical Gaussian reaches about 5 blocks of a tile
 
 
 def make_view(
@@ -26,7 +26,7 @@ def make_view(
     centre_depth: bool = False,
     blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
 ) -> np.ndarray:
-    """The floats of a camera as the kernels read them (``layout.POSE ...``)."""
+    """Return the floats of a camera in the kernels' layout (``layout.POSE ...``)."""
     view = _view_of(camera).copy()
     view[: layout.FX] = camera_from_world[:3].reshape(-1)
     view[layout.MAX_ALPHA] = max_alpha
@@ -37,7 +37,7 @@ def make_view(
 
 @lru_cache(64)
 def _view_of(camera: PinholeCamera) -> np.ndarray:
-    """The part of `make_view` that stays when a camera moves."""
+    """Return the part of `make_view` that does not depend on the pose."""
     view = np.zeros(layout.VIEW_SIZE, np.float32)
     view[layout.FX : layout.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
     margin_x, margin_y = 0.5 * layout.CLAMP_MARGIN * camera.width, 0.5 * layout.CLAMP_MARGIN * camera.height
@@ -50,7 +50,10 @@ def _view_of(camera: PinholeCamera) -> np.ndarray:
 
 
 def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
-    """The upper rows of the inverse of one rigid motion; in plain floats, a tenth of the time of nine small arrays."""
+    """Return the upper rows of the inverse of one rigid motion.
+
+    Plain floats take a tenth of the time of nine small arrays.
+    """
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = np.asarray(pose, dtype=np.float64)[:3].tolist()
     return np.array([
         (a, d, g, -(a * x + d * y + g * z)), (b, e, h, -(b * x + e * y + h * z)), (c, f, i, -(c * x + f * y + i * z)),
@@ -59,20 +62,20 @@ def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
 
 @lru_cache(64)
 def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
-    """The integers of a rendering as the kernels read them (``layout.COUNT ...``); not to be written to."""
+    """Return the integers of a rendering in the kernels' layout (``layout.COUNT ...``); read-only."""
     grid = np.empty(layout.GRID_SIZE, np.int64)
     grid[layout.COUNT], grid[layout.CAPACITY] = count, capacity
     grid[layout.WIDTH], grid[layout.HEIGHT] = camera.width, camera.height
     grid[layout.TILES_X], grid[layout.TILES_Y] = -(-camera.width // layout.TILE), -(-camera.height // layout.TILE)
     grid[layout.BLOCKS_X], grid[layout.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
-    grid[layout.CHUNKS] = max(1, -(-count // layout.CHUNK))  # an empty map has an empty one
+    grid[layout.CHUNKS] = max(1, -(-count // layout.CHUNK))  # an empty map has one empty chunk
     grid[layout.MARGIN], grid[layout.TILE_BLOCKS] = LANES, 64
     grid[layout.STRIDE] = 2 * LANES + LANES * -(-3 * camera.width // LANES)
     return grid
 
 
 def fitted(parameters: np.ndarray) -> np.ndarray:
-    """The array itself if the kernels can use it as it is, else a copy padded to a multiple of 16 columns."""
+    """Return the array if the kernels can use it directly, else a copy padded to a multiple of 16 columns."""
     rows, columns = parameters.shape
     if columns % LANES == 0 and parameters.flags.c_contiguous and parameters.flags.writeable:
         return parameters
@@ -82,19 +85,19 @@ def fitted(parameters: np.ndarray) -> np.ndarray:
 
 
 def aligned_zeros(size: int, dtype: type = np.float32) -> np.ndarray:
-    """A flat array that starts on a cache line (64 bytes)."""
+    """Return a flat array that starts on a cache line (64 bytes)."""
     room = np.zeros(size * np.dtype(dtype).itemsize + 64, np.uint8)
     start = -room.ctypes.data % 64
     return room[start : start + size * np.dtype(dtype).itemsize].view(dtype)
 
 
 def flat(image: np.ndarray) -> np.ndarray:
-    """A plain float32 vector: numba would compile another kernel for read-only or strided ones."""
+    """Return a plain float32 vector; numba would compile another kernel for read-only or strided ones."""
     return np.require(image, np.float32, ["C", "W"]).reshape(-1)
 
 
 class Workspace:
-    """Reused between renderings: grows, never shrinks, allocates nothing in a steady state."""
+    """Hold buffers reused between renderings: they grow, never shrink, and allocate nothing in a steady state."""
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
@@ -103,14 +106,14 @@ class Workspace:
         self.entries = np.empty((layout.ENTRY_ROWS, 0), np.uint64)
 
     def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
-        """A flat buffer of at least ``size`` elements; zero when new."""
+        """Return a flat buffer of at least ``size`` elements; zero when new."""
         buffer = self._buffers.get(name)
         if buffer is None or len(buffer) < size:
             buffer = self._buffers[name] = aligned_zeros(size + size // 4, dtype)
         return buffer
 
     def _image(self, name: str) -> np.ndarray:
-        """A padded colour image; its margins must be zero, so another size means a new buffer."""
+        """Return a padded colour image; its margins must be zero, so another size gets another buffer."""
         shape = (int(self.grid[layout.HEIGHT]), int(self.grid[layout.STRIDE]), int(self.grid[layout.WIDTH]))
         name = f"{name} {shape}"
         if name not in self._buffers:
@@ -130,11 +133,11 @@ class Workspace:
         threads: int | None = None,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> None:
-        """Everything before the tiles: records of the visible Gaussians and which tiles they reach.
+        """Run everything before the tiles: records of the visible Gaussians and the tiles they reach.
 
-        ``centre_depth`` takes every Gaussian at the depth of its centre, not where the pixel's ray meets it;
-        ``blur_variance``, px^2, is added to its covariance in the image. ``unseen`` says of which chunks (1024
-        Gaussians) it is known that none is in view; they cost nothing.
+        ``centre_depth`` uses the depth of each Gaussian's centre instead of the ray's intersection. ``blur_variance``,
+        px^2, is added to its covariance in the image. ``unseen`` marks chunks (1024 Gaussians) known to be out of view,
+        which cost nothing.
         """
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
@@ -143,7 +146,7 @@ class Workspace:
         )
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
         taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
-        if not len(taken):  # somebody has to say that there is nothing: the one chunk of an empty map
+        if not len(taken):  # nothing to render: use the one chunk of an empty map
             self.grid = grid = make_grid(0, parameters.shape[1], camera)
             taken = np.zeros(1, np.int64)
         tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
@@ -180,9 +183,9 @@ class Workspace:
         keep: bool = True,
         unseen: np.ndarray | None = None,  # [chunks] bool, see `prepare`
     ) -> None:
-        """Forward: fills ``color`` (padded), ``depth`` and ``alpha``.
+        """Render forward: fill ``color`` (padded), ``depth`` and ``alpha``.
 
-        ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
+        ``keep`` also stores data that makes `backward` faster, up to 64 MiB.
         """
         self.prepare(
             parameters, count, camera, camera_from_world, max_alpha=max_alpha, centre_depth=centre_depth,
@@ -194,7 +197,7 @@ class Workspace:
         self.blend(keep=keep)
 
     def blend(self, *, keep: bool = True) -> None:
-        """The tiles of `render`, into ``color``, ``depth`` and ``alpha``; also again, with other colours."""
+        """Blend the tiles of `render` into ``color``, ``depth`` and ``alpha``; may be repeated with other colours."""
         tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
         most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * LANES * self.total)
         places = self._buffer("kept at", 2 * tiles, np.int64)
@@ -206,7 +209,7 @@ class Workspace:
         return Pictures(self.color, self.depth, self.alpha)
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
+        """Return copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
         height, width = self.camera.height, self.camera.width
         shape, pixels = (height, width), height * width
         return (
@@ -216,7 +219,7 @@ class Workspace:
         )
 
     def show(self, image: np.ndarray, camera: PinholeCamera, *, threads: int | None = None) -> None:
-        """Take ``image [H, W, 3]`` as if it had been rendered, over nothing (for losses alone)."""
+        """Use ``image [H, W, 3]`` as if it had been rendered from an empty map (for losses alone)."""
         self.threads = threads or default_threads()
         self.camera, self.grid = camera, make_grid(0, 0, camera)
         self.tickets[:] = 0
@@ -225,13 +228,13 @@ class Workspace:
         self.alpha = self._buffer("alpha", camera.width * camera.height)
 
     def pixels_of(self, image: np.ndarray) -> np.ndarray:  # [H, W, 3], a copy
-        """A padded colour image without its margins."""
+        """Return a padded colour image without its margins."""
         margin, width = int(self.grid[layout.MARGIN]), self.camera.width
         rows = image.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         return rows[:, margin : margin + 3 * width].copy().reshape(-1, width, 3)
 
     def _padded(self, name: str, image: np.ndarray) -> np.ndarray:
-        """``image [H, W, 3]`` in the kernels' layout."""
+        """Return ``image [H, W, 3]`` in the kernels' layout."""
         margin, buffer = int(self.grid[layout.MARGIN]), self._image(name)
         rows = buffer.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         rows[:, margin : margin + 3 * self.camera.width] = np.asarray(image).reshape(self.camera.height, -1)
@@ -247,7 +250,7 @@ class Workspace:
         of_alpha: float = 0.0,  # weight of the mean squared missing opacity where there is a depth
         normalised_depth: bool = True,
     ) -> tuple[float, float, float]:
-        """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images.
+        """Return mean colour difference, depth error and SSIM (nan if its weight is 0); fill the gradient images.
 
         The depth error is that of depth / alpha where alpha is above 0.5, or with ``normalised_depth=False`` that of
         the accumulated depth; its sum is divided by the number of pixels with a measured depth.
@@ -273,12 +276,12 @@ class Workspace:
         return float(color), float(error), float(ssim) if of_ssim else float("nan")
 
     def _strip(self, columns: int) -> int:
-        """How many columns of vectors one thread compares at a time: as many strips for each thread."""
+        """Return the number of vector columns that one thread compares at a time: equally many strips per thread."""
         rounds = max(1, round(columns / (_STRIP * self.threads)))
         return min(-(-columns // (rounds * self.threads)), layout.SCRATCH // image_losses.STRIP_FLOATS - 4)
 
     def _factors(self, of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured) -> np.ndarray:
-        """The weights of `losses` as the kernels take them."""
+        """Return the weights of `losses` in the kernels' layout."""
         pixels = self.camera.height * self.camera.width
         factors = np.empty(tile_losses.FACTORS, np.float32)
         factors[tile_losses.OF_COLOR], factors[tile_losses.EVERYWHERE] = of_color / (3 * pixels), 1.0
@@ -301,7 +304,7 @@ class Workspace:
         of_alpha: float,
         normalised_depth: bool,
     ) -> tuple[float, float]:
-        """After `prepare`: blends, compares as `losses` without SSIM and goes back, without pictures."""
+        """Blend after `prepare`, compare as `losses` does without SSIM, and run the backward pass, without images."""
         target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
         factors = self._factors(of_color, 0.0, of_depth, of_alpha, normalised_depth, measured)
@@ -316,10 +319,10 @@ class Workspace:
         of_depth: float,
         least_alpha: float,
     ) -> tuple[float, float, int, np.ndarray]:
-        """After `prepare`, as `fused_step`, but for sums over the pixels with a depth and alpha above a limit.
+        """Run `fused_step` for sums over the pixels with a depth and an alpha above a limit.
 
-        Returns the sums of |colour difference| and |depth error|, the number of these pixels, and the derivative
-        ``[3, 4]`` by camera_from_world; the parameters stay as they are.
+        The parameters are unchanged. Returns the sums of |colour difference| and |depth error|, the number of these
+        pixels, and the derivative ``[3, 4]`` by camera_from_world.
         """
         factors = np.zeros(tile_losses.FACTORS, np.float32)
         factors[tile_losses.OF_COLOR], factors[tile_losses.OF_DEPTH] = of_color, of_depth
@@ -347,7 +350,7 @@ class Workspace:
         return self._results[stepping.OF_POSE :].tolist()
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
-        """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
+        """Set a loss's derivatives by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
         self.by_pictures = Pictures(flat(by_color), flat(by_depth), flat(by_alpha))
         self._by_layout = np.array([3 * self.camera.width, 0])
 
@@ -358,7 +361,7 @@ class Workspace:
         second_moment: np.ndarray,  # [14, capacity] float32
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
-        """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
+        """Propagate the gradient images to an in-place Adam step, to ``gradient``, or to the pose alone."""
         self.tickets[:] = 0
         self._run_through(
             kernels.unblend, self.lists, self._scratch, self.kept, self._rendered(), self.by_pictures, self._by_layout,
@@ -369,19 +372,19 @@ class Workspace:
     def _step(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
     ) -> Step:
-        """Arguments of the part of a backward kernel that steps the map."""
-        if len(rates) < layout.RATES:  # what is left out is 0
+        """Return the arguments of a backward kernel's step."""
+        if len(rates) < layout.RATES:  # omitted rates are 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
         slots = self._buffer("slots", self.total * LANES)
         pose_parts = self._buffer("pose parts", len(self.lists.taken) * LANES)
         return Step(self.parameters, first_moment, second_moment, rates, slots, gradient, pose_parts, self._results)
 
     def _by_pose(self) -> np.ndarray:  # [3, 4]
-        """The derivative by camera_from_world that a backward kernel has left."""
+        """Return the derivative by camera_from_world left by a backward kernel."""
         return self._results[: stepping.OF_POSE].reshape(3, 4).astype(np.float32)
 
     def _run_through(self, kernel, *arguments) -> None:
-        """Run a kernel that steps the map, again as long as a thread has left it early."""
+        """Run a kernel that steps the map, again while a thread has left it early."""
         while self.tickets[counters.STEPPED] < len(self.lists.taken):
             self._run(kernel, *arguments)
 
@@ -391,7 +394,7 @@ class Workspace:
 
 
 class PooledWorkspace:
-    """A workspace from the pool, given back when this is dropped (whoever needs the state keeps it)."""
+    """Take a workspace from the pool, and return it when this object is deleted."""
 
     _free: list[Workspace] = []  # list.append and list.pop are atomic
 

@@ -114,8 +114,8 @@ def rasterize(
     max_alpha
         Upper limit of a Gaussian's opacity in a pixel.
     threads
-        Threads of the backend ``"cpu"``. Default: ``OMP_NUM_THREADS``, else the cores of this process. Results are the
-        same for any number.
+        Threads of the backend ``"cpu"``. Default: the cores of this process, fewer with ``OMP_NUM_THREADS`` or on an
+        overloaded machine. Results are the same for any number.
 
     Returns
     -------

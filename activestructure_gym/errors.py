@@ -9,9 +9,9 @@ from collections.abc import Iterable
 MOST_NAMES = 5  # maximum number of names in a message
 # Commands that list the names of each kind.
 _LISTS = {
-    "policy": "asg policies",
-    "feature": "asg features",
-    "scene": "asg scenes",
+    "policy": "asg list policies",
+    "feature": "asg list features",
+    "scene": "asg list scenes",
     "command": "asg --help",
 }
 LONGEST = 1500  # maximum length of a message, characters
@@ -80,10 +80,10 @@ class InputWarning(UserWarning):
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """Return the error for a mistyped name, with the nearest name and the command that lists all of them.
 
-    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg policies` lists the names``. At most
+    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg list policies` lists the names``. At most
     `MOST_NAMES` names are listed.
     """
-    command = "asg config" if kind.startswith("field") else _LISTS.get(kind, "")
+    command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
     return InputError(f"unknown {kind} {shown(name)}{_nearest(name, known, command)}")
 
 

@@ -19,7 +19,7 @@ def test_few_names_are_all_listed_and_many_by_a_command_or_the_nearest():
     assert str(unknown_name("thing", "b", ())) == "unknown thing 'b'. Known: none"
     many = [f"policy_{number}" for number in range(46)]
     said = str(unknown_name("policy", "polcy_7", many))
-    assert said == "unknown policy 'polcy_7'; did you mean 'policy_7'? `asg policies` lists the names"
+    assert said == "unknown policy 'polcy_7'; did you mean 'policy_7'? `asg list policies` lists the names"
     said = str(unknown_name("thing", "q", many))
     assert said.startswith("unknown thing 'q'. Nearest of 46: ") and said.count("policy_") == MOST_NAMES
     assert str(unknown_name("thing", 3, many)).count("policy_") == MOST_NAMES  # no text
@@ -28,11 +28,11 @@ def test_few_names_are_all_listed_and_many_by_a_command_or_the_nearest():
 @pytest.mark.parametrize(
     ("give", "command"),
     [
-        (lambda: make_policy("zzz"), "asg policies"),
-        (lambda: split_policies(["zzz"]), "asg policies"),
-        (lambda: column_names(("zzz",)), "asg features"),
-        (lambda: configure("default", {"mapper.zzz": 1}), "asg config"),
-        (lambda: configure("default", {"zzz": 1}), "asg config"),
+        (lambda: make_policy("zzz"), "asg list policies"),
+        (lambda: split_policies(["zzz"]), "asg list policies"),
+        (lambda: column_names(("zzz",)), "asg list features"),
+        (lambda: configure("default", {"mapper.zzz": 1}), "asg list config"),
+        (lambda: configure("default", {"zzz": 1}), "asg list config"),
         (lambda: find_command("zzz"), "asg --help"),
         (lambda: load_scene("zzz"), ""),
         (lambda: known_preset("zzz"), ""),

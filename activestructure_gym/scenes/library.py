@@ -180,7 +180,7 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
         return "", *_file_factory(Path(spec)), {}
     target, said = _split_options(spec)
     if not target.strip() or target in (f"{name}:" for name in SCENES):
-        raise InputError(f"a scene is a name, a mesh file or a folder, got '{spec}'; `asg scenes` lists the names")
+        raise InputError(f"a scene is a name, a mesh file or a folder, got '{spec}'; `asg list scenes` lists the names")
     kind, _, rest = target.partition(":")
     if _is_known(target):
         name, path = (target, None) if target in SCENES else (kind, rest)

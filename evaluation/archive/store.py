@@ -113,7 +113,7 @@ class Run:
         """Contents of `EVALUATIONS` by file name. Not covered by checksums."""
         found = {}
         for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
-            again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocol {path.stem}` measures"
+            again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocols {path.stem}` measures"
             found[path.name] = read_json(path, run_files.EVALUATION, remedy=f"{again} it again")
         return found
 

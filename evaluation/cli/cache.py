@@ -23,11 +23,11 @@ class Cache:
     """
 
     what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"
-    """show or clear."""
+    """Show the files, or remove them."""
     part: Annotated[Literal["all", "scenes", "kernels"], tyro.conf.Positional] = "all"
-    """What to show or to remove; all of it is computed or compiled again when it is needed."""
+    """Show or remove this part; it is computed or compiled again when needed."""
     json: Switch = False
-    """For programs."""
+    """Print JSON."""
 
     def run(self) -> int:
         """Show or clear; files that are just in use stay."""

@@ -24,16 +24,19 @@ from activestructure_gym.streams import say
 
 @dataclass(frozen=True)
 class Config:
-    """Print the configuration of an episode: every field with its value, its default and its meaning."""
+    """List the fields of an episode's configuration.
+
+    Print the value, the default and the meaning of each.
+    """
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional, option("[fast|default|full|paper] [FIELD ...]", "")] = ()
-    """The preset, default if not given, and the fields or groups of fields to print, as sensor or mapper.window."""
+    """Print this preset (default: default), and these fields or groups of fields alone, as sensor or mapper.window."""
     set: Changes = ()
-    """Changes of it, as compare and train take them; what they change is said at the end."""
+    """Change fields, as in compare and train; the changes are printed at the end."""
     wide: Switch = False
     """Print all columns, whatever the width of the terminal."""
     json: Switch = False
-    """For programs; `gym.make(..., config=...)` takes it."""
+    """Print JSON, which `gym.make(..., config=...)` takes."""
 
     def run(self) -> int:
         """Field by field, and what the preset and ``--set`` change of the defaults."""

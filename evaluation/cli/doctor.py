@@ -26,7 +26,7 @@ class Doctor:
     """
 
     dataset: Annotated[tuple[str, ...], option("replica|matterport3d PATH", "")] = ()
-    """Say instead which scenes of a dataset that papers report on lie in a folder, and what is missing or damaged."""
+    """Check a dataset's folder instead: which scenes are complete, and which files are missing or damaged."""
     json: Switch = False
     """Print JSON, with checksums in full."""
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from activestructure_gym.errors import InputError, counted, listed
-from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
+from activestructure_gym.evaluation.cli.fields import NoNames, Out, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import complain, escape
@@ -35,21 +35,21 @@ class Evaluate:
     """
 
     runs: Runs = ()
-    """Run directories, or a comparison's directory for all of its runs."""
-    protocol: NoNames = ()
-    """standard, activegamer, or both; those that the run was measured by if not given. New numbers are kept."""
+    """Measure these: directories of runs or of comparisons."""
+    protocols: NoNames = ()
+    """Measure by standard, activegamer, or both (default: the run's own). New numbers are kept."""
     map: PathName = None
-    """A map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
+    """Measure a map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
     scene: Annotated[str | None, option("SCENE", "")] = None
-    """The scene of --map."""
+    """Compare --map with this scene."""
     poses: PathName = None
-    """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
-    out: PathName = None
+    """Read the camera poses of --map from a trajectory.npz; needed for the TSDF surface."""
+    out: Out = None
     """Write the numbers of --map to this JSON file."""
     trust_code: Switch = False
-    """Let the runs' files name code, package.module:Name, that is run."""
+    """Run code (package.module:Name) that the runs' files name."""
     lpips_weights: PathName = None
-    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+    """Read AlexNet's and LPIPS's weights from this folder (default: ASG_LPIPS_WEIGHTS, or torch's hub cache)."""
 
     def run(self) -> int:
         """Print stored and new numbers; 0 if all stored ones are bit-identical and all new ones are kept."""
@@ -70,7 +70,7 @@ class Evaluate:
         lost = list[str]()
         reasons: dict[str, str] = {}
         for run in runs:
-            for protocol, stored in protocols_of(run, split_list(self.protocol)):
+            for protocol, stored in protocols_of(run, split_list(self.protocols)):
                 if stored is not None and str(run.directory) in finished:
                     reasons |= stored["notes"]
                     rows.append(([escape(run.job.title), protocol.name, "new"], stored))
@@ -118,7 +118,7 @@ def _evaluate_map(options: Evaluate) -> int:
         raise InputError("--map needs --scene: what the map is compared with")
     assert options.map is not None
     console = make_console()
-    names = split_list(options.protocol) or ("standard",)
+    names = split_list(options.protocols) or ("standard",)
     if options.out and not Path(options.out).absolute().parent.is_dir():
         raise InputError(f"'{options.out}' cannot be written: there is no folder '{Path(options.out).parent}'")
     results: dict[str, Any] = {}

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from activestructure_gym.errors import InputError, one_line
-from activestructure_gym.evaluation.cli.fields import PathName, option
+from activestructure_gym.evaluation.cli.fields import Out, option
 from activestructure_gym.streams import say
 
 _FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}
@@ -21,16 +21,13 @@ class Export:
     """Write a run's map for other programs."""
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
-    """The directory of a finished run."""
+    """Export the map of this run: its directory."""
     format: Annotated[Literal["ply", "splat", "splatam"] | None, option("ply|splat|splatam", "")] = None
-    """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splat: 32 bytes per Gaussian, for web pages;
-    splatam: SplaTAM's params.npz, with the path. If not given, what the name in --out ends with says it, else ply."""
-    out: PathName = None
-    """The file, which ends with .ply, .splat or .npz (splatam); map.ply, map.splat or params.npz in the working
-    directory if not given."""
+    """Write a 3DGS PLY, a .splat file, or SplaTAM's params.npz (default: by the name in --out, else ply)."""
+    out: Out = None
+    """Write this file, .ply, .splat or .npz (default: map.ply, map.splat or params.npz in the working directory)."""
     up: Literal["z", "y", "-y"] = "z"
-    """What is up in the file: z as in the scene, -y for SuperSplat and most viewers of splats, y for three.js and game
-    engines. The map is turned about the scene's origin."""
+    """Turn the map: z is up as in the scene, -y for most splat viewers, y for three.js and game engines."""
 
     def run(self) -> int:
         """Write the file and say what is in it."""

@@ -18,15 +18,14 @@ from activestructure_gym.evaluation.cli.policies import gains_asked
 
 @dataclass(frozen=True)
 class Features:
-    """List the features of a candidate view that a policy can ask for: what each is, its columns and its unit; or
-    describe some."""
+    """List the features of candidate views, or describe some."""
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
-    """Some of them, each with its whole description and who asks for it."""
+    """Describe these, with the policies that need them."""
     wide: Switch = False
     """Print all columns, whatever the width of the terminal."""
     json: Switch = False
-    """For programs."""
+    """Print JSON."""
 
     def run(self) -> int:
         """All features: what each is, of which columns and in which unit; or some with their whole descriptions."""
@@ -50,7 +49,7 @@ class Features:
 
 
 _HINT = (
-    "One with its columns and units: asg features NAME. A policy names those it needs; --gains of asg train and "
+    "One with its columns and units: asg features NAME. A policy names those it needs; --features of asg train and "
     "gains=... of an env take any."
 )
 

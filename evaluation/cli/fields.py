@@ -7,19 +7,21 @@ from typing import Annotated, Any, Literal
 import tyro
 
 
-def option(metavar: str, default: str | None = None) -> Any:
-    """Settings of an option: the name help gives its value, and a text for the default."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=default)
+def option(metavar: str, default: str | None = None, short: str | None = None) -> Any:
+    """Return settings of an option: the name of its value in help, a text for the default, and a short form."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=default, aliases=None if short is None else (short,))
 
 
-Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 Names = Annotated[tuple[str, ...], option("NAME [NAME ...]")]
 NoNames = Annotated[tuple[str, ...], option("NAME [NAME ...]", "")]
 Changes = Annotated[tuple[str, ...], option("FIELD=VALUE [FIELD=VALUE ...]", "")]
-Words = tuple[str, ...] | None  # None where the option was not typed, which is not the same as its usual value
+Words = tuple[str, ...] | None  # None where the option was not given, which is not the same as its default
 ViewSource = Literal["free_space", "recorded"]
 Text = Annotated[str | None, option("TEXT", "")]
 PathName = Annotated[str | None, option("PATH", "")]
+Out = Annotated[str | None, option("PATH", "", "-o")]
+DryRun = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="", aliases=("-n",))]
 Count = Annotated[int | None, option("N", "")]
 # A name that is checked where it is used, whose error knows the nearest one.
 PresetName = Annotated[str, option("fast|default|full|paper")]

@@ -20,14 +20,17 @@ _QUALIFIED = re.compile(r"^(by a digest of|by the text of|inspired by) ")
 
 @dataclass(frozen=True)
 class Policies:
-    """List the policies known by name: what each decides by, whose it is, which features it needs; or describe some."""
+    """List the policies, or describe some.
+
+    The list has source and decision rule of each; --wide adds the features it needs.
+    """
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
-    """Some of them, each with its options and its description."""
+    """Describe these, with their options."""
     wide: Switch = False
     """Print all columns, whatever the width of the terminal."""
     json: Switch = False
-    """For programs."""
+    """Print JSON."""
 
     def run(self) -> int:
         """All registered policies in a table, or some with their options and whole descriptions."""

@@ -14,7 +14,7 @@ from rich.progress import TextColumn
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.closing import print_page
-from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
+from activestructure_gym.evaluation.cli.fields import Out, PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
 from activestructure_gym.streams import escape
@@ -36,13 +36,13 @@ class Replay:
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN]", "")]
-    """Directories of one or two finished runs (a comparison's are in jobs/), or of a comparison of one or two."""
-    out: PathName = None
-    """The page; replay.html in the run's directory, or where you are if there are two."""
+    """Replay these: one or two finished runs (in jobs/ of a comparison), or a comparison of one or two."""
+    out: Out = None
+    """Write this page (default: replay.html in the run's directory, of two runs in the working directory)."""
     video: PathName = None
-    """Write a video instead, of one run and without a browser: .mp4, or .webm, which browsers play."""
+    """Write a video of one run instead, .mp4 or .webm."""
     trust_code: Switch = False
-    """Let the runs' files name code, package.module:Name, that is run."""
+    """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
         """Play, write, say where."""

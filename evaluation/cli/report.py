@@ -11,7 +11,7 @@ import tyro
 
 from activestructure_gym.errors import FullDisk, InputError, counted
 from activestructure_gym.evaluation.cli.closing import print_page
-from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
+from activestructure_gym.evaluation.cli.fields import Out, Switch, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
 from activestructure_gym.streams import escape
 
@@ -24,17 +24,14 @@ class Report:
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN ...]", "")]
-    """Directories of comparisons, of single runs, or both; made under the same conditions."""
-    out: PathName = None
-    """Directory for the report; that of the comparison if one is given, else runs/report-<date>-<time>."""
+    """Report on these: directories of comparisons or runs, made under the same conditions."""
+    out: Out = None
+    """Write the report into this directory (default: the comparison's, else runs/report-<date>-<time>)."""
     baseline: Text = None
-    (
-        "The policy the others are measured against; if not given, the first of activestructure-a, pixel_only and "
-        "random that took part."
-    )
+    """Compare the others with this policy (default: the first of activestructure-a, pixel_only and random)."""
 
     paper_tables: Switch = False
-    """Also Tables 1 and 2 of the paper: its published values with these runs beside them, printed and in the report."""
+    """Add Tables 1 and 2 of the paper, with its published values next to these runs."""
 
     wide: Switch = False
     """Print all columns scene by scene, whatever the width of the terminal."""

@@ -29,14 +29,17 @@ _MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 @dataclass(frozen=True)
 class Scenes:
-    """List the scenes known by name, or check one: size, regions of free space, what can be seen from them."""
+    """List the scenes, or check one.
+
+    A check prints the size, the regions of free space, and the surface that can be observed.
+    """
 
     spec: Annotated[str | None, tyro.conf.Positional, option("[SCENE]", "")] = None
-    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
+    """Check this scene: a name with options (apartment?seed=3), a mesh file (house.glb?units=cm) or a folder."""
     picture: PathName = None
     """Write a picture of the scene to this PNG file."""
     json: Switch = False
-    """For programs."""
+    """Print JSON."""
 
     def run(self) -> int:
         """List the registered scenes, or describe one and draw it if asked to."""

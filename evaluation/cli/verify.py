@@ -31,9 +31,9 @@ class Verify:
     """
 
     runs: Runs = ()
-    """Directories of runs or of comparisons."""
+    """Verify these: directories of runs or of comparisons."""
     trust_code: Switch = False
-    """Let the runs' files name code, package.module:Name, that is run."""
+    """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
         """Play each run again and print its verdict; returns the exit code."""

@@ -37,29 +37,29 @@ class Watch:
     """
 
     scene: Annotated[str, option("SCENE")] = "room"
-    """What to explore: a name (see `asg scenes`) or a file."""
+    """Explore this scene: a name (see `asg list scenes`) or a file."""
     policy: Annotated[str, option("NAME")] = "activestructure"
-    """Who explores (see `asg policies`); `you` asks you for every view."""
+    """Explore with this policy (see `asg list policies`); with `you`, choose every view yourself."""
     seed: int = 0
-    """The same as of `asg compare`: the same start."""
+    """Set the random seed: the same start as in `asg compare`."""
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
-    """What `asg config PRESET` prints."""
-    terms: Terms = "shared"
-    """native: the policy brings its own candidates and schedule, with preset full."""
+    """Use the configuration that `asg config PRESET` prints."""
+    setup: Terms = "shared"
+    """Use the common candidates and schedule (shared), or the planner's own with preset full (native)."""
     frames: Count = None
-    """Frame budget; the preset's if not given."""
+    """Stop after this many frames (default: the preset's)."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
-    """Where it starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
+    """Start at x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
     set: Changes = ()
-    """Changes of the configuration (see `asg config`)."""
+    """Change fields of the configuration (see `asg list config`)."""
     port: Annotated[int, option("N", "(default: a free one)")] = 0
-    """Where the page is served."""
-    address: Annotated[str, option("IP", "(default: 127.0.0.1)")] = "127.0.0.1"
-    """Serve to other machines as well, at this address of this one: whoever gets the whole link can look and steer."""
+    """Serve the page on this port."""
+    host: Annotated[str, option("IP", "(default: 127.0.0.1)")] = "127.0.0.1"
+    """Serve the page at this address of the machine; everyone who has the link can watch and steer."""
     paused: Switch = False
     """Begin paused."""
-    leave: Switch = False
-    """Stop when the episode ends, instead of serving the page until Ctrl+C."""
+    exit: Switch = False
+    """Exit when the episode ends, instead of serving the page until Ctrl+C."""
 
     def run(self) -> int:
         """Serve, play, and serve on until it is stopped."""
@@ -69,16 +69,16 @@ class Watch:
         asks = self.policy == YOU
         view = LiveView(
             f"{self.policy} · {self.scene} · seed {self.seed}",
-            address=self.address,
+            address=self.host,
             port=self.port,
             chooses=True,
             asks=asks,
             paused=self.paused,
         )
         console = make_console()
-        if not ip_address(self.address).is_loopback:
+        if not ip_address(self.host).is_loopback:
             complain(
-                f"note: whoever reaches {self.address} and has the link can look and steer, and the connection is "
+                f"note: whoever reaches {self.host} and has the link can look and steer, and the connection is "
                 "not encrypted"
             )
         console.print(f"Watch at [bold]{view.url}[/] (Ctrl+C ends)", soft_wrap=True)
@@ -86,7 +86,7 @@ class Watch:
             with working(console, "exploring") as say:
                 told = play(env, policy, self.seed, view, asks, say)
             console.print(f"The episode has ended: {told}")
-            while not self.leave:
+            while not self.exit:
                 try:
                     time.sleep(1.0)
                 except KeyboardInterrupt:
@@ -102,14 +102,14 @@ class Watch:
 
         scenes = split_scenes((self.scene,))
         if not scenes:
-            raise InputError(f"--scene names a scene to explore, got '{self.scene}'; `asg scenes` lists the names")
+            raise InputError(f"--scene names a scene to explore, got '{self.scene}'; `asg list scenes` lists the names")
         for scene in scenes:
             check_scene_name(scene)
-        preset = self.preset or (NATIVE_PRESET if self.terms == "native" else "default")
+        preset = self.preset or (NATIVE_PRESET if self.setup == "native" else "default")
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,
             list(scenes) if len(scenes) > 1 else scenes[0],
-            terms=self.terms,
+            terms=self.setup,
             preset=preset,
             frame_budget=self.frames,
             config=parse_overrides(self.set),

@@ -172,7 +172,7 @@ def test_a_further_protocol_is_measured_kept_and_reproduced(runs, capsys, monkey
 
     monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
     copy = shutil.copytree(runs[0].directory, tmp_path / "run")
-    assert main(["evaluate", str(copy), "--protocol", "activegamer"]) == 0
+    assert main(["evaluate", str(copy), "--protocols", "activegamer"]) == 0
     assert "measured for the first time" in capsys.readouterr().out
     run = store.read_run(copy)
     assert list(run.protocols) == ["standard", "activegamer"]

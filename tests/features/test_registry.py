@@ -183,7 +183,7 @@ def test_a_feature_stands_for_all_its_columns_and_a_column_for_itself(place: lis
 
 @pytest.mark.parametrize("name", ["place_for_this_test_y", "place_for_this_test_x_", "pixel_x", "_pixel", ""])
 def test_an_unknown_column_is_an_unknown_feature(name: str, place: list[int]) -> None:
-    with pytest.raises(InputError, match="^unknown feature .* `asg features` lists the names"):
+    with pytest.raises(InputError, match="^unknown feature .* `asg list features` lists the names"):
         column_names((name,))
 
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from activestructure_gym.evaluation.cli.train.eval import Eval
 from activestructure_gym.evaluation.cli.train.methods import Bc, Ppo, Rank
-from activestructure_gym.evaluation.cli.train.score import Score
 
 
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
@@ -24,9 +24,9 @@ class Train:
         Annotated[Bc, tyro.conf.subcommand("bc")]
         | Annotated[Rank, tyro.conf.subcommand("rank")]
         | Annotated[Ppo, tyro.conf.subcommand("ppo")]
-        | Annotated[Score, tyro.conf.subcommand("score")]
+        | Annotated[Eval, tyro.conf.subcommand("eval")]
     )
-    """The method, or score."""
+    """The method, or eval."""
 
     def run(self) -> int:
         """0 when done, 1 if nothing came of it, 130 if stopped."""

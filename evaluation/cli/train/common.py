@@ -9,7 +9,7 @@ from typing import Annotated
 
 from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, PresetName, Switch, option
+from activestructure_gym.evaluation.cli.fields import Changes, Count, DryRun, Out, PresetName, Switch, option
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.machine.threads import capped_environment
 
@@ -18,20 +18,22 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 class Episodes:
     """Options about the episodes: directory, processes, preset, budget, layouts."""
 
-    out: PathName = None
-    """Directory for the results; runs/score-<date>-<time> if not given."""
+    out: Out = None
+    """Write the results into this directory (default: runs/eval-<date>-<time>)."""
+    dry_run: DryRun = False
+    """Print what would run, and write nothing."""
     trust_code: Switch = False
-    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
+    """Run code (package.module:Name) that files name: the record of --resume, a checkpoint."""
     workers: int = 0
-    """Processes at a time; 0 is one per core. Changes no result."""
+    """Run this many processes at a time, 0 for one per core. The results are equal."""
     preset: PresetName = "fast"
-    """What `asg config PRESET` prints."""
+    """Use the configuration that `asg config PRESET` prints."""
     frames: Count = None
-    """Frame budget of every episode; the preset's if not given."""
+    """Stop every episode after this many frames (default: the preset's)."""
     set: Changes = ()
-    """Changes of the configuration (see `asg config`), e.g. mapper.iterations=0."""
+    """Change fields of the configuration (see `asg list config`), e.g. mapper.iterations=0."""
     rooms: Annotated[tuple[int, ...], option("N [N ...]")] = (1, 2, 3)
-    """Rooms of the layouts, in turn."""
+    """Use layouts with these numbers of rooms, in turn."""
 
     def begin(self) -> int:
         """Prepare this process, before torch is loaded; returns the number of processes to use."""

@@ -27,6 +27,23 @@ def check(config: TrainingConfig) -> None:
     world_config(config.world, (*config.world.gains, *extra))
 
 
+def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
+    """Print what `learn` would do; returns 0."""
+    from activestructure_gym.evaluation.training.world import world_config
+
+    world = config.world
+    if config.method == "ppo":
+        amount = f"{config.units} iterations of {config.envs} environments x {config.steps} steps"
+    else:
+        amount = f"{config.episodes} episodes of {config.teacher}, {config.units} epochs"
+    frames = world_config(world).frame_budget
+    make_console().print(
+        f"{config.method}: {amount}, on {world.layouts} layouts, {frames} frames per episode, preset {world.preset}, "
+        f"{workers} processes, into {escape(str(directory))}: nothing was run (--dry-run)"
+    )
+    return 0
+
+
 def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
     """Begin or resume a training run; returns 0 when there is a checkpoint to use, 1 without one, 130 if stopped."""
     from activestructure_gym.evaluation.archive.directory_lock import hold

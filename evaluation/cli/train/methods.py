@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Count, Names, PathName, Switch, option
+from activestructure_gym.evaluation.cli.fields import Names, Out, PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
 from activestructure_gym.evaluation.training.config import Method, Reward, TrainingConfig, WorldConfig
 
 # How and where a run is made, and not what is learnt.
-_MANNER = ("out", "resume", "workers", "data", "trust_code")
+_MANNER = ("out", "resume", "workers", "data", "trust_code", "dry_run")
 
 
 @dataclass(frozen=True)
@@ -24,36 +24,36 @@ class Learning(Episodes):
 
     method: ClassVar[Method]
 
-    out: PathName = None
-    """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
+    out: Out = None
+    """Write the run into this directory (default: runs/<method>-<date>-<time>); its policy is learned:DIRECTORY."""
     resume: Switch = False
-    """Go on with the run in --out, with everything as it was begun; no other option is needed but --data, if given."""
+    """Go on with the run in --out, with its own options; give --data again if it was given."""
     seed: int = 0
-    """Of everything: layouts, starts, noise, weights. Equal seeds give equal networks on one machine."""
-    layouts: Count = None
-    """Procedural apartments to train on; 240 if not given."""
-    gains: Names = ("pixel", "hole_area")
-    """What the policy is told about every candidate (see `asg features`)."""
+    """Set the random seed of layouts, starts, noise and weights; equal seeds give equal networks on one machine."""
+    layouts: Annotated[int | None, option("N", "(default: 240)")] = None
+    """Train on this many procedural apartments."""
+    features: Names = ("pixel", "hole_area")
+    """Give the policy these features of every candidate (see `asg list features`)."""
     planes_told: bool = True
-    """Whether the network sees the Plane Scene Graph; without it, an ablation."""
+    """Give the network the Plane Scene Graph, or not (an ablation)."""
     noise: bool = True
-    """Another sensor noise in every training episode; validation is without."""
+    """Draw new sensor noise in every training episode, or not; validation has none."""
     reward: Reward = "rate"
-    """What the critic values: new surface per frame spent, the area under the coverage, or the environment's reward."""
+    """Reward new surface per frame (rate), area under the coverage curve (auc), or as the environment (env)."""
     gamma: float = 0.3
-    """Discount of the reward per decision."""
-    learning_rate: Annotated[float | None, option("X", "")] = None
-    """1e-3; of ppo 3e-4, from a checkpoint 5e-5."""
+    """Discount the reward by this factor per decision."""
+    learning_rate: Annotated[float | None, option("X", "(default: 1e-3; ppo: 3e-4, from a checkpoint 5e-5)")] = None
+    """Set the learning rate."""
     validate_every: int = 10
-    """Epochs or iterations between validations."""
+    """Validate after this many epochs or iterations."""
     validation_layouts: int = 36
-    """Apartments to validate on, one episode each."""
+    """Validate on this many apartments, one episode each."""
 
     def run(self) -> int:
         """0 when there is a checkpoint to use, 1 if there is none, 130 if stopped."""
         workers = self.begin()
 
-        from activestructure_gym.evaluation.cli.train.learning import check, learn
+        from activestructure_gym.evaluation.cli.train.learning import check, learn, print_plan
         from activestructure_gym.evaluation.training.runs import CONFIG, read_config
 
         if self.resume and not self.out:
@@ -71,6 +71,8 @@ class Learning(Episodes):
         if config.method != self.method:
             raise InputError(f"'{directory}' holds a run of {config.method}, not of {self.method}")
         check(config)
+        if self.dry_run:
+            return print_plan(config, directory, workers)
         return learn(config, directory, data=getattr(self, "data", None), workers=workers, begun=begun)
 
     def _is_bare(self) -> bool:
@@ -84,14 +86,13 @@ class _FromExpert(Learning):
     """Options of the methods that learn from an expert."""
 
     teacher: Annotated[str, option("NAME")] = "oracle"
-    """oracle (the true new surface of every candidate), oracle-way (of the way there, per frame), or the gain a greedy
-    expert goes by (hole_area)."""
+    """Learn from this expert: oracle (true new surface of a view), oracle-way (per frame of its path), or a feature."""
     episodes: int = 480
-    """Episodes of the expert, two on each layout."""
+    """Play this many episodes of the expert, two on each layout."""
     data: PathName = None
-    """Directory of the expert's episodes, to share it between runs; --out's own if not given."""
+    """Keep the expert's episodes in this directory, to share them between runs (default: in --out)."""
     epochs: int = 60
-    """How often all states are learnt from."""
+    """Learn from all states this many times."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,12 @@ class Bc(_FromExpert):
     method: ClassVar[Method] = "bc"
 
     temperature: float = 0.04
-    """How sharply its probabilities fall with the expert's score; what PPO begins from draws from them."""
+    """Divide the expert's scores by this before the softmax; lower is sharper. Matters where ppo starts from it."""
 
 
 @dataclass(frozen=True)
 class Rank(_FromExpert):
-    """Learn the order of an expert's gains."""
+    """Learn the order of an expert's scores."""
 
     method: ClassVar[Method] = "rank"
 
@@ -118,13 +119,13 @@ class Ppo(Learning):
     method: ClassVar[Method] = "ppo"
 
     start: PathName = None
-    """The checkpoint to begin from (a run's directory or a file)."""
+    """Start from this checkpoint (a run's directory or a file)."""
     iterations: int = 40
-    """Of --envs times --steps steps each."""
+    """Train for this many iterations of --envs times --steps steps."""
     steps: int = 128
-    """Per environment and iteration."""
+    """Make this many steps per environment and iteration."""
     envs: int = 8
-    """Environments at a time; changes results, unlike --workers."""
+    """Use this many environments at a time; changes results, unlike --workers."""
 
 
 def training_config(options: Learning) -> TrainingConfig:
@@ -133,13 +134,13 @@ def training_config(options: Learning) -> TrainingConfig:
     from activestructure_gym.policies.learned import learned_from
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    given["gains"] = split_list(options.gains)
+    given["gains"] = split_list(options.features)
     if given.get("start") is not None:
         chosen = learned_from(given["start"].removeprefix("learned:"))
-        if options.gains != type(options)().gains and feature_columns(*given["gains"]) != chosen.required_gains:
+        if options.features != type(options)().features and feature_columns(*given["gains"]) != chosen.required_gains:
             told = ", ".join(chosen.required_gains)
             raise InputError(
-                f"the checkpoint to begin from is told {told}, not {', '.join(given['gains'])}: leave --gains out"
+                f"the checkpoint to begin from is told {told}, not {', '.join(given['gains'])}: leave --features out"
             )
         given |= {"start": chosen.spec.removeprefix("learned:"), "gains": chosen.required_gains}
     if options.layouts is None:

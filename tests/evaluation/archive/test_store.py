@@ -239,7 +239,7 @@ def test_a_further_evaluation_that_is_damaged_can_be_made_again(tmp_path):
     run = write_run(tmp_path / "run")
     (run / store.EVALUATIONS).mkdir()
     (run / store.EVALUATIONS / "activegamer.json").write_text("{}")
-    with pytest.raises(InputError, match="delete it, and `asg evaluate .* --protocol activegamer` measures it again"):
+    with pytest.raises(InputError, match="delete it, and `asg evaluate .* --protocols activegamer` measures it again"):
         _ = store.read_run(run).protocols
 
 

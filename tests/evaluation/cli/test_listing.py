@@ -211,3 +211,14 @@ def test_notes_are_read_wherever_they_stand():
 def test_scenes_for_programs(capsys):
     rows = json.loads(said(capsys, "scenes", "--json"))
     assert {"name": "apartment", "options": rows[0]["options"]} == rows[0] and rows[0]["options"]["rooms"] == 3
+
+
+def test_every_list_has_a_short_name(capsys):
+    for words in (
+        ["policies"],
+        ["policies", "naruto"],
+        ["scenes"],
+        ["features", "pixel"],
+        ["config", "fast", "sensor"],
+    ):
+        assert said(capsys, "list", *words) == said(capsys, *words)

@@ -46,6 +46,7 @@ def test_help_of_a_command_loads_that_command_alone(command, others):
 
 
 def test_version_and_no_argument(capsys):
+    assert main(["-V"]) == 0 and capsys.readouterr().out.split() == ["activestructure-gym", __version__]
     assert main(["--version"]) == 0 and capsys.readouterr().out.split() == ["activestructure-gym", __version__]
     assert main([]) == 0 and capsys.readouterr().out.strip() == help_text()
 
@@ -158,7 +159,7 @@ def test_an_output_that_is_a_file_is_one_sentence(tmp_path, capsys):
         ["compare", "--scenes", "box", "--out", "file/below"],
         ["train", "bc", "--out", "file"],
         ["train", "bc", "--out", "file/below"],
-        ["train", "score", "--out", "file"],
+        ["train", "eval", "--out", "file"],
     ):
         assert main(arguments) == 2
         said = capsys.readouterr().err

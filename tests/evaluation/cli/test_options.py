@@ -91,7 +91,7 @@ def test_groups_of_policies() -> None:
     assert split_policies(["naruto?travel=shared,random"]) == ("naruto?travel=shared", "random")
     assert split_policies(["naruto?targets=300&travel=shared,random"])[1:] == ("random",)
     assert set(split_policies(["all"])) == set(POLICIES)
-    with pytest.raises(InputError, match=r"did you mean 'ladder'\? `asg policies` lists the names"):
+    with pytest.raises(InputError, match=r"did you mean 'ladder'\? `asg list policies` lists the names"):
         split_policies(["random,lader"])
     with pytest.raises(InputError, match="'reference:oracle' is no policy: ask for it by --references oracle"):
         split_policies(["random,reference:oracle"])

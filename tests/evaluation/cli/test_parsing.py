@@ -31,8 +31,8 @@ from activestructure_gym.evaluation.cli.parsing import gathered, parse
         ("export", "Missing from asg export: RUN"),
         ("bench spltting", "Unrecognized options: spltting .*Available subcommands: .*splatting"),
         ("bench", "Expected one of {.*splatting"),
-        ("train", "Expected one of {bc, rank, ppo, score}"),
-        ("train ''", "bc, rank, ppo, score"),
+        ("train", "Expected one of {bc, rank, ppo, eval}"),
+        ("train ''", "bc, rank, ppo, eval"),
         ("list", "Expected one of {policies, scenes, features, config}"),
         ("train rank --temperature 2", "--temperature X .*in asg train bc --help"),
         ("train --seed 3 bc", "--seed N .*in asg train bc --help"),
@@ -122,12 +122,12 @@ def test_a_part_has_its_own_options_alone():
 
     train, bench = (parts_of(find_command(name)) for name in ("train", "bench"))
     assert (
-        list(train) == ["bc", "rank", "ppo", "score"] and "splatting" in bench and not parts_of(find_command("scenes"))
+        list(train) == ["bc", "rank", "ppo", "eval"] and "splatting" in bench and not parts_of(find_command("scenes"))
     )
     taken = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in (train | bench).items()}
     assert taken["bc"] - taken["rank"] == {"temperature"} and not taken["rank"] - taken["bc"]
     assert taken["ppo"] - taken["bc"] == {"start", "iterations", "steps", "envs"}
-    assert not taken["score"] & {"seed", "gains", "noise", "resume", "gamma"}
+    assert not taken["eval"] & {"seed", "gains", "noise", "resume", "gamma"}
     assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scene"}
 
 

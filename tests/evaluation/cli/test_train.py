@@ -45,7 +45,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     ("arguments", "words"),
     [
         (["bc", "--teacher", "deep"], ["unknown feature 'deep'"]),
-        (["bc", "--gains", "pixle"], ["unknown feature 'pixle'", "did you mean 'pixel'"]),
+        (["bc", "--features", "pixle"], ["unknown feature 'pixle'", "did you mean 'pixel'"]),
         (["ppo", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
         (["ppo", "--gamma", "2"], ["gamma", "2"]),
         (["bc", "--episodes", "0"], ["episodes", "from 1 to"]),
@@ -53,13 +53,13 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["rank", "--workers", "-1"], ["--workers", "-1"]),
         (["ppo", "--resume"], ["--resume needs --out"]),
         (["ppo", "--resume", "--out", "nothing"], ["no training run", "nothing"]),
-        (["score", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
-        (["score", "--baseline", "hole_are"], ["unknown policy 'hole_are'"]),
-        (["score", "--policies", "pixel_only", "--baseline", "hole_area"], ["--baseline is one of"]),
+        (["eval", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
+        (["eval", "--baselines", "hole_are"], ["unknown policy 'hole_are'"]),
+        (["eval", "--policies", "pixel_only", "--baselines", "hole_area"], ["--baselines are among"]),
         (["bc", "--set", "sensor.depth_noise=redwood"], ["sensor.depth_noise", "--no-noise"]),
-        (["bc", "--set", "gains=pixel"], ["--gains"]),
+        (["bc", "--set", "gains=pixel"], ["--features"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
-        (["score", "--out", "foreign"], ["holds other files"]),
+        (["eval", "--out", "foreign"], ["holds other files"]),
     ],
 )
 def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_path, capsys) -> None:
@@ -72,8 +72,26 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("bc --epochs 7", "480 episodes of oracle, 7 epochs, on 240 layouts, 100 frames per episode"),
+        (
+            "ppo --frames 50 -o new",
+            "40 iterations of 8 environments x 128 steps, on 240 layouts, 50 frames per episode",
+        ),
+        ("eval --scenes box --seeds 0-2 -o new", "4 policies x 27 episodes of 100 frames"),
+    ],
+)
+def test_a_dry_run_says_what_would_run_and_writes_nothing(words, said, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *words.split(), "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert said in told and "into " in told and "nothing was run" in told and not list(tmp_path.iterdir())
+
+
 def test_options_become_a_configuration() -> None:
-    options = Rank(seed=3, rooms=(2,), gains=("pixel,structure",), set=("sensor.width=64",), noise=False)
+    options = Rank(seed=3, rooms=(2,), features=("pixel,structure",), set=("sensor.width=64",), noise=False)
     config = training_config(options)
     assert training_config(Bc(temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
     assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
@@ -81,7 +99,7 @@ def test_options_become_a_configuration() -> None:
     listed = training_config(Bc(set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
     with pytest.raises(InputError, match="is told pixel, hole_area, unknown_volume, unknown_volume_way, not pixel"):
-        training_config(Ppo(start=str(SHIPPED), gains=("pixel,structure",)))
+        training_config(Ppo(start=str(SHIPPED), features=("pixel,structure",)))
     assert set(training_config(Ppo(start=str(SHIPPED))).world.gains) > {"pixel", "unknown_volume"}
     with pytest.raises(InputError, match="belongs to ppo"):
         TrainingConfig(method="bc", start="x")
@@ -106,20 +124,20 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "bc" / "last.safetensors").read_bytes() == before
     capsys.readouterr()
 
-    score = ["train", "score", "--out", "score", "--policies", "pixel_only,learned:bc", "--workers", "1", *TINY]
+    score = ["train", "eval", "--out", "score", "--policies", "pixel_only,learned:bc", "--workers", "1", *TINY]
     assert main(score) == 0
     said = capsys.readouterr().out
     assert "oracle-greedy" in said and "learned:bc/best" in said
-    assert (tmp_path / "score" / "score.md").read_text().count("`learned:bc/best`") == 1
+    assert (tmp_path / "score" / "eval.md").read_text().count("`learned:bc/best`") == 1
     alone = ["learned:bc" if word == "pixel_only,learned:bc" else word for word in score]
     assert main(alone) == 0  # pixel_only does not play: no column for it
-    assert (tmp_path / "score" / "score.md").read_text().splitlines()[0].endswith("| normalised |")
-    assert main([*score, "--baseline", "pixel_only,learned:bc"]) == 0  # nothing is played again
-    head = (tmp_path / "score" / "score.md").read_text().splitlines()[0]
+    assert (tmp_path / "score" / "eval.md").read_text().splitlines()[0].endswith("| normalised |")
+    assert main([*score, "--baselines", "pixel_only,learned:bc"]) == 0  # nothing is played again
+    head = (tmp_path / "score" / "eval.md").read_text().splitlines()[0]
     assert head.endswith("| normalised | minus pixel_only | minus learned:bc/best |")
     capsys.readouterr()
-    assert main([*score, "--baseline", "pixel_only,random,hole_area"]) == 2
-    assert "--baseline is one of" in capsys.readouterr().err
+    assert main([*score, "--baselines", "pixel_only,random,hole_area"]) == 2
+    assert "--baselines are among" in capsys.readouterr().err
 
     told = json.loads((tmp_path / "bc" / "timing.json").read_text())
     assert set(told["parts"]) == {"collecting", "updating", "validating"} and told["sittings"] == 2

@@ -22,14 +22,14 @@ SMALL = ["sensor.width=64", "sensor.height=36", "mapper.iterations=1"]
 
 def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["watch", "--scene", "box", "--policy", "random", "--preset", "fast", "--frames", "20", "--set", *SMALL]
-    assert main([*command, "--leave"]) == 0
+    assert main([*command, "--exit"]) == 0
     told = capsys.readouterr()
     assert "http://127.0.0.1:" in told.out and "The episode has ended: 20 frames" in told.out and told.err == ""
-    assert main([*command, "--leave", "--address", "0.0.0.0"]) == 0
+    assert main([*command, "--exit", "--host", "0.0.0.0"]) == 0
     assert "whoever reaches 0.0.0.0 and has the link can look and steer" in capsys.readouterr().err
     for wrong, message in (
         (["--policy", "nobody"], "unknown policy 'nobody'"),
-        (["--address", "here"], "nothing can be served at"),
+        (["--host", "here"], "nothing can be served at"),
         (["--scene", "nowhere"], "nowhere"),
         (["--scene", ","], "--scene names a scene to explore, got ','"),
     ):

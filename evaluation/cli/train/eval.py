@@ -1,4 +1,4 @@
-"""``asg train score``: the table that compares checkpoints and planners where nobody was trained."""
+"""``asg train eval``: evaluate checkpoints and planners on held-out layouts."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _BASELINE = "pixel_only"
 
 
 @dataclass(frozen=True)
-class Score(Episodes):
-    """Let policies play on layouts nobody was trained on, between random (0) and the one-step oracle (1)."""
+class Eval(Episodes):
+    """Evaluate policies on held-out layouts, between random (0) and the one-step oracle (1)."""
 
     layouts: int = 24
-    """Procedural apartments to play on, one episode each."""
+    """Play on this many procedural apartments, one episode each."""
     policies: Names = ("pixel_only", "hole_area")
-    """Who plays, beside random and the one-step oracle."""
+    """Evaluate these, with random and the one-step oracle."""
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "")] = ()
-    """Further scenes, each with an episode per seed."""
+    """Add these scenes, each with one episode per seed."""
     seeds: Annotated[tuple[str, ...], option("N [N ...]", "(default: 0 to 19)")] = tuple(str(n) for n in range(20))
-    """Of the episodes on --scenes; each takes the scene's next start pose."""
-    baseline: NoNames = ()
-    """Whom the others are measured against, a column for each; pixel_only if not given, where it plays."""
+    """Set the seeds of the episodes on --scenes; each takes the scene's next start pose."""
+    baselines: NoNames = ()
+    """Add a column of differences to each of these (default: pixel_only, if it plays)."""
 
     def run(self) -> int:
         """Play what is not in the directory yet, print and write the table."""
@@ -48,11 +48,11 @@ class Score(Episodes):
 
         console = make_console()
         policies = [canonical_policy(name) for name in split_policies(self.policies)]
-        asked = self.baseline or tuple(name for name in policies if name == _BASELINE)
+        asked = self.baselines or tuple(name for name in policies if name == _BASELINE)
         baselines = [canonical_policy(name) for name in split_policies(asked)]
         for baseline in baselines:
             if baseline not in (*policies, scoring.RANDOM):
-                raise InputError(f"--baseline is one of the policies, {listed(policies)}; got '{baseline}'")
+                raise InputError(f"--baselines are among the policies, {listed(policies)}; got '{baseline}'")
         world = WorldConfig(
             rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False,
             overrides=tuple(parse_overrides(self.set).items()),
@@ -60,15 +60,20 @@ class Score(Episodes):
         for name in policies:
             world_config(world, tuple(make_policy(name).required_gains))
         cells = scoring.cells(self.layouts, world.rooms, split_scenes(self.scenes), parse_seeds(self.seeds))
-        directory = Path(self.out or time.strftime("runs/score-%Y%m%d-%H%M%S"))
+        directory = Path(self.out or time.strftime("runs/eval-%Y%m%d-%H%M%S"))
         if not (directory / scoring.RECORD).is_file():
             check_empty(directory)
+        frames = world_config(world).frame_budget
+        what = f"{len(policies) + 2} policies x {len(cells)} episodes of {frames} frames, preset {world.preset}"
+        if self.dry_run:
+            console.print(f"{what}, {workers} processes, into {escape(str(directory))}: nothing was run (--dry-run)")
+            return 0
         with hold(directory), Live(console) as live:
             live.begin("episodes", len(cells), 0)
             live.say(f"{len(policies) + 2} policies each, {workers} at a time")
             scoring.play_cells(world, policies, cells, directory, workers=workers, tell=live.files)
         rows = scoring.table(directory, policies, cells, baselines)
-        with writing(directory), replaced(directory / "score.md") as file:
+        with writing(directory), replaced(directory / "eval.md") as file:
             file.write(scoring.markdown(rows, baselines).encode())
         shown = plain_table(
             "mean coverage over the budget; normalised: 0 = random, 1 = one-step oracle; 95 %",
@@ -77,5 +82,5 @@ class Score(Episodes):
         for entries in scoring.entries(rows):
             shown.add_row(*map(escape, entries))
         print_whole(console, shown)
-        console.print(f"written: {escape(str(directory / 'score.md'))}")
+        console.print(f"written: {escape(str(directory / 'eval.md'))}")
         return 0

@@ -219,6 +219,6 @@ def test_every_list_has_a_short_name(capsys):
         ["policies", "naruto"],
         ["scenes"],
         ["features", "pixel"],
-        ["config", "fast", "sensor"],
+        ["config", "fast"],
     ):
         assert said(capsys, "list", *words) == said(capsys, *words)

@@ -78,7 +78,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_
         ("bc --epochs 7", "480 episodes of oracle, 7 epochs, on 240 layouts, 100 frames per episode"),
         (
             "ppo --frames 50 -o new",
-            "40 iterations of 8 environments x 128 steps, on 240 layouts, 50 frames per episode",
+            "40 iterations of 8 environments x 128 steps, on 240 layouts, 50 frames",
         ),
         ("eval --scenes box --seeds 0-2 -o new", "4 policies x 27 episodes of 100 frames"),
     ],

@@ -15,7 +15,7 @@ from activestructure_gym.features import column_names
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import SAMPLING_DIP, MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
-from activestructure_gym.ranges import MOST_FRAMES, check_ranges
+from activestructure_gym.ranges import MAX_FRAMES, check_ranges
 from activestructure_gym.sensors import SensorConfig
 from activestructure_gym.sources import make_stages
 from activestructure_gym.views import ViewConfig
@@ -45,9 +45,9 @@ class ReconstructionConfig:
             raise InputError(
                 f"the frame budget must be at least 1, got {self.frame_budget}: every frame the camera moves costs one"
             )
-        if self.frame_budget > MOST_FRAMES:
-            raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
-        check_ranges(self, {"keyframe_every": f"[1, {MOST_FRAMES}]", "revisit_rounds": "[1, 1000]"})
+        if self.frame_budget > MAX_FRAMES:
+            raise InputError(f"the frame budget must be at most {MAX_FRAMES}, got {shown(self.frame_budget)}")
+        check_ranges(self, {"keyframe_every": f"[1, {MAX_FRAMES}]", "revisit_rounds": "[1, 1000]"})
         factor, width, height = self.mapper.keyframe_reduction, self.sensor.width, self.sensor.height
         if width % factor or height % factor:
             raise InputError(

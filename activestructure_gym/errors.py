@@ -6,7 +6,7 @@ import difflib
 import unicodedata
 from collections.abc import Iterable
 
-MOST_NAMES = 5  # maximum number of names in a message
+MAX_NAMES = 5  # maximum number of names in a message
 # Commands that list the names of each kind.
 _LISTS = {
     "policy": "asg list policies",
@@ -14,7 +14,7 @@ _LISTS = {
     "scene": "asg list scenes",
     "command": "asg --help",
 }
-LONGEST = 1500  # maximum length of a message, characters
+MAX_CHARACTERS = 1500  # maximum length of a message, characters
 
 
 def printable(text: str) -> str:
@@ -27,7 +27,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else _written(c) for c in text)
 
 
-def one_line(text: str, longest: int = LONGEST) -> str:
+def one_line(text: str, longest: int = MAX_CHARACTERS) -> str:
     """Return foreign text as one printable line; the middle is cut out of a long one."""
     if len(text) > 20 * longest:  # the rest would be cut anyway
         text = f"{text[: 10 * longest]} {text[-10 * longest :]}"
@@ -43,8 +43,8 @@ class InputError(ValueError):
     """Report user input that cannot be used: an option, a file, a name, a keyword.
 
     The message is one sentence: what is wrong, what was expected, what to do. The command line prints it without a
-    traceback and exits with code 2. It is always one printable line of at most `LONGEST` characters, whatever text from
-    a file or a name it contains.
+    traceback and exits with code 2. It is always one printable line of at most `MAX_CHARACTERS` characters, whatever
+    text from a file or a name it contains.
     """
 
     def __init__(self, *said: object) -> None:
@@ -81,7 +81,7 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """Return the error for a mistyped name, with the nearest name and the command that lists all of them.
 
     For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg list policies` lists the names``. At most
-    `MOST_NAMES` names are listed.
+    `MAX_NAMES` names are listed.
     """
     command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
     return InputError(f"unknown {kind} {shown(name)}{_nearest(name, known, command)}")
@@ -98,17 +98,17 @@ def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
     word = name if isinstance(name, str) else ""
     close = difflib.get_close_matches(word, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else "."
-    if len(names) <= MOST_NAMES:
+    if len(names) <= MAX_NAMES:
         where = f"Known: {', '.join(names) or 'none'}"
     elif command:
         where = f"`{command}` lists the names"
     else:
-        nearest = difflib.get_close_matches(word, names, n=MOST_NAMES, cutoff=0.0)
+        nearest = difflib.get_close_matches(word, names, n=MAX_NAMES, cutoff=0.0)
         where = f"Nearest of {len(names)}: {', '.join(nearest)}"
     return f"{hint} {where}"
 
 
-def listed(names: Iterable[object], most: int = MOST_NAMES) -> str:
+def listed(names: Iterable[object], most: int = MAX_NAMES) -> str:
     """Return the names in one line: ``a, b``; of a long list the first ``most`` and the number of the others."""
     words = [str(name) for name in names]
     more = f" and {len(words) - most} more" if len(words) > most else ""

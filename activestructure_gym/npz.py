@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-LARGEST_BYTES = 1 << 30  # default limit on the bytes of all arrays of a file together
+MAX_BYTES = 1 << 30  # default limit on the bytes of all arrays of a file together
 # Deflate compresses zeros 1000 times; real arrays (images, masks) about 10 times.
 _RATIO, _SMALL = 200, 64 << 20  # largest believed compression ratio, for files whose arrays take more than _SMALL bytes
-_MOST_ARRAYS = 1000
+_MAX_ARRAYS = 1000
 
 
-def read_npz(path: str | os.PathLike[str], largest: int = LARGEST_BYTES) -> dict[str, np.ndarray]:
+def read_npz(path: str | os.PathLike[str], largest: int = MAX_BYTES) -> dict[str, np.ndarray]:
     """Return all arrays of the file by name, ``largest`` bytes together at most.
 
     Raises OSError if the file cannot be opened, and ValueError with the reason for any other fault.
@@ -49,8 +49,8 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) ->
 
 
 def _check_sizes(entries: list[zipfile.ZipInfo], size: int, largest: int) -> None:
-    if len(entries) > _MOST_ARRAYS:
-        raise ValueError(f"it holds {len(entries)} arrays, at most {_MOST_ARRAYS} are read")
+    if len(entries) > _MAX_ARRAYS:
+        raise ValueError(f"it holds {len(entries)} arrays, at most {_MAX_ARRAYS} are read")
     unpacked = sum(entry.file_size for entry in entries)
     if unpacked > largest:
         raise ValueError(f"its arrays take {unpacked:,} bytes, at most {largest:,} are read")

@@ -23,8 +23,8 @@ NUMPY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_MOST_BYTES = 1 << 20  # limit on a file without end_header
-_MOST_DIGITS = 18  # of a count; fits into 64 bits
+_MAX_BYTES = 1 << 20  # limit on a file without end_header
+_MAX_DIGITS = 18  # of a count; fits into 64 bits
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def read_header(file: IO[bytes]) -> PlyHeader | None:
         found = tuple(PlyElement(name, count, tuple(own)) for name, (count, own) in elements.items())
         return PlyHeader(form, found, complete, unreadable)
 
-    left = _MOST_BYTES
+    left = _MAX_BYTES
     while line := file.readline(left):
         left -= len(line)
         match line.decode("ascii", errors="replace").split():
@@ -82,7 +82,7 @@ def read_header(file: IO[bytes]) -> PlyHeader | None:
                 return header(complete=True)
             case ["format", form, *_]:
                 continue
-            case ["element", name, count] if name not in elements and count.isdigit() and len(count) <= _MOST_DIGITS:
+            case ["element", name, count] if name not in elements and count.isdigit() and len(count) <= _MAX_DIGITS:
                 elements[name] = int(count), []
             case ["property", "list", count_kind, kind, name] if elements:
                 elements[next(reversed(elements))][1].append(PlyProperty(name, kind, count_kind))

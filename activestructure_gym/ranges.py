@@ -12,9 +12,9 @@ from typing import Any
 from activestructure_gym.errors import InputError, shown
 
 # Limits of a valid run; other configurations are refused before the first frame.
-FARTHEST = 1e6  # metres from the world's origin along each axis
-MOST_ELONGATED = 8  # largest ratio of a camera image's longer to its shorter side
-MOST_FRAMES = 10**6  # per episode: all poses are kept in memory
+MAX_COORDINATE_M = 1e6  # metres from the world's origin along each axis
+MAX_ASPECT_RATIO = 8  # largest ratio of a camera image's longer to its shorter side
+MAX_FRAMES = 10**6  # per episode: all poses are kept in memory
 
 
 def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:

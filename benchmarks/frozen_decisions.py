@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
 FEATURES = ("hole_area", "pixel")
-_LEAST_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
+_MIN_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
 _SHORTLIST = 8  # rows of a feature's own best, of which the truly best one is told
 
 
@@ -169,7 +169,7 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Decisions at which nothing on offer shows anything new do not count. The scenes are drawn again for the interval;
     one scene has none.
     """
-    counted = [record for record in records if record["table"]["best"] > _LEAST_RATE]
+    counted = [record for record in records if record["table"]["best"] > _MIN_RATE]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
     rows = [_row("any row, at random", counted, lambda r: r["table"]["mean"])]
     for name in names:

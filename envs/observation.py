@@ -24,12 +24,10 @@ CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length"
 # Columns that follow where `ViewConfig.stages` names more than the shared pool, behind one for every source and every
 # stage; see `row_columns`.
 HOOK_FEATURES = ("stay", "fixates", "at_x", "at_y", "at_z")
-FARTHEST_M = 1000.0  # bound of every position and length in the observation, and of rounds in place
-MOST_FRAMES = 10 * FARTHEST_M  # and of every number of frames
-LARGEST_GAIN = 1e6  # bound of every feature
-LARGEST_BYTES = (
-    1 << 27
-)  # of one observation; its space, which holds both bounds of every number, takes three times that
+MAX_DISTANCE_M = 1000.0  # bound of every position and length in the observation, and of rounds in place
+MAX_FRAMES = 10 * MAX_DISTANCE_M  # and of every number of frames
+MAX_GAIN = 1e6  # bound of every feature
+MAX_BYTES = 1 << 27  # of one observation; its space, which holds both bounds of every number, takes three times that
 
 
 def candidate_columns(*names: str) -> list[int]:
@@ -149,11 +147,11 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
 
     height, width = config.sensor.height, config.sensor.width
     K, G, P, F = config.views.max_candidates, len(config.gains), max_planes, len(PLANE_FEATURES)
-    far = FARTHEST_M
+    far = MAX_DISTANCE_M
     columns = row_columns(config.views.stages)
     known = dict.fromkeys(("x", "y", "z", "at_x", "at_y", "at_z"), (-far, far))
     known |= dict.fromkeys(("look_x", "look_y", "look_z"), (-1.0, 1.0))
-    known |= {"path_length": (0.0, far), "frames": (0.0, MOST_FRAMES), "stay": (0.0, far)}
+    known |= {"path_length": (0.0, far), "frames": (0.0, MAX_FRAMES), "stay": (0.0, far)}
     bounds = np.array([known.get(name, (0.0, 1.0)) for name in columns], np.float32)
     f32, u8, i8 = np.float32, np.uint8, np.int8
     return {
@@ -171,7 +169,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
             columns,
         ),
         "candidate_gains": Key(
-            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "the features asked for, a column each or more", config.gains
+            (K, G), f32, -MAX_GAIN, MAX_GAIN, "-", "the features asked for, a column each or more", config.gains
         ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "fidelity": Key(
@@ -190,9 +188,9 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
 def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.Dict:
     """One flat Dict of fixed-size arrays, as stable-baselines3 wants it. Raises `InputError` if it would be huge."""
     keys = observation_keys(config, max_planes)
-    if sum(key.size for key in keys.values()) > LARGEST_BYTES:
+    if sum(key.size for key in keys.values()) > MAX_BYTES:
         raise InputError(
-            f"one observation would take more than {LARGEST_BYTES >> 20} MiB with views.max_candidates "
+            f"one observation would take more than {MAX_BYTES >> 20} MiB with views.max_candidates "
             f"{shown(config.views.max_candidates)}, max_planes {shown(max_planes)}, sensor.width "
             f"{shown(config.sensor.width)} and sensor.height {shown(config.sensor.height)}; lower the largest of them"
         )
@@ -226,16 +224,16 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     size, count = config.views.max_candidates, len(table)
     columns = row_columns(config.views.stages)
     candidates = np.zeros((size, len(columns)), np.float32)
-    candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -FARTHEST_M, FARTHEST_M)
+    candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -MAX_DISTANCE_M, MAX_DISTANCE_M)
     candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
-    candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
+    candidates[:count, 6] = np.minimum(table.path_length, MAX_DISTANCE_M)
     frames = least_frames(reconstruction.pose, table.world_from_camera, table.path_length, config.motion)
-    candidates[:count, 7] = np.minimum(frames, MOST_FRAMES)
+    candidates[:count, 7] = np.minimum(frames, MAX_FRAMES)
     candidates[:count, 8] = table.revisit
     if columns != CANDIDATE_FEATURES:
         _fill_hooks(candidates[:count], columns, reconstruction)
     gains = np.zeros((size, len(config.gains)), np.float32)
-    gains[:count] = np.clip(reconstruction.gains, -LARGEST_GAIN, LARGEST_GAIN)
+    gains[:count] = np.clip(reconstruction.gains, -MAX_GAIN, MAX_GAIN)
     mask = np.zeros(size, np.int8)
     mask[:count] = 1
 
@@ -246,12 +244,12 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
 
     fidelity = reconstruction.mapper.keyframe_psnr(renders=0)
     quaternion = quaternions(frame.world_from_camera[None, :3, :3], canonical=True)[0]
-    pose = np.concatenate([np.clip(frame.world_from_camera[:3, 3], -FARTHEST_M, FARTHEST_M), quaternion])
+    pose = np.concatenate([np.clip(frame.world_from_camera[:3, 3], -MAX_DISTANCE_M, MAX_DISTANCE_M), quaternion])
     left = max(0, config.frame_budget - reconstruction.frames) / config.frame_budget
     return {
         "rgb": frame.rgb.copy(),
         "depth": frame.depth.copy(),
-        "pose": np.clip(pose, [-FARTHEST_M] * 3 + [-1] * 4, [FARTHEST_M] * 3 + [1] * 4).astype(np.float32),
+        "pose": np.clip(pose, [-MAX_DISTANCE_M] * 3 + [-1] * 4, [MAX_DISTANCE_M] * 3 + [1] * 4).astype(np.float32),
         "budget": np.array([left], np.float32),
         "candidates": candidates,
         "candidate_gains": gains,
@@ -275,14 +273,14 @@ def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reco
         if f"ask_{stage}" in at:
             rows[:, at[f"ask_{stage}"]] = table.ask == stage
     fixates = ~np.isnan(table.look_at).any(axis=1)
-    rows[:, at["stay"]] = np.minimum(table.stay, FARTHEST_M)
+    rows[:, at["stay"]] = np.minimum(table.stay, MAX_DISTANCE_M)
     rows[:, at["fixates"]] = fixates
     rows[:, at["at_x"] : at["at_z"] + 1] = np.where(
-        fixates[:, None], np.clip(np.nan_to_num(table.look_at), -FARTHEST_M, FARTHEST_M), 0.0
+        fixates[:, None], np.clip(np.nan_to_num(table.look_at), -MAX_DISTANCE_M, MAX_DISTANCE_M), 0.0
     )
     # What costs another number of frames than a way.
-    frames = np.minimum(table.stay * config.keyframe_every, MOST_FRAMES)
+    frames = np.minimum(table.stay * config.keyframe_every, MAX_FRAMES)
     rows[table.stay > 0, at["frames"]] = frames[table.stay > 0]
     rows[table.ask >= 0, at["frames"]] = 0.0
     # Who ends the episode gives up all frames that are left: nobody who weighs frames takes that for a near view.
-    rows[table.ends, at["frames"]] = min(max(0, config.frame_budget - reconstruction.frames), MOST_FRAMES)
+    rows[table.ends, at["frames"]] = min(max(0, config.frame_budget - reconstruction.frames), MAX_FRAMES)

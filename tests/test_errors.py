@@ -5,7 +5,7 @@ import re
 import pytest
 
 from activestructure_gym.config import configure, known_preset
-from activestructure_gym.errors import MOST_NAMES, InputError, listed, unknown_keyword, unknown_name
+from activestructure_gym.errors import MAX_NAMES, InputError, listed, unknown_keyword, unknown_name
 from activestructure_gym.evaluation.cli.commands import find_command
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import get_protocol
@@ -21,8 +21,8 @@ def test_few_names_are_all_listed_and_many_by_a_command_or_the_nearest():
     said = str(unknown_name("policy", "polcy_7", many))
     assert said == "unknown policy 'polcy_7'; did you mean 'policy_7'? `asg list policies` lists the names"
     said = str(unknown_name("thing", "q", many))
-    assert said.startswith("unknown thing 'q'. Nearest of 46: ") and said.count("policy_") == MOST_NAMES
-    assert str(unknown_name("thing", 3, many)).count("policy_") == MOST_NAMES  # no text
+    assert said.startswith("unknown thing 'q'. Nearest of 46: ") and said.count("policy_") == MAX_NAMES
+    assert str(unknown_name("thing", 3, many)).count("policy_") == MAX_NAMES  # no text
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_no_message_lists_more_than_five_names(give, command):
         give()
     said = str(error.value)
     assert f"`{command}` lists the names" in said if command else "Known: " in said
-    assert len(re.split(r"Known: |Nearest of \d+: ", said)[-1].split(", ")) <= MOST_NAMES + 1
+    assert len(re.split(r"Known: |Nearest of \d+: ", said)[-1].split(", ")) <= MAX_NAMES + 1
     assert len(said) < 150
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym import streams
-from activestructure_gym.errors import LONGEST, InputError, InputWarning, one_line, printable
+from activestructure_gym.errors import MAX_CHARACTERS, InputError, InputWarning, one_line, printable
 from activestructure_gym.streams import Plain, Stream, escape, fitting, kept_streams
 
 HOSTILE = "a\x1b[2K\x1b[1Ab\x07\r\x9b31m\x00\x7f\u202ecba\u2066\u200f\udc80\u2028"
@@ -51,13 +51,13 @@ def test_control_characters_are_written_out() -> None:
 def test_one_line_is_short_and_one_line() -> None:
     assert one_line("a\n b\x1b") == "a b\\x1b"
     long = one_line("x" * 300_000 + "\x1b" * 300_000 + "end")
-    assert len(long) <= LONGEST and long.startswith("xxx") and long.endswith("end")
+    assert len(long) <= MAX_CHARACTERS and long.startswith("xxx") and long.endswith("end")
 
 
 def test_errors_and_warnings_hold_one_short_printable_line() -> None:
     for kind in (InputError, InputWarning):
         said = str(kind(f"the extension '{HOSTILE * 10_000}' is\nunknown"))
-        assert len(said) <= LONGEST and said.isprintable() and said.endswith("is unknown")
+        assert len(said) <= MAX_CHARACTERS and said.isprintable() and said.endswith("is unknown")
 
 
 def test_markup_of_others_is_none() -> None:

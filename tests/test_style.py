@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation")
-MOST = 8
+MAX_POSITIONAL = 8
 
 
 def positional_parameters() -> dict[str, int]:
@@ -25,5 +25,5 @@ def positional_parameters() -> dict[str, int]:
 
 
 def test_no_function_takes_more_than_eight_positional_parameters() -> None:
-    above = {name: count for name, count in positional_parameters().items() if count > MOST}
+    above = {name: count for name, count in positional_parameters().items() if count > MAX_POSITIONAL}
     assert not above, f"pass what belongs together as a NamedTuple: {above}"

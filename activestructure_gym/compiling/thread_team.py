@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from activestructure_gym.cores import core_count
 
-MOST_THREADS = 8  # by default; a picture has too few tiles to feed more
+MAX_THREADS = 8  # by default; a picture has too few tiles to feed more
 _LOAD_IS_FRESH_S = 1.0
 _crowded_until: tuple[float, bool] = (0.0, False)  # when to look again, what was seen
 
@@ -26,7 +26,7 @@ def default_threads() -> int:
     """
     cores = core_count()
     wish = os.environ.get("OMP_NUM_THREADS", "")
-    threads = min(cores, MOST_THREADS, int(wish) if wish.isdigit() and int(wish) > 0 else cores)
+    threads = min(cores, MAX_THREADS, int(wish) if wish.isdigit() and int(wish) > 0 else cores)
     return 1 if threads > 1 and _machine_is_crowded() else threads
 
 

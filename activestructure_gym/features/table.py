@@ -8,13 +8,13 @@ import numpy as np
 
 from activestructure_gym.features.registry import FEATURES, Feature
 
-_MOST = 4  # columns that are all named
+_MAX_NAMED = 4  # columns that are all named
 
 
 def columns_in_words(feature: Feature) -> str:
     """Names of its columns, ``itself`` for the one that is called like the feature; of many the first and the last."""
     names = [column or "itself" for column in feature.columns]
-    return ", ".join(names) if len(names) <= _MOST else f"{names[0]}, {names[1]} .. {names[-1]} ({len(names)})"
+    return ", ".join(names) if len(names) <= _MAX_NAMED else f"{names[0]}, {names[1]} .. {names[-1]} ({len(names)})"
 
 
 def units_in_words(feature: Feature) -> str:

@@ -23,7 +23,7 @@ STEP = (
     0.001  # metres, standard deviation by which a mean is moved along each axis: too little to change who is in front
 )
 RELATIVE_STEP = 0.01  # the same of log-scales, quaternions and opacity logits; only the order of u matters
-LEAST_SHARE = 0.005  # of the uncertain part of the surface: smaller pieces are no clusters
+MIN_SHARE = 0.005  # of the uncertain part of the surface: smaller pieces are no clusters
 STAND_OFF = 0.5  # metres from the surface along its normal
 _STRIDE = 4  # pixels, where it is counted who sees what
 _NEAR = 2  # voxels within which the free side of a surface is looked for
@@ -150,7 +150,7 @@ def clusters(surface: Surface, keep: float) -> Clusters:
     label = ndimage.label(grid, structure=np.ones((3, 3, 3)))[0][tuple((voxels - lower).T)] - 1
     size = np.bincount(label)
     order = np.argsort(-size, kind="stable")
-    order = order[size[order] >= LEAST_SHARE * len(kept)]
+    order = order[size[order] >= MIN_SHARE * len(kept)]
 
     def mean(values: np.ndarray) -> np.ndarray:  # [V, 3] -> [C, 3]
         sums = np.stack([np.bincount(label, weights=values[kept, axis]) for axis in range(3)], axis=1)

@@ -23,7 +23,7 @@ ROWS = 14
 _LANES = 16  # the kernels' vector width: the capacity is a multiple of it
 _CHUNK = 1024  # Gaussians, the rasteriser's
 _FORMAT_VERSION = 1
-_LARGEST_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map there may be
+_MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map there may be
 
 
 class GaussianMap:
@@ -196,7 +196,7 @@ class GaussianMap:
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
         """Read what `save_npz` wrote. Never unpickles; anything else raises `InputError`."""
         try:
-            content = read_npz(path, _LARGEST_BYTES)
+            content = read_npz(path, _MAX_BYTES)
         except FileNotFoundError:
             raise InputError(f"expected a saved Gaussian map, but there is no file '{path}'") from None
         except (OSError, ValueError) as error:

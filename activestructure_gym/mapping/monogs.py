@@ -26,7 +26,7 @@ from activestructure_gym.splatting.torch_losses import MappingLoss
 
 _NEWEST = 2  # keyframes that stay in the window whatever they share
 _DARK = 0.01  # sum of the three colours up to which a pixel is not compared; metres of depth, as well
-_LEAST_SPACING = 1e-7  # m^2
+_MIN_SPACING_M2 = 1e-7  # m^2
 _SAME_SURFACE = 0.05  # of the depth: how far a mean may stand from what a keyframe measured there and count as seen
 
 
@@ -116,7 +116,7 @@ class MonoGSMapper(DenseMapper):
 
 def seed_sigmas(points: np.ndarray, median_depth: float, point_size: float) -> np.ndarray:  # [n, 3] -> [n] metres
     """Size of the points of one keyframe: sqrt(d^2 p), d^2 the mean squared distance to the next three, p metres."""
-    squared = np.maximum(np.nan_to_num(spacing_squared(points, points)), _LEAST_SPACING)
+    squared = np.maximum(np.nan_to_num(spacing_squared(points, points)), _MIN_SPACING_M2)
     return np.sqrt(squared * min(0.05, point_size * median_depth))
 
 

@@ -29,7 +29,7 @@ from activestructure_gym.mapping.gaussian_map import (
 from activestructure_gym.npz import read_npz
 
 _PLACE = "world_from_first_camera"
-_LARGEST = 1e9  # of a camera's numbers: metres, pixels
+_MAX_NUMBER = 1e9  # of a camera's numbers: metres, pixels
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
 
 
@@ -170,8 +170,8 @@ def _place(
 
 def _numbers(content: Mapping[str, np.ndarray], name: str, path: str | os.PathLike[str]) -> np.ndarray:  # float64
     found = content[name]
-    if found.dtype.kind not in "fiu" or not np.isfinite(found).all() or np.abs(found).max(initial=0.0) > _LARGEST:
-        raise InputError(f"'{path}': expected '{name}' as finite numbers up to {_LARGEST:g}, got {found.dtype}")
+    if found.dtype.kind not in "fiu" or not np.isfinite(found).all() or np.abs(found).max(initial=0.0) > _MAX_NUMBER:
+        raise InputError(f"'{path}': expected '{name}' as finite numbers up to {_MAX_NUMBER:g}, got {found.dtype}")
     return found.astype(np.float64)
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ranges import MOST_ELONGATED, check_ranges
+from activestructure_gym.ranges import MAX_ASPECT_RATIO, check_ranges
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DEPTH_NOISE, DepthNoise, drop_edges, noisy_depth, noisy_pose
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, RendererName, make_renderer
 
 # Rays per image. More is a typing mistake.
-_MOST_RAYS = 1 << 25
+_MAX_RAYS = 1 << 25
 _RANGES = {
     "width": "[1, 8192]",
     "height": "[1, 8192]",
@@ -46,15 +46,15 @@ class SensorConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES, "sensor ")
-        if max(self.width, self.height) > MOST_ELONGATED * min(self.width, self.height):
+        if max(self.width, self.height) > MAX_ASPECT_RATIO * min(self.width, self.height):
             raise InputError(
-                f"the longer side of the sensor's image must be at most {MOST_ELONGATED} times the shorter one, got "
+                f"the longer side of the sensor's image must be at most {MAX_ASPECT_RATIO} times the shorter one, got "
                 f"{self.width} x {self.height} pixels"
             )
         rays = int(self.width) * int(self.height) * int(self.supersample) ** 2
-        if rays > _MOST_RAYS:
+        if rays > _MAX_RAYS:
             raise InputError(
-                f"sensor width x height x supersample^2 must be at most {_MOST_RAYS} rays, got {rays}: "
+                f"sensor width x height x supersample^2 must be at most {_MAX_RAYS} rays, got {rays}: "
                 "choose smaller images or a smaller supersample"
             )
         if not isinstance(self.edge_dropout, (bool, np.bool_)):

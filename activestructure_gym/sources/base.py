@@ -19,7 +19,7 @@ from activestructure_gym.specs import parse_options, typed_options
 from activestructure_gym.views import CandidatePool
 from activestructure_gym.volume import VoxelVolume
 
-MOST_ROWS = 65536
+MAX_ROWS = 65536
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ def make_source(spec: str) -> Source:
     name, _, query = spec.partition("?") if isinstance(spec, str) else (spec, "", "")
     kind = SOURCES.get(name)
     source = kind(**typed_options(f"source '{name}'", kind, parse_options(query, f"source '{spec}'")))
-    if isinstance(source.rows, bool) or not isinstance(source.rows, int) or not 1 <= source.rows <= MOST_ROWS:
+    if isinstance(source.rows, bool) or not isinstance(source.rows, int) or not 1 <= source.rows <= MAX_ROWS:
         raise InputError(
-            f"rows of the source '{spec}' must be a whole number from 1 to {MOST_ROWS}, got {shown(source.rows)}"
+            f"rows of the source '{spec}' must be a whole number from 1 to {MAX_ROWS}, got {shown(source.rows)}"
         )
     return source
 

@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 from activestructure_gym.features.uncertain_surface import free_side
 from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
 SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
-_MOST_REGIONS = 1000  # the foremost ones, of which views are sought
+_MAX_REGIONS = 1000  # the foremost ones, of which views are sought
 _TRIES = 8  # regions of a cube of side `apart_m` of which views are sought, until one has some
 
 
@@ -35,7 +35,7 @@ class Facing(Source):
 
     def __post_init__(self) -> None:
         ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]", "apart_m": "[0, 100]"}
-        check_ranges(self, {**ranges, "rows": f"[1, {MOST_ROWS}]"})
+        check_ranges(self, {**ranges, "rows": f"[1, {MAX_ROWS}]"})
 
     def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
         """Which cells are to be looked at."""
@@ -64,7 +64,7 @@ class Facing(Source):
         found: list[np.ndarray] = []
         if len(places):
             tree = cKDTree(places)
-            for region in order[:_MOST_REGIONS]:
+            for region in order[:_MAX_REGIONS]:
                 if cube[region] in done:
                     continue
                 near = np.sort(np.array(tree.query_ball_point(centres[region], self.farthest_m), dtype=int))

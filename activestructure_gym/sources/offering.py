@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.motion import is_level
-from activestructure_gym.sources.base import MOST_ROWS, Proposals, Source, SourceContext, make_source
+from activestructure_gym.sources.base import MAX_ROWS, Proposals, Source, SourceContext, make_source
 from activestructure_gym.views import CandidateTable
 
 Stages = tuple[tuple[str, ...], ...]
@@ -23,7 +23,7 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
     made = {name: make_source(name) for stage in names for name in stage}
     for stage in names:
         # The shared pool takes what is left; one row is the least.
-        needed = sum(1 if made[name].rows == MOST_ROWS else made[name].rows for name in stage) + len(names) - 1
+        needed = sum(1 if made[name].rows == MAX_ROWS else made[name].rows for name in stage) + len(names) - 1
         if needed > rows:
             raise InputError(
                 f"the stage {', '.join(stage)} needs {needed} rows and views.max_candidates is {rows}: raise it, or "
@@ -52,7 +52,7 @@ def offer(
     for place, name in enumerate(stage):
         source = made[name]
         # What the later sources may need stays free.
-        kept = sum(1 if made[later].rows == MOST_ROWS else made[later].rows for later in stage[place + 1 :])
+        kept = sum(1 if made[later].rows == MAX_ROWS else made[later].rows for later in stage[place + 1 :])
         room = min(left - kept, source.rows)
         seen = context(name, room)
         part = _reachable(_checked(name, source.propose(seen), seen.agent.pose), seen, room, names.index(name))

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.views import CandidatePool, ViewConfig
 
 _TRIES = 16  # places that are drawn for each row: most of them lie in walls or in what is unknown
@@ -31,7 +31,7 @@ class Lattice(Source):
     rows: int = 1024
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"rows": f"[1, {MOST_ROWS}]"})
+        check_ranges(self, {"rows": f"[1, {MAX_ROWS}]"})
         self._layout(ViewConfig(), 0.0)
 
     def _layout(
@@ -80,7 +80,7 @@ class Around(Source):
     rows: int = 70
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"radius_m": "(0, 100]", "pitch_deg": "[0, 90]", "rows": f"[1, {MOST_ROWS}]"})
+        check_ranges(self, {"radius_m": "(0, 100]", "pitch_deg": "[0, 90]", "rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
         """More places than rows: the environment leaves out what cannot be reached."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 
 
 @SOURCES.register("pool")
@@ -12,7 +12,7 @@ from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Sour
 class Pool(Source):
     """`CandidatePool`: free lattice places times Fibonacci directions, as many as there are rows left."""
 
-    rows: int = MOST_ROWS
+    rows: int = MAX_ROWS
 
     def propose(self, context: SourceContext) -> Proposals:
         """All that is open and reachable, or a neutral draw of it, then the revisits."""

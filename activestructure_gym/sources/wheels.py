@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.places import directions, looking
 
 
@@ -23,7 +23,7 @@ class OnWheels(Source):
     rows: int = 512
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MOST_ROWS}]"})
+        check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MAX_ROWS}]"})
 
     def places(self, context: SourceContext) -> np.ndarray:  # [P, 2] metres
         """Where the robot may stand, as seen from above."""

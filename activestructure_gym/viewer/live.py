@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 _PATIENCE_S = 15.0  # seconds that a request for news is held open before an empty answer
-_LONGEST = 1000  # maximum bytes of a command
-_MOST_STRANGERS = 64  # maximum connections that have not sent the key; the oldest is closed for a new one
+_MAX_COMMAND_BYTES = 1000  # maximum bytes of a command
+_MAX_STRANGERS = 64  # maximum connections that have not sent the key; the oldest is closed for a new one
 PACES = (0.0, 1.0, 3.0)  # selectable seconds between two decisions
 _ZLIB_LEVEL = 1  # low: server and browser run on the same machine
 
@@ -291,7 +291,7 @@ class _Server(ThreadingHTTPServer):
         """Answer on a thread; close the oldest connection without the key if there are too many."""
         with self._counting:
             self._strangers[request] = None
-            oldest = next(iter(self._strangers)) if len(self._strangers) > _MOST_STRANGERS else None
+            oldest = next(iter(self._strangers)) if len(self._strangers) > _MAX_STRANGERS else None
         if oldest is not None:
             self.admit(oldest)
             with suppress(OSError):
@@ -346,7 +346,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Execute a command."""
         path, asked = self._asked()
         length = self.headers.get("Content-Length", "")
-        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _LONGEST:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _MAX_COMMAND_BYTES:
             self.close_connection = True
             return self._answer(HTTPStatus.BAD_REQUEST, b"a command is short")
         body = self.rfile.read(int(length))

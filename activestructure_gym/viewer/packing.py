@@ -17,8 +17,8 @@ from activestructure_gym.viewer.recorder import Film, Moment
 
 _TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
 _STEPS = 65535  # steps of a position along each side of the Gaussians' bounding box; frame limit of uint16
-_MOST_GAUSSIANS = 4_000_000  # maximum per page; larger maps are subsampled evenly
-_LEAST_LOG, _LOG_STEP = -9.0, 0.05  # log standard deviation: 0.1 mm to 40 m in steps of 5 %
+_MAX_GAUSSIANS = 4_000_000  # maximum per page; larger maps are subsampled evenly
+_MIN_LOG, _LOG_STEP = -9.0, 0.05  # log standard deviation: 0.1 mm to 40 m in steps of 5 %
 
 
 def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
@@ -43,7 +43,7 @@ def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    every = -(-film.gaussians.shape[1] // _MOST_GAUSSIANS) or 1
+    every = -(-film.gaussians.shape[1] // _MAX_GAUSSIANS) or 1
     live, born, died = film.gaussians[:, ::every], film.born[::every], film.died[::every]
     means = live[MEAN].T.astype(np.float64)
     low = means.min(axis=0) if len(means) else np.zeros(3)
@@ -54,14 +54,14 @@ def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     last = np.iinfo(frames).max  # this value marks Gaussians that were never removed
     arrays = {
         "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
-        "scales": np.clip(np.round((live[LOG_SCALE].T - _LEAST_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
+        "scales": np.clip(np.round((live[LOG_SCALE].T - _MIN_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
         "rotations": np.round(live[QUATERNION].T / length[:, None] * 127).astype(np.int8),
         "colours": np.clip(np.round(live[COLOR].T * 255), 0, 255).astype(np.uint8),
         "opacities": np.round(255 / (1 + np.exp(-live[OPACITY_LOGIT].astype(np.float64)))).astype(np.uint8),
         "born": np.minimum(born, last).astype(frames),
         "died": np.minimum(died, last).astype(frames),
     }
-    told = {"low": low.tolist(), "side": side.tolist(), "log": [_LEAST_LOG, _LOG_STEP]}
+    told = {"low": low.tolist(), "side": side.tolist(), "log": [_MIN_LOG, _LOG_STEP]}
     return arrays, told | {"stayed": int(last), "every": every}
 
 

@@ -21,8 +21,8 @@ from activestructure_gym.motion import DistanceMap
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
-_MOST_HEIGHTS = 64
-MOST_STAGES = 16
+_MAX_HEIGHTS = 64
+MAX_STAGES = 16
 _RANGES = {
     "lattice_step_m": "[0.05, 100]",
     "heights_m": "[-100, 100]",
@@ -58,8 +58,8 @@ class ViewConfig:
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
         object.__setattr__(self, "stages", _as_stages(self.stages))
-        if len(self.heights_m) > _MOST_HEIGHTS:
-            raise InputError(f"heights_m must be at most {_MOST_HEIGHTS} heights, got {len(self.heights_m)}")
+        if len(self.heights_m) > _MAX_HEIGHTS:
+            raise InputError(f"heights_m must be at most {_MAX_HEIGHTS} heights, got {len(self.heights_m)}")
         if self.max_revisits >= self.max_candidates:
             raise InputError(
                 f"max_revisits ({self.max_revisits}) must stay below max_candidates ({self.max_candidates}): "
@@ -228,6 +228,6 @@ def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:
             raise InputError(f"every stage of views.stages must be a list of at least one source, got {shown(stage)}")
         if len(set(stage)) < len(stage):
             raise InputError(f"a stage of views.stages names a source twice: {', '.join(stage)}")
-    if not 1 <= len(stages) <= MOST_STAGES:
-        raise InputError(f"views.stages must be 1 to {MOST_STAGES} stages, got {len(stages)}")
+    if not 1 <= len(stages) <= MAX_STAGES:
+        raise InputError(f"views.stages must be 1 to {MAX_STAGES} stages, got {len(stages)}")
     return stages

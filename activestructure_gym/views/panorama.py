@@ -22,7 +22,7 @@ SIDES = 3  # pinhole images of a panorama
 SIDE_DEG = (120.0, 150.0)  # field of view of each, width and height; elevations above 75 degrees are excluded
 OPEN = 0.8  # a pixel is open if 1 - opacity exceeds this
 NEIGHBOUR_DEG = 5.0  # eps of DBSCAN
-LEAST_DEG2 = 25.0  # its minimum neighbourhood, in square degrees
+MIN_DEG2 = 25.0  # its minimum neighbourhood, in square degrees
 DILATION_DEG = 15.0  # width of the ellipse that dilates a cluster to include the surface around it
 
 
@@ -87,7 +87,7 @@ def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panorama
     """Return the clusters of open pixels. ``depth`` is 0 where nothing is rendered."""
     missing = 1.0 - alpha.astype(np.float64)
     pixel = DEG_PER_PIXEL**2
-    labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(LEAST_DEG2 / pixel))
+    labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(MIN_DEG2 / pixel))
     return [
         Opening(float(missing[labels == label].sum()) * pixel, hull_volume(labels == label, depth))
         for label in range(1, int(labels.max()) + 1)

@@ -9,13 +9,13 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ranges import FARTHEST, check_ranges
+from activestructure_gym.ranges import MAX_COORDINATE_M, check_ranges
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 
 # More voxels would need gigabytes; the cause is always wrong units (a mesh in millimetres).
-_MOST_VOXELS = 60_000_000
+_MAX_VOXELS = 60_000_000
 _RANGES = {
     "voxel_size": "[0.0001, 100]",
     "max_range": "(0, 1000]",
@@ -70,13 +70,13 @@ def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
     Raises `InputError` for too many voxels or a scene too far from the origin.
     """
     away = float(np.abs(bounds).max())
-    if away > FARTHEST:
+    if away > MAX_COORDINATE_M:
         raise InputError(
-            f"the scene lies {away:,.0f} m from the origin, and at most {FARTHEST:,.0f} m are allowed: move it there"
+            f"the scene lies {away:,.0f} m from the origin, and at most {MAX_COORDINATE_M:,.0f} m is allowed: move it"
         )
     extent = np.asarray(bounds[1], dtype=np.float64) - bounds[0]
     cells = np.ceil(extent / voxel_size - 1e-9) + 2.0
-    if cells.prod() > _MOST_VOXELS:
+    if cells.prod() > _MAX_VOXELS:
         sides = " x ".join(f"{side:.0f}" for side in extent)
         raise InputError(
             f"expected a workspace of building size, got {sides} m: {cells.prod():.1e} voxels of {voxel_size} m; "

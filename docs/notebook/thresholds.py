@@ -27,11 +27,11 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
     "gs_planner": {
         "weight of the loss": (gs, "QUALITY_WEIGHT"),
         "of a full error of colour in it, metres": (gains, "COLOUR_WEIGHT"),
-        "least gain of a near view": (gs, "LEAST_GAIN"),
+        "least gain of a near view": (gs, "MIN_GAIN"),
         "viewpoints of one growth": (gs, "VIEWPOINTS"),
         "metres between them": (gs, "SPACING_M"),
         "gain that is stored": (gs, "STORED_GAIN"),
-        "overlap that makes two views one": (gs, "LEAST_OVERLAP"),
+        "overlap that makes two views one": (gs, "MIN_OVERLAP"),
         "metres without overlap": (gs, "OVERLAP_M"),
         "angle without overlap, radians": (gs, "OVERLAP_RAD"),
     },

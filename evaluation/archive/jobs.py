@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
 TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in place of a policy
 _HASH_DIGITS = 12
-LARGEST_SEED = 2**63 - 1
+MAX_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
 _USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose")  # of files of poses, and their folder
 _RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # at the end of a run directory's name
-_LONGEST = 80  # characters of a scene, and of a policy, in a file's name
+_MAX_NAME_CHARACTERS = 80  # characters of a scene, and of a policy, in a file's name
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Job:
     def __post_init__(self) -> None:
         for kind, name in (("scene", self.scene), ("policy", self.policy)):
             check_in_one_line(kind, name)
-        if not 0 <= self.seed <= LARGEST_SEED:
-            raise InputError(f"a seed is a whole number from 0 to {LARGEST_SEED}, got {shown(self.seed)}")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {shown(self.seed)}")
         if self.frame_budget is not None and self.frame_budget < 1:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
         if self.protocol.name in self.also:
@@ -74,7 +74,7 @@ class Job:
     def name(self) -> str:
         """The name of the job's run directory."""
         # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
-        scene, policy = slug(scene_label(self.scene))[-_LONGEST:], slug(self.policy)[-_LONGEST:]
+        scene, policy = slug(scene_label(self.scene))[-_MAX_NAME_CHARACTERS:], slug(self.policy)[-_MAX_NAME_CHARACTERS:]
         return f"{scene}--{policy}--seed{self.seed}--{self.hash}"
 
     @property

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 STORED_VIEWS = 8  # the first of the held-out views, which are in random order
 _PIXELS_PER_METRE = 90
-_LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
+_MAX_SIDE_PX = 640  # pixels; larger scenes are drawn smaller
 _BAND_M = 0.5  # free and occupied are those of this height above and below the camera
 _HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
 _ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
@@ -60,7 +60,7 @@ def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 
 def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
     """Pixels per metre for a plan of this extent [2] metres."""
-    return min(_PIXELS_PER_METRE, _LONGEST_SIDE / float(np.max(extent)))
+    return min(_PIXELS_PER_METRE, _MAX_SIDE_PX / float(np.max(extent)))
 
 
 def pixel_size(extent: np.ndarray, scale: float) -> tuple[int, int]:

@@ -22,11 +22,11 @@ from activestructure_gym.evaluation.archive.schema import (
     text,
 )
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE, LEVELS
-from activestructure_gym.ranges import FARTHEST, MOST_ELONGATED, MOST_FRAMES
+from activestructure_gym.ranges import MAX_ASPECT_RATIO, MAX_COORDINATE_M, MAX_FRAMES
 
-_WIDEST_IMAGE = 16384  # pixels
-_MOST_PICTURES = 64
-_MOST_PLANES, _MOST_MARKS = 100_000, 5_000_000
+_MAX_IMAGE_SIDE = 16384  # pixels
+_MAX_PICTURES = 64
+_MAX_PLANES, _MAX_MARKS = 100_000, 5_000_000
 _RIGID = 1e-3  # how far a rotation matrix may be from one
 _UNIT = 1e-2  # how far a normal's length may be from 1
 
@@ -39,7 +39,7 @@ JOB: Check = table(
     {
         "scene": text, "policy": text, "seed": number(0, 2**63 - 1, whole=True), "scene_hash": text, "preset": text,
         "frame_budget": maybe(number(1, whole=True)), "overrides": table(),
-        "start_pose": maybe(each(number(-FARTHEST, FARTHEST), length=4)), "protocol": PROTOCOL,
+        "start_pose": maybe(each(number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=4)), "protocol": PROTOCOL,
         "also": each(PROTOCOL),
     },
     {"terms": text},
@@ -62,7 +62,7 @@ CONFIG: Check = table(
         "configuration": table({
             "frame_budget": number(1, whole=True),
             "sensor": table({
-                "width": number(1, _WIDEST_IMAGE, whole=True), "height": number(1, _WIDEST_IMAGE, whole=True),
+                "width": number(1, _MAX_IMAGE_SIDE, whole=True), "height": number(1, _MAX_IMAGE_SIDE, whole=True),
                 "depth_noise": anything,
             }),
         }, {
@@ -139,21 +139,21 @@ STEP: Check = table(
 
 def _places(*shape: int | str, least: int = 0) -> Array:
     """The `Array` of positions in the world, metres."""
-    return Array("f8", shape, low=-FARTHEST, high=FARTHEST, least=least)
+    return Array("f8", shape, low=-MAX_COORDINATE_M, high=MAX_COORDINATE_M, least=least)
 
 
 TRAJECTORY = {
     "world_from_camera": _places("T", 4, 4, least=1),
     "keyframes": Array("i8", ("K",), low=0, least=1),
     "intrinsics": Array("f8", (4,)),
-    "image_size": Array("i8", (2,), low=1, high=_WIDEST_IMAGE),
+    "image_size": Array("i8", (2,), low=1, high=_MAX_IMAGE_SIDE),
 }
 _LEGS = {"keyframe_rounds": Array("i8", ("K",), low=0, high=1000), "legs": Array("i8", ("D", 3), low=0)}
-_RANGE = {"max_range": Array("f8", (), low=0, high=FARTHEST)}  # of the sensor, metres; not every path says it
+_RANGE = {"max_range": Array("f8", (), low=0, high=MAX_COORDINATE_M)}  # of the sensor, metres; not every path says it
 _PLAN = {
     "plan_state": Array("u1", ("columns", "rows"), high=2, least=1),
     "plan_corner": _places(2),
-    "plan_extent": Array("f8", (2,), low=1e-3, high=FARTHEST),
+    "plan_extent": Array("f8", (2,), low=1e-3, high=MAX_COORDINATE_M),
     "above_rgb": Array("u1", ("h", "w", 3), high=255, least=1),
     "above_alpha": Array("u1", ("h", "w"), high=255, least=1),
 }
@@ -190,8 +190,8 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
     legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of played runs; a path of another program has none
     sizes = check_arrays(arrays, TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
-    if sizes["T"] > MOST_FRAMES:
-        raise Mismatch(f"it holds {sizes['T']} poses, at most {MOST_FRAMES} are read")
+    if sizes["T"] > MAX_FRAMES:
+        raise Mismatch(f"it holds {sizes['T']} poses, at most {MAX_FRAMES} are read")
     poses = arrays["world_from_camera"]
     rotations = poses[:, :3, :3]
     off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
@@ -202,15 +202,15 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     if not (arrays["intrinsics"][:2] > 1e-3).all():
         raise Mismatch("intrinsics: focal lengths are above 0")
     width, height = (int(side) for side in arrays["image_size"])
-    if max(width, height) > MOST_ELONGATED * min(width, height):
+    if max(width, height) > MAX_ASPECT_RATIO * min(width, height):
         raise Mismatch(f"image_size: {width} x {height} pixels are no camera's")
 
 
 def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless all views have one size and the plan's arrays agree."""
     sizes = check_arrays(arrays, _PICTURES)
-    if sizes["views"] > _MOST_PICTURES:
-        raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
+    if sizes["views"] > _MAX_PICTURES:
+        raise Mismatch(f"it holds {sizes['views']} views, at most {_MAX_PICTURES} are read")
     _check_cells(arrays)
 
 
@@ -230,7 +230,7 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless indices of planes exist, normals are unit vectors, and patches fit their bits."""
     sizes = check_arrays(arrays, _GRAPH)
     planes = sizes["planes"]
-    if planes > _MOST_PLANES or sizes["edges"] + sizes["holes"] > _MOST_MARKS:
+    if planes > _MAX_PLANES or sizes["edges"] + sizes["holes"] > _MAX_MARKS:
         raise Mismatch(f"it holds {planes} planes, {sizes['edges']} edges and {sizes['holes']} holes: too many to draw")
     for name in ("edges", "deficiency_planes"):
         if arrays[name].size and int(arrays[name].max()) >= planes:
@@ -263,8 +263,8 @@ def check_config(content: Any, place: str) -> None:
 
 def check_steps(steps: list[Any]) -> None:
     """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
-    if len(steps) > MOST_FRAMES:
-        raise Mismatch(f"it holds {len(steps)} decisions, at most {MOST_FRAMES} are read")
+    if len(steps) > MAX_FRAMES:
+        raise Mismatch(f"it holds {len(steps)} decisions, at most {MAX_FRAMES} are read")
     for number_, step in enumerate(steps, start=1):
         STEP(step, f"line {number_}")
     frames = [step["frames"] for step in steps]

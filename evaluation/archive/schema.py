@@ -21,24 +21,24 @@ from activestructure_gym.errors import shown
 
 Check = Callable[[Any, str], None]
 
-LARGEST = 1e15  # of any number; above, whole numbers are no longer told apart
-LARGEST_JSON = 64 << 20  # bytes of a JSON file
-_DEEPEST = 32  # levels of nesting
-_LONGEST_TEXT = 100_000  # characters
+MAX_NUMBER = 1e15  # of any number; above, whole numbers are no longer told apart
+MAX_JSON_BYTES = 64 << 20  # bytes of a JSON file
+_MAX_DEPTH = 32  # levels of nesting
+_MAX_TEXT_CHARACTERS = 100_000  # characters
 
 
 class Mismatch(ValueError):
     """A file does not hold what it should; the message says where, what was expected, and what came."""
 
 
-def number(low: float = -LARGEST, high: float = LARGEST, *, whole: bool = False) -> Check:
+def number(low: float = -MAX_NUMBER, high: float = MAX_NUMBER, *, whole: bool = False) -> Check:
     """A check for a finite number in ``low`` .. ``high``."""
     kind = "a whole number" if whole else "a number"
 
     def check(value: Any, place: str) -> None:
         good = isinstance(value, int) if whole else isinstance(value, int | float)
         if not good or isinstance(value, bool) or not low <= value <= high:
-            limits = kind if (low, high) == (-LARGEST, LARGEST) else f"{kind} from {low:g} to {high:g}"
+            limits = kind if (low, high) == (-MAX_NUMBER, MAX_NUMBER) else f"{kind} from {low:g} to {high:g}"
             raise _mismatch(place, limits, value)
 
     return check
@@ -46,7 +46,7 @@ def number(low: float = -LARGEST, high: float = LARGEST, *, whole: bool = False)
 
 def text(value: Any, place: str) -> None:
     """Any text, of tolerable length."""
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
+    if not isinstance(value, str) or len(value) > _MAX_TEXT_CHARACTERS:
         raise _mismatch(place, "a text", value)
 
 
@@ -109,7 +109,7 @@ def table(
     return check
 
 
-def read_checked_json(path: Path, check: Check = anything, *, most: int = LARGEST_JSON) -> Any:
+def read_checked_json(path: Path, check: Check = anything, *, most: int = MAX_JSON_BYTES) -> Any:
     """The content of a JSON file; OSError where it cannot be opened, `Mismatch` for everything else."""
     if path.exists() and not path.is_file():
         raise Mismatch("it is no regular file")
@@ -128,7 +128,7 @@ def checked_json(content: bytes, check: Check = anything) -> Any:
     except UnicodeDecodeError:
         raise Mismatch("it is no text in UTF-8") from None
     except RecursionError:
-        raise Mismatch(f"it is nested deeper than {_DEEPEST} levels") from None
+        raise Mismatch(f"it is nested deeper than {_MAX_DEPTH} levels") from None
     except Mismatch:
         raise
     except ValueError as error:
@@ -140,7 +140,7 @@ def checked_json(content: bytes, check: Check = anything) -> Any:
 def check_depth(value: Any) -> None:
     """Raise `Mismatch` for what is nested so deep that no function of ours could walk it."""
     level = [value]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_DEPTH):
         level = [
             entry
             for outer in level
@@ -149,7 +149,7 @@ def check_depth(value: Any) -> None:
         ]
         if not level:
             return
-    raise Mismatch(f"it is nested deeper than {_DEEPEST} levels")
+    raise Mismatch(f"it is nested deeper than {_MAX_DEPTH} levels")
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ class Array:
 
     dtype: str  # kind and bytes of a number: f8, i8, u1, b1; others are refused, wider ones too
     shape: tuple[int | str, ...]
-    low: float = -LARGEST
-    high: float = LARGEST
+    low: float = -MAX_NUMBER
+    high: float = MAX_NUMBER
     least: int = 0  # of every named size
 
 

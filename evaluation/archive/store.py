@@ -46,7 +46,7 @@ from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene
 from activestructure_gym.evaluation.archive.temporary import part_of, refuse_links, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
-from activestructure_gym.ranges import MOST_FRAMES
+from activestructure_gym.ranges import MAX_FRAMES
 
 if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
@@ -67,7 +67,7 @@ PLY = "map.ply"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
 _READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
-_LARGEST_LOG = 4096 * MOST_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB, and a frame at least
+_MAX_LOG_BYTES = 4096 * MAX_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB, and a frame at least
 
 
 @dataclass(frozen=True)
@@ -444,8 +444,8 @@ def checksum_of(path: Path) -> str:
 
 
 def _read_steps(path: Path) -> list[dict[str, Any]]:
-    if path.stat().st_size > _LARGEST_LOG:
-        raise schema.Mismatch(f"it has more than {_LARGEST_LOG:,} bytes")
+    if path.stat().st_size > _MAX_LOG_BYTES:
+        raise schema.Mismatch(f"it has more than {_MAX_LOG_BYTES:,} bytes")
     steps = []
     with open(path, "rb") as lines:
         for number, line in enumerate(lines, start=1):

@@ -15,7 +15,7 @@ from activestructure_gym.errors import FullDisk, InputError
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 from activestructure_gym.streams import FULL
 
-_LONGEST_REPORT = 86400.0  # seconds after which what another machine was writing counts as left behind
+_MAX_REPORT_SECONDS = 86400.0  # seconds after which what another machine was writing counts as left behind
 
 
 def part_of() -> str:
@@ -32,7 +32,7 @@ def atomic_files(directory: Path) -> Iterator[Path]:
     new = not directory.exists()
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-        remove_parts(directory, "files-*", others_after=_LONGEST_REPORT)  # it may be anybody's folder
+        remove_parts(directory, "files-*", others_after=_MAX_REPORT_SECONDS)  # it may be anybody's folder
         part = Path(tempfile.mkdtemp(prefix=".files-", suffix=part_of(), dir=directory))
     try:
         with writing(directory):

@@ -16,7 +16,7 @@ from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE
 
 _TILE = 8  # pixels
 _PAIRS_AT_ONCE = 500_000
-_LEAST_LOG = math.log(MIN_TRANSMITTANCE)
+_MIN_LOG = math.log(MIN_TRANSMITTANCE)
 
 
 def rasterize_torch_tiles(
@@ -65,7 +65,7 @@ def rasterize_torch_tiles(
         alpha = torch.where(real, alpha, torch.zeros(()))
         passes = torch.log1p(-alpha)
         after = torch.cumsum(passes, dim=1)
-        weight = alpha * torch.exp(after - passes) * (after.detach() > _LEAST_LOG)
+        weight = alpha * torch.exp(after - passes) * (after.detach() > _MIN_LOG)
         output = output.index_put((v, u), torch.einsum("bkp,bkc->bpc", weight, own[..., 6:]))
     return output[: camera.height, : camera.width]
 

@@ -20,7 +20,7 @@ from activestructure_gym.streams import FULL, complain, kept_streams, say
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (*FULL, errno.EROFS)
-_LEAST_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
+_MIN_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -92,7 +92,7 @@ def _check_address_space() -> None:
     except ImportError:  # Windows
         return
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if 0 <= limit < _LEAST_ADDRESS_SPACE:
+    if 0 <= limit < _MIN_ADDRESS_SPACE:
         raise InputError(
             f"the address space is limited to {limit / 1e9:.1f} GB (ulimit -v), and a run needs about 2 GB: "
             "raise the limit"

@@ -63,14 +63,14 @@ class Config:
             default = "" if name not in defaults or value == defaults[name] else _shown(defaults[name])
             rows.append([name, _shown(value), *([default] if self.wide else []), texts[name]])
         heads = ["field", "value", *(["default"] if self.wide else []), "meaning"]
-        print_listed(f"Preset {preset_name}", heads, rows, _HINTS[self.wide], wide=self.wide, most=_MOST)
+        print_listed(f"Preset {preset_name}", heads, rows, _HINTS[self.wide], wide=self.wide, most=_MAX_COLUMNS)
         changes = [name for name, value in after.items() if name in before and value != before[name]]
         for name in changes:
             say(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
         return 0
 
 
-_MOST = (36, 10)  # columns of a field and of its value; longer ones take room from the meaning
+_MAX_COLUMNS = (36, 10)  # columns of a field and of its value; longer ones take room from the meaning
 _HINTS = {
     False: "Whole texts, and what the preset changes: --wide. Change a field: --set FIELD=VALUE.",
     True: "Where nothing is under default, the value is the default. Change a field: --set FIELD=VALUE.\n"

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.cli.output import make_console, plain_table,
 from activestructure_gym.streams import escape
 
 _NUMBA = "numba"  # what the kernels need
-_LONGEST = 20  # characters of a version; a checksum has 64
+_MAX_CHARACTERS = 20  # characters of a version; a checksum has 64
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def _print_machine(*, json: bool) -> int:
     print_whole(console, table)
     versions = plain_table("Versions", "package", "version")
     for package, version in machine.versions().items():
-        short = version if len(version) <= _LONGEST else f"{version[:12]}…"
+        short = version if len(version) <= _MAX_CHARACTERS else f"{version[:12]}…"
         versions.add_row(package, escape(short) if version != "missing" else "[red]missing[/]")
     print_whole(console, versions)
     if broken := _broken(needed, rows):

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from activestructure_gym.evaluation.machine.terminal import GAP, breaks, longest_piece
 
-_LEAST = 8  # columns of the narrowest column whose words are folded
+_MIN_COLUMNS = 8  # columns of the narrowest column whose words are folded
 _PIECE = 24  # columns; longer names are folded wherever they must be
 
 
@@ -85,7 +85,7 @@ def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]
         return [dict(enumerate(natural))]
     words = next((k for k, column in enumerate(columns) if column.numeric), len(columns))
     keys = range(max(1, words) if words < len(columns) else 1)
-    room = max(_LEAST, width // 2 // len(keys) - GAP)
+    room = max(_MIN_COLUMNS, width // 2 // len(keys) - GAP)
     start = {k: min(least[k], room) for k in keys}
     parts, part = [], dict(start)
     for k in range(len(keys), len(columns)):

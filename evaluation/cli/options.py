@@ -15,7 +15,7 @@ from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_MOST_SEEDS = 10_000  # of a range
+_MAX_SEEDS = 10_000  # of a range
 _POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
 
 
@@ -80,8 +80,8 @@ def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
                 f"a seed is a whole number from 0 to 2^63 - 1, several are 0,2,5 or 0-4, got {shown(text)}"
             )
         first, last = int(ends[0]), int(ends[-1])
-        if not 0 <= last - first < _MOST_SEEDS:
-            raise InputError(f"seeds from A to B are at most {_MOST_SEEDS}, the least one first; got {shown(text)}")
+        if not 0 <= last - first < _MAX_SEEDS:
+            raise InputError(f"seeds from A to B are at most {_MAX_SEEDS}, the least one first; got {shown(text)}")
         seeds += range(first, last + 1)
     return tuple(seeds)
 

@@ -20,7 +20,7 @@ from activestructure_gym.evaluation.cli.fitting import table_lines
 from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import Stream, escape, fitting, raw
 
-_WIDEST = 10_000  # columns
+_MAX_COLUMNS = 10_000  # columns
 _WIDE = 110  # columns from which on a terminal has room for long bars
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
@@ -46,7 +46,7 @@ def make_console() -> Console:
     stream = raw(getattr(sys.stdout, "rich_proxied_file", sys.stdout))
     stream = stream if isinstance(stream, Stream) else Stream(stream)
     endless = not stream.isatty() and not os.environ.get("COLUMNS")
-    return _console(stream, _WIDEST if endless else None)
+    return _console(stream, _MAX_COLUMNS if endless else None)
 
 
 def _console(file: Any, width: int | None) -> Console:
@@ -90,7 +90,7 @@ def short_title(console: Console, title: str) -> str:
 
 def width_of(console: Console) -> int | None:
     """Return the columns of a terminal, or None for a log, which has no width."""
-    return None if console.width >= _WIDEST else console.width
+    return None if console.width >= _MAX_COLUMNS else console.width
 
 
 def print_whole(console: Console, table: Table, *, wide: bool = False) -> None:

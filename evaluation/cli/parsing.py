@@ -20,8 +20,8 @@ from activestructure_gym.streams import flat, raw, write_line
 
 T = TypeVar("T")
 _HELP_COLUMNS = 110  # where no terminal says how wide it is
-_MOST = 2.0**63  # what a number of an option may be; each has limits of its own besides
-_LONGEST = 160  # characters of a word in a message
+_MAX_NUMBER = 2.0**63  # what a number of an option may be; each has limits of its own besides
+_MAX_CHARACTERS = 160  # characters of a word in a message
 
 
 def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
@@ -63,7 +63,7 @@ def _read(kind: type[T], program: str, words: Sequence[str]) -> T:
 
 
 def _printable(word: str) -> str:
-    return flat(word) if len(word) <= _LONGEST else f"{flat(word[:_LONGEST])}..."
+    return flat(word) if len(word) <= _MAX_CHARACTERS else f"{flat(word[:_MAX_CHARACTERS])}..."
 
 
 def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
@@ -168,8 +168,8 @@ def _words(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 VALUES = ConstructorRegistry()
-VALUES.primitive_rule(_rule(int, "N", "a whole number", lambda value: abs(value) < _MOST))
-VALUES.primitive_rule(_rule(float, "X", "a number", lambda value: abs(value) < _MOST))
+VALUES.primitive_rule(_rule(int, "N", "a whole number", lambda value: abs(value) < _MAX_NUMBER))
+VALUES.primitive_rule(_rule(float, "X", "a number", lambda value: abs(value) < _MAX_NUMBER))
 VALUES.primitive_rule(_rule(str, "TEXT", "a text", bool))
 VALUES.primitive_rule(_choice)
 VALUES.primitive_rule(_words)

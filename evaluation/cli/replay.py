@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from activestructure_gym.evaluation.archive.store import Run
 
-MOST_RUNS = 2
+MAX_RUNS = 2
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Replay:
         """Play, write, say where."""
         use_trust(self.trust_code)
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
-        if not 1 <= len(directories) <= MOST_RUNS:
+        if not 1 <= len(directories) <= MAX_RUNS:
             raise InputError(f"a replay shows one run or two, got {len(directories)}: name their directories in jobs/")
         from activestructure_gym.evaluation.archive.store import REPLAY, read_run
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.ground_truth.regions import Region
 
-_MOST_LISTED = 8  # regions
+_MAX_LISTED = 8  # regions
 _SAMPLES = 10_000  # of the surface, for the share that can be seen from regions that are not used
-_MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
+_MAX_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
         notes = [note for note in notes if ", ceiling height " not in note and "no ceiling found" not in note]
         notes.insert(0, f"no ceiling found over {100 * (1 - ground.covered_share):.0f} % of the level ground: {lid}")
     bottomless = float(np.isinf(space.height[space.clearance > 0]).mean())
-    if bottomless > _MOST_BOTTOMLESS:
+    if bottomless > _MAX_BOTTOMLESS:
         notes.append(f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?")
     notes += [text for text in (hardly_seen(known),) if text]
     lines += [("note", note) for note in notes]
@@ -130,7 +130,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
 def _listed(known: GroundTruth) -> list[Region]:
     """The regions with most level ground, and the one in use."""
     places, used = known.regions.places, known.regions.used
-    return [region for number, region in enumerate(places) if number < _MOST_LISTED or region is used]
+    return [region for number, region in enumerate(places) if number < _MAX_LISTED or region is used]
 
 
 def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from rich.cells import cell_len, set_cell_size
 
 GAP = 2  # columns between two entries of a line
 _BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end behind one of these; behind the latter where it must
-_LEAST = 8  # columns; a text that has fewer is left out
+_MIN_COLUMNS = 8  # columns; a text that has fewer is left out
 
 
 def breaks(text: str, width: int) -> list[int]:
@@ -67,7 +67,7 @@ def aligned(
         line = (head + row[-1]).rstrip()
         if width is None or cell_len(line) <= width:
             yield line
-        elif width - cell_len(head) >= _LEAST:
+        elif width - cell_len(head) >= _MIN_COLUMNS:
             yield head + shortened(row[-1], width - cell_len(head), ellipsis)
         else:
             yield from _with_indent(head.rstrip(), width)

@@ -31,7 +31,7 @@ from activestructure_gym.evaluation.metrics.fusion_kernels import (
 )
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-MOST_BLOCKS = 20_000_000  # that are known at a time, 160 MB; about 290,000 square metres at voxels of 2 cm
+MAX_BLOCKS = 20_000_000  # that are known at a time, 160 MB; about 290,000 square metres at voxels of 2 cm
 _ROOM = 320  # triangles per block to begin with: a plane through the middle, at a slant
 _CHUNK = 64  # blocks that one thread takes at a time
 _PIECE = 32 * _CHUNK  # blocks whose triangles are given at a time: 30 MB
@@ -39,7 +39,7 @@ _PART = 50_000  # blocks that are fused at a time, without those after them: 200
 _IMAGES = 64  # that are read, or drawn anew, at a time
 _KEPT_IMAGES = 256 << 20  # bytes; more images are drawn anew for every part
 _KEPT_TRIANGLES = 512 << 20  # bytes; more triangles are made anew whenever they are asked for
-_MOST_CELLS = 20_000_000  # blocks in the box around what one image sees; more means depths without any sense
+_MAX_CELLS = 20_000_000  # blocks in the box around what one image sees; more means depths without any sense
 _BITS = 21  # of a block's place along each axis, in its key
 
 _AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])  # a block itself, and the seven after it
@@ -115,9 +115,9 @@ class FusedSurface:
             depth, bounds = self._depth(images), self._bounds[first : first + _IMAGES]
             span(depth, self._intrinsics, self._poses[images], self._truncation, bounds)
             keys = np.union1d(keys, self._marked_by(depth, images))
-            if len(keys) > MOST_BLOCKS:
+            if len(keys) > MAX_BLOCKS:
                 raise InputError(
-                    f"the surface needs more than {MOST_BLOCKS:,} blocks of {SIDE} x {SIDE} x {SIDE} voxels of "
+                    f"the surface needs more than {MAX_BLOCKS:,} blocks of {SIDE} x {SIDE} x {SIDE} voxels of "
                     f"{self._voxel} m"
                 )
         return keys
@@ -131,7 +131,7 @@ class FusedSurface:
         low, high = self._bounds[images, 0].min(axis=0), self._bounds[images, 1].max(axis=0)
         first = np.floor(low / block).astype(np.int64) - 1  # one to spare on every side, for what is rounded
         shape = np.floor(high / block) - first + 2.0
-        if float(shape.prod()) > _MOST_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
+        if float(shape.prod()) > _MAX_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
             if len(images) == 1:
                 raise InputError(f"a depth image spans {(high - low).round(1)} m; expected a scene in metres")
             half = len(images) // 2  # two that look at places far apart
@@ -206,14 +206,14 @@ class FusedSurface:
 def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> None:
     """Raise `InputError` where so many square metres of surface, all of it seen, have more blocks than can be fused."""
     blocks = _blocks_for(area, voxel, truncation)
-    if blocks <= MOST_BLOCKS:
+    if blocks <= MAX_BLOCKS:
         return
     wider = voxel
-    while _blocks_for(area, wider, max(truncation, wider)) > MOST_BLOCKS:
+    while _blocks_for(area, wider, max(truncation, wider)) > MAX_BLOCKS:
         wider *= 1.1
     raise InputError(
         f"the {area:,.0f} m2 of surface in scene '{scene}' need about {blocks:,.0f} blocks of voxels of {voxel} m, and "
-        f"at most {MOST_BLOCKS:,} are fused: choose a tsdf_voxel_m of at least {math.ceil(1000 * wider) / 1000:g}, or "
+        f"at most {MAX_BLOCKS:,} are fused: choose a tsdf_voxel_m of at least {math.ceil(1000 * wider) / 1000:g}, or "
         "'means' as points_source"
     )
 

@@ -58,7 +58,7 @@ PUBLISHED = (
 # (layer of torchvision's AlexNet, stride, padding, whether pooling comes before it)
 _LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of images in -1..1
-_SMALLEST = 1e-8  # added to squared lengths
+_EPSILON = 1e-8  # added to squared lengths
 
 
 class Lpips:
@@ -85,7 +85,7 @@ class Lpips:
             both = torch.from_numpy(np.stack([rendered, true]).astype(np.float32)).permute(0, 3, 1, 2)
             total = 0.0
             for features, head in zip(self._features((2.0 * both - 1.0 - self._shift) / self._scale), self._heads):
-                unit = features / torch.sqrt(_SMALLEST + features.square().sum(dim=1, keepdim=True))
+                unit = features / torch.sqrt(_EPSILON + features.square().sum(dim=1, keepdim=True))
                 difference = (unit[:1] - unit[1:]).square()
                 total += float(torch.nn.functional.conv2d(difference, head).mean())
         return total

@@ -15,7 +15,7 @@ from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.renderer import make_renderer
 
 # A view straight at the floor or the ceiling shows one texture and tells little; 45 deg keeps all furniture in play.
-_STEEPEST_DEG = 45.0
+_MAX_PITCH_DEG = 45.0
 _MIN_CLEARANCE = 0.3  # metres from the camera to the nearest surface, as for candidate views
 
 # Raised whenever the drawing or the rendering of views changes, so that no old cache file is read.
@@ -94,7 +94,7 @@ def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
     seed = int(known.scene.content_hash[:16], 16)
     positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
     # Uniform over the band of the sphere: the height of a uniform point on it is uniform.
-    height = np.sin(np.radians(_STEEPEST_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
+    height = np.sin(np.radians(_MAX_PITCH_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
     azimuth = directions.uniform(0.0, 2.0 * np.pi, _POSES_DRAWN)[:count]
     across = np.sqrt(1.0 - height**2)
     looking = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)

@@ -19,7 +19,7 @@ from activestructure_gym.viewer import Film, Recorder
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
 
-_MOST_BYTES = 150 << 20  # of the moments of a replay: browsers read texts of up to 500 MB
+_MAX_BYTES = 150 << 20  # of the moments of a replay: browsers read texts of up to 500 MB
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def play_again(
     the run's files name code and are not ``trusted``; see `registry.refuse_code`.
     """
     with playing(run, trusted=trusted) as env:
-        recorder = Recorder(env.reconstruction, most_bytes=_MOST_BYTES)
+        recorder = Recorder(env.reconstruction, most_bytes=_MAX_BYTES)
         differs = follow(run, env, recorder.note, tell)
         recorder.note(end=True)
         film = recorder.film()

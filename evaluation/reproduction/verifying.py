@@ -33,7 +33,7 @@ COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GR
 # Up to which a number of one map agrees with that measured on another processor. Own choice, far above rounding:
 # agreement confirms nothing.
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
-_MOST = 5  # numbers that are named, the leading ones first
+_MAX_NAMED = 5  # numbers that are named, the leading ones first
 _LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
 _SHOWING = ("rich", "tyro", "pillow")  # packages that make no number
 
@@ -87,7 +87,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
 
 
 def numbers_that_differ(run: Run, again: Run) -> list[str]:
-    """The run's own numbers that come out otherwise, in words, `_MOST` of them."""
+    """The run's own numbers that come out otherwise, in words, `_MAX_NAMED` of them."""
     stored, found = (one.metrics["metrics"] for one in (run, again))
     names = dict.fromkeys((*_LEADING, *found, *stored))
     return _first(
@@ -242,4 +242,4 @@ def _shown(value: Any) -> str:
 
 def _first(texts: Any) -> list[str]:
     found: Sequence[str] = list(texts)
-    return [*found[:_MOST], *([f"{len(found) - _MOST} more numbers"] if len(found) > _MOST else [])]
+    return [*found[:_MAX_NAMED], *([f"{len(found) - _MAX_NAMED} more numbers"] if len(found) > _MAX_NAMED else [])]

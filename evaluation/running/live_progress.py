@@ -23,7 +23,7 @@ from activestructure_gym.streams import escape
 _REST_SHARE = 0.1
 _QUIET = 30.0  # seconds that a log says nothing at most
 _WIDE = 110  # columns from which on a terminal has room for long bars
-_WIDE_BAR, _NARROW_BAR, _LEAST = 24, 8, 8
+_WIDE_BAR, _NARROW_BAR, _MIN_BAR = 24, 8, 8
 _NUMBERS = 48  # columns of frames, C.R., time left and stage, with what is between them
 
 
@@ -37,7 +37,7 @@ class LiveProgress:
     def __init__(self, console: Console) -> None:
         self._console, self._jobs = console, 0
         bar = _WIDE_BAR if console.width >= _WIDE else _NARROW_BAR
-        self._room = max(console.width - bar - _NUMBERS, _LEAST)  # columns of a title
+        self._room = max(console.width - bar - _NUMBERS, _MIN_BAR)  # columns of a title
         self._display = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=bar),

@@ -12,7 +12,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 
 FIRST_SEED = {"validation": 100_000, "test": 200_000, "train": 300_000}
-_LARGEST = 100_000  # layouts of a kind
+_MAX_LAYOUTS = 100_000  # layouts of a kind
 
 
 def layout_specs(use: str, count: int, rooms: Sequence[int], *, lit: bool = True) -> tuple[str, ...]:
@@ -20,8 +20,8 @@ def layout_specs(use: str, count: int, rooms: Sequence[int], *, lit: bool = True
 
     Layouts that are not ``lit`` are the same triangles without light and textures; an eighth to a quarter of the time.
     """
-    if not 0 <= count <= _LARGEST:
-        raise InputError(f"there are at most {_LARGEST} layouts of a kind, got {count}")
+    if not 0 <= count <= _MAX_LAYOUTS:
+        raise InputError(f"there are at most {_MAX_LAYOUTS} layouts of a kind, got {count}")
     first, ending = FIRST_SEED[use], "" if lit else "&lit=false"
     return tuple(f"apartment?rooms={rooms[i % len(rooms)]}&seed={first + i}{ending}" for i in range(count))
 

@@ -33,7 +33,7 @@ from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
 from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
-from activestructure_gym.policies.learned.checkpoint import LARGEST_WEIGHTS
+from activestructure_gym.policies.learned.checkpoint import MAX_WEIGHT_BYTES
 from activestructure_gym.registry import refuse_code
 from activestructure_gym.sources import SOURCES, sources_in
 
@@ -52,7 +52,7 @@ BEST, LAST = "best.safetensors", "last.safetensors"
 SCORE = "validation/auc"  # what decides which checkpoint is the best
 _META = "training"
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of Adam and of AdamW
-_LARGEST_STATE = 3 * LARGEST_WEIGHTS  # bytes: the weights and two moments of each
+_MAX_STATE_BYTES = 3 * MAX_WEIGHT_BYTES  # bytes: the weights and two moments of each
 _BEGIN_AGAIN = "begin the run again in another --out"
 _ROW = table({"unit": number(0, whole=True)}, others=maybe(number()))
 _STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number()), "facts": table()})
@@ -216,7 +216,7 @@ class TrainingRun:
         if not file.is_file():
             return
         try:
-            self._tensors, notes = read_tensors(file, most=_LARGEST_STATE)
+            self._tensors, notes = read_tensors(file, most=_MAX_STATE_BYTES)
             meta = checked_json(notes.get(_META, "").encode(), _STATE_NOTES)
             if meta["position"] > self.config.units:
                 raise Mismatch(f"it is of unit {meta['position']}, of {self.config.units}")

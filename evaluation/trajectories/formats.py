@@ -35,8 +35,8 @@ from activestructure_gym.scenes.loaders.scannet import axis_alignment
 Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
 QUATERNIONS = frozenset({"tum", "habitat"})  # formats that write them, x y z w
-MOST_POSES = 200_000  # of a file
-_LARGEST = 64 << 20  # bytes of a text
+MAX_POSES = 200_000  # of a file
+_MAX_BYTES = 64 << 20  # bytes of a text
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line
 _WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}
 _SCANNETPP = "pose_intrinsic_imu.json"
@@ -48,12 +48,12 @@ _IN_FOLDERS = {
     "npz": "trajectory.npz",
 }
 _RIGID = 1e-3  # how far a rotation may be from one: files are written with 4 to 18 digits
-_FARTHEST = 1e6  # metres
+_MAX_COORDINATE_M = 1e6  # metres
 
 _POSES: schema.Check = schema.each(
     schema.table(
         {
-            "position": schema.each(schema.number(-_FARTHEST, _FARTHEST), length=3),
+            "position": schema.each(schema.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M), length=3),
             "rotation": schema.each(schema.number(-2, 2), length=4),
         }
     ),
@@ -110,8 +110,8 @@ def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:
                 f"'{path}' has {rows.shape[1]} numbers per line, and {kind} has {_WIDTHS[kind]}: give its --format"
             )
         poses = _tum(rows, path) if kind == "tum" else _matrices(rows)
-    if not 1 <= len(poses) <= MOST_POSES:
-        raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MOST_POSES} are read")
+    if not 1 <= len(poses) <= MAX_POSES:
+        raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MAX_POSES} are read")
     return _rigid(poses, path)
 
 
@@ -132,8 +132,8 @@ def arrays_of(path: Path) -> dict[str, np.ndarray]:
 def _text(path: Path) -> str:
     try:
         size = path.stat().st_size
-        if size > _LARGEST:
-            raise InputError(f"'{path}' has {size:,} bytes, at most {_LARGEST:,} are read")
+        if size > _MAX_BYTES:
+            raise InputError(f"'{path}' has {size:,} bytes, at most {_MAX_BYTES:,} are read")
         return path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
@@ -148,7 +148,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """
     words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
     lines = ((number, line) for number, line in words if line and not line[0].startswith("#"))
-    return list(islice(lines, MOST_POSES + 1))
+    return list(islice(lines, MAX_POSES + 1))
 
 
 def _by_width(path: Path) -> str:
@@ -215,7 +215,7 @@ def _habitat(path: Path) -> np.ndarray:
 def pose_files(folder: Path) -> list[Path]:
     """The files of a ScanNet scan's poses in the order of their numbers."""
     numbered = {int(file.stem): file for file in folder.glob("*.txt") if file.stem.isascii() and file.stem.isdigit()}
-    return [numbered[number] for number in sorted(numbered)][: MOST_POSES + 1]
+    return [numbered[number] for number in sorted(numbered)][: MAX_POSES + 1]
 
 
 def scan_text(folder: Path) -> Path:
@@ -271,10 +271,10 @@ def _rigid(poses: np.ndarray, path: Path) -> np.ndarray:
     finite = np.isfinite(poses).all(axis=(1, 2))
     kept = np.where(finite[:, None, None], poses, 0.0)
     far = np.abs(kept[:, :3, 3]).max(axis=1)
-    if (far > _FARTHEST).any():
-        at = int(np.argmax(far > _FARTHEST))
+    if (far > _MAX_COORDINATE_M).any():
+        at = int(np.argmax(far > _MAX_COORDINATE_M))
         raise InputError(f"pose {at + 1} of '{path}' stands {far[at]:g} m away: metres are expected")
-    kept = np.clip(kept, -_FARTHEST, _FARTHEST)
+    kept = np.clip(kept, -_MAX_COORDINATE_M, _MAX_COORDINATE_M)
     rotations = kept[:, :3, :3]
     straight = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _RIGID
     straight &= np.abs(kept[:, 3] - [0, 0, 0, 1]).max(axis=1) <= _RIGID

@@ -26,7 +26,7 @@ SOURCES = (
 
 # Guard rails, which the original lacks.
 PATIENCE = 3  # decisions in a row without a view above POOL_SHARE: the table is a draw from a larger pool
-MOST_VISITS = 2  # choices of one view in one stage
+MAX_VISITS = 2  # choices of one view in one stage
 STAGNATION = 30  # decisions in which the best share of the pool never sank: what is left stays uncovered
 
 
@@ -180,7 +180,7 @@ class ActiveGAMER(Planner):
             nearest[order[np.unique(names[order], axis=0, return_index=True)[1]]] = True
             pool &= nearest
         keys = [tuple(int(n) for n in name) for name in names]
-        kept = [key not in self._pruned and self._visits[key] < MOST_VISITS for key in keys]
+        kept = [key not in self._pruned and self._visits[key] < MAX_VISITS for key in keys]
         return keys, pool & np.array(kept, dtype=bool)
 
     def _ended(self, gain: np.ndarray) -> str | None:  # [n] of the pool

@@ -14,7 +14,7 @@ from activestructure_gym.volume import FREE
 
 KEPT = 0.8  # of the surface, the most uncertain
 CEILING = 0.8  # metres from the top of the workspace: what is higher is left out, as it joins all walls to one piece
-NEAREST = 1.0  # metres from the agent: a target nearer than this is none
+MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent: a target nearer than this is none
 
 
 def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
@@ -32,7 +32,7 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
     for cluster in np.flatnonzero(
         preferred(
             context.volume.state_at(found.targets) == FREE,
-            np.linalg.norm(found.targets - here, axis=1) > NEAREST,
+            np.linalg.norm(found.targets - here, axis=1) > MIN_TARGET_DISTANCE_M,
             ((found.targets >= context.bounds[0]) & (found.targets <= context.bounds[1])).all(axis=1),
         )
     ):  # the largest first

@@ -19,7 +19,7 @@ RADIUS = 0.2  # metres: of the agent
 REGION_M = 2.0  # metres: average distance at which two groups of nodes are no longer one subregion
 APART_M = 1e3  # metres that count as the way between nodes that no way connects
 VIEW_OPEN = 0.3  # 1 - opacity, for the views at a node
-VIEW_LEAST = 25.0  # square degrees: a smaller gap is no reason to look
+MIN_VIEW_DEG2 = 25.0  # square degrees: a smaller gap is no reason to look
 
 
 @FEATURES.register(
@@ -41,7 +41,7 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
 
 
 def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
-    """Sum of 1 - opacity over the gaps of more than VIEW_LEAST in the view's own image.
+    """Sum of 1 - opacity over the gaps of more than MIN_VIEW_DEG2 in the view's own image.
 
     The original looks for the gaps in the panorama of the node it stands at and turns to their centres; here the
     directions are given, and each is asked what it would show.
@@ -53,7 +53,7 @@ def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
         if mask.any():
             count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
             gaps = np.bincount(labels.ravel(), weights=degrees[k].ravel(), minlength=count)[1:]
-            total[k] = gaps[gaps > VIEW_LEAST].sum()
+            total[k] = gaps[gaps > MIN_VIEW_DEG2].sum()
     return total
 
 

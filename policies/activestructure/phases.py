@@ -44,7 +44,7 @@ PHASES = (
 PATIENCE = 3  # decisions in a row for which the pool must stay empty: 256 candidates are a draw from a larger pool
 GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's threshold)
 LOT = 4  # revisits, as many as a table offers, that together must raise the lowest tenth's PSNR ...
-LEAST_RISE = 0.25  # ... by so many dB, or there are no more
+MIN_RISE_DB = 0.25  # ... by so many dB, or there are no more
 
 
 def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
@@ -111,5 +111,5 @@ class Mending:
     def goes_on(self, lowest: float, revisits: int) -> bool:
         """Ask before a revisit, with the lowest tenth's PSNR in dB and how many there were; once over, always over."""
         if not self._over and revisits % LOT == 0:
-            self._before, self._over = lowest, lowest < self._before + LEAST_RISE
+            self._before, self._over = lowest, lowest < self._before + MIN_RISE_DB
         return not self._over

@@ -17,8 +17,8 @@ from activestructure_gym.policies.activestructure.information_gain import (
 )
 from activestructure_gym.policies.activestructure.phases import (
     GOOD_PSNR,
-    LEAST_RISE,
     LOT,
+    MIN_RISE_DB,
     PHASES,
     Mending,
     PhaseMachine,
@@ -215,7 +215,7 @@ class ActiveStructure(StructurePolicy):
         if lowest >= GOOD_PSNR:
             return f"nine tenths of the keyframes reach {GOOD_PSNR:g} dB"
         if not self._mending.goes_on(lowest, len(self._sent)):
-            return f"{LOT} revisits raised the lowest tenth by less than {LEAST_RISE:g} dB"
+            return f"{LOT} revisits raised the lowest tenth by less than {MIN_RISE_DB:g} dB"
         return None
 
 

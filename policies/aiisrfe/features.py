@@ -14,7 +14,7 @@ from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.volume import FREE
 
 CLUSTER = 2.0  # metres, side of the cubes that large frontiers are cut into (own choice)
-LEAST = 5  # voxels of a frontier (own choice)
+MIN_FRONTIER_VOXELS = 5  # voxels of a frontier (own choice)
 NEAR = 3.0  # metres from the agent (own choice)
 
 
@@ -66,7 +66,7 @@ def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 
     parts = np.column_stack([labels[tuple(voxels.T)], cubes])
     _, cluster, sizes = np.unique(parts, axis=0, return_inverse=True, return_counts=True)
     cluster = cluster.ravel()
-    kept = sizes[cluster] >= LEAST
+    kept = sizes[cluster] >= MIN_FRONTIER_VOXELS
     return centres[kept], np.unique(cluster[kept], return_inverse=True)[1].ravel()
 
 

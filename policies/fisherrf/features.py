@@ -14,7 +14,7 @@ from activestructure_gym.splatting.fisher import view_information
 
 GOALS = 20  # views whose ways are looked along
 END_WEIGHT = 30.0  # of the end, against the mean over the way
-LEAST = 1e-6  # per Gaussian: below it a view on the way tells nothing
+MIN_INFORMATION = 1e-6  # per Gaussian: below it a view on the way tells nothing
 
 
 @FEATURES.register("fisherrf_path", unit="per Gaussian of the map", low=0.0)
@@ -37,7 +37,7 @@ def fisherrf_path(context: FeatureContext) -> np.ndarray:  # [K]
     first = first[at_end[first] > 0]
     for row, way in zip(first, agent.ways(context.volume, poses[first])):
         if way is not None and len(way.keyframes):
-            on_way = np.log(np.maximum(information_along(context, way.keyframes), LEAST)).mean()
+            on_way = np.log(np.maximum(information_along(context, way.keyframes), MIN_INFORMATION)).mean()
             found[row] = np.exp((on_way + END_WEIGHT * np.log(at_end[row])) / (1.0 + END_WEIGHT))
     return found
 

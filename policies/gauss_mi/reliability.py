@@ -30,10 +30,10 @@ from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.rasterizers import rasterizer
 
 COLOR_SHARE, DEPTH_SHARE = 0.95, 0.05  # of the loss; colours 0..1, depth in metres
-LOSS_FACTOR, LEAST_LOSS = 1.7, 1e-4
+LOSS_FACTOR, MIN_LOSS = 1.7, 1e-4
 VOTE_FACTOR = 10.0
 CLEAR = 0.8  # transmittance in front, above which a pixel counts
-LEAST_PIXELS = 5
+MIN_PIXELS = 5
 OF_PIXELS = 640 * 480
 LIMIT = 10.0  # of the log-odds
 
@@ -65,7 +65,7 @@ class DirectionalReliability:
             pixel_values=pixel_votes(frame, shown), touch_transmittance=CLEAR, unseen=unseen,
         )  # fmt: skip
         scale = OF_PIXELS / (camera.width * camera.height)
-        vote = VOTE_FACTOR * scale * np.where(seen.touches * scale >= LEAST_PIXELS, seen.gathered, 0.0)
+        vote = VOTE_FACTOR * scale * np.where(seen.touches * scale >= MIN_PIXELS, seen.gathered, 0.0)
         shares = direction_shares(gaussians.parameters[:3, seen.indices].T, pose[:3, 3])
         votes = np.clip(vote[:, None] * shares, -LIMIT, LIMIT)
         log_odds[seen.indices] = np.clip(log_odds[seen.indices] + votes, -LIMIT, LIMIT)
@@ -76,7 +76,7 @@ def pixel_votes(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] float32
     loss = COLOR_SHARE * np.abs(shown.color - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
     depth = shown.depth / np.maximum(shown.alpha, 1e-6)
     loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(depth - frame.depth), 0.0)
-    return -np.log(np.maximum(LOSS_FACTOR * loss, LEAST_LOSS)).astype(np.float32)
+    return -np.log(np.maximum(LOSS_FACTOR * loss, MIN_LOSS)).astype(np.float32)
 
 
 def direction_shares(

@@ -12,9 +12,9 @@ from activestructure_gym.policies.schedule import SPLATAM
 
 # The paper prints no values for these; ours are shares of what a view could gain at most.
 QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
-LEAST_GAIN = 0.02  # g_lb: a view below is dropped
+MIN_GAIN = 0.02  # g_lb: a view below is dropped
 STORED_GAIN = 0.05  # g_thres: a view above that is not chosen goes into the library
-LEAST_OVERLAP = 0.5  # epsilon: from this overlap on two views are one to the library
+MIN_OVERLAP = 0.5  # epsilon: from this overlap on two views are one to the library
 OVERLAP_M = 2.0  # metres apart at which two views have nothing in common
 OVERLAP_RAD = np.pi / 2.0  # angle between them at which they have nothing in common: the width of the image
 
@@ -54,7 +54,7 @@ class GSPlanner(Planner):
 
     Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
     from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
-    LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
+    MIN_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
     Revisits are no candidates of it.
     Source: [gs_planner], by its text.
     """
@@ -91,7 +91,7 @@ class GSPlanner(Planner):
         valid, lengths = np.flatnonzero(candidates.valid), candidates.path_length.astype(np.float64)
         views = np.hstack([candidates.xyz, candidates.look]).astype(np.float64)
         rows = valid[best_per_viewpoint(views[valid, :3], lengths[valid], gain[valid])]
-        rows = rows[gain[rows] >= LEAST_GAIN]
+        rows = rows[gain[rows] >= MIN_GAIN]
         if len(rows):
             choice = int(rows[np.argmax(gain[rows])])
             self._forget(views[[choice]])
@@ -106,11 +106,11 @@ class GSPlanner(Planner):
 
     def _store(self, views: np.ndarray) -> None:  # [n, 6]
         for view in views:
-            if not len(self._library) or overlap(view[None], self._library).max() < LEAST_OVERLAP:
+            if not len(self._library) or overlap(view[None], self._library).max() < MIN_OVERLAP:
                 self._library = np.vstack([self._library, view])
 
     def _forget(self, chosen: np.ndarray) -> None:  # [1, 6]
-        self._library = self._library[overlap(self._library, chosen).max(axis=1, initial=0.0) < LEAST_OVERLAP]
+        self._library = self._library[overlap(self._library, chosen).max(axis=1, initial=0.0) < MIN_OVERLAP]
 
     def _offered(self, views: np.ndarray, gain: np.ndarray) -> np.ndarray:  # [n, 6], [n] -> [f] rows
         """Where the library's views, or what has most in common with them, stand in the table.
@@ -121,7 +121,7 @@ class GSPlanner(Planner):
             return np.zeros(0, dtype=np.int64)
         common = overlap(self._library, views)
         row = common.argmax(axis=1)
-        offered = common.max(axis=1) >= LEAST_OVERLAP
-        worth = gain[row] >= LEAST_GAIN
+        offered = common.max(axis=1) >= MIN_OVERLAP
+        worth = gain[row] >= MIN_GAIN
         self._library = self._library[~offered | worth]
         return row[offered & worth]

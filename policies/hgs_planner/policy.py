@@ -17,7 +17,7 @@ from activestructure_gym.policies.schedule import SPLATAM
 LOCAL_M = 3.0  # metres from the agent along x and along y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
 WORTH = 0.05  # of a view into nothing but unknown space; a part with a better view than that is not done
-_MOST = 6  # parts of a tour that is searched through in full
+_MAX_PARTS = 6  # parts of a tour that is searched through in full
 Sum = Literal["ranked", "raw"]
 
 
@@ -83,7 +83,7 @@ def first_of_tour(
     ways: np.ndarray,  # [P] metres from the agent to each part
     middles: np.ndarray,  # [P, 2] metres
 ) -> int:
-    """Where the shortest open tour through the nearest `_MOST` parts begins."""
+    """Where the shortest open tour through the nearest `_MAX_PARTS` parts begins."""
     return shortest_tour(ways, middles)[0]
 
 
@@ -91,8 +91,8 @@ def shortest_tour(
     ways: np.ndarray,  # [P] metres from the agent to each part
     middles: np.ndarray,  # [P, 2] metres
 ) -> tuple[int, ...]:
-    """The order of the nearest `_MOST` parts on the shortest open tour through them."""
-    nearest = np.argsort(ways, kind="stable")[:_MOST]
+    """The order of the nearest `_MAX_PARTS` parts on the shortest open tour through them."""
+    nearest = np.argsort(ways, kind="stable")[:_MAX_PARTS]
     between = np.linalg.norm(middles[:, None] - middles[None], axis=2)
 
     def length(tour: tuple[int, ...]) -> float:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
 FORMAT = 1
-LARGEST_WEIGHTS = 256 << 20  # bytes
-_LARGEST_HEADER, _LARGEST_DESCRIPTION = 1 << 20, 4 << 20  # bytes: of the tensors' names and shapes; of the JSON
+MAX_WEIGHT_BYTES = 256 << 20  # bytes
+_MAX_HEADER_BYTES, _MAX_DESCRIPTION_BYTES = 1 << 20, 4 << 20  # bytes: of the tensors' names and shapes; of the JSON
 WEIGHTS = ".safetensors"
 _DIGITS = 8
 _BEST = "best"  # of a folder: a training run's directory, or one that somebody saved into
@@ -73,7 +73,7 @@ def digest(weights: Path) -> str:
     return content.hexdigest()[:_DIGITS]
 
 
-def check_size(file: Path, most: int = LARGEST_WEIGHTS) -> None:
+def check_size(file: Path, most: int = MAX_WEIGHT_BYTES) -> None:
     """Raise `InputError` for a file larger than any of ours."""
     size = file.stat().st_size
     if size > most:
@@ -125,7 +125,7 @@ def read_tensors(
     file: Path,
     expected: Mapping[str, tuple[int, ...]] | None = None,  # shapes by name: exactly these
     *,
-    most: int = LARGEST_WEIGHTS,  # bytes
+    most: int = MAX_WEIGHT_BYTES,  # bytes
 ) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     """Tensors and notes of a safetensors file, all of them float32 and finite; nothing is read of a file with others.
 
@@ -137,7 +137,7 @@ def read_tensors(
     check_size(file, most)
     with open(file, "rb") as stream:
         header = int.from_bytes(stream.read(8), "little")
-    if header > _LARGEST_HEADER:
+    if header > _MAX_HEADER_BYTES:
         raise InputError(f"'{file}' is no whole safetensors file: its header would have {header:,} bytes")
     try:
         with safe_open(file, "pt") as stored:
@@ -165,7 +165,7 @@ def read_tensors(
 def _described(weights: Path) -> dict[str, Any]:
     file = weights.with_suffix(".json")
     try:
-        check_size(file, _LARGEST_DESCRIPTION)
+        check_size(file, _MAX_DESCRIPTION_BYTES)
         content = json.loads(file.read_text(encoding="utf-8"))
     except InputError:
         raise

@@ -27,7 +27,7 @@ PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
 
 # Least and most of every size: a checkpoint of a stranger must not fill the memory.
 LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
-MOST_GAINS = 64
+MAX_GAINS = 64
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class NetworkConfig:
         gains = self.gains
         if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
             raise InputError(f"a learned policy needs a list of gains by name, got {shown(gains)}")
-        if not 1 <= len(gains) <= MOST_GAINS:
-            raise InputError(f"a learned policy needs 1 to {MOST_GAINS} gains, got {len(gains)}")
+        if not 1 <= len(gains) <= MAX_GAINS:
+            raise InputError(f"a learned policy needs 1 to {MAX_GAINS} gains, got {len(gains)}")
         object.__setattr__(self, "gains", tuple(gains))
         for name, (least, most) in LIMITS.items():
             value = getattr(self, name)

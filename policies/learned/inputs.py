@@ -17,9 +17,9 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 Tensors = Mapping[str, Tensor]
 
 _REACH = 5.0  # metres that count as 1: the farthest a plane may be to be seen
-_FARTHEST = 4.0  # of those; what is farther away is as good as there
+_MAX_DISTANCE_M = 4.0  # of those; what is farther away is as good as there
 _TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-_SMALLEST_GAIN = 1e-3  # gains are told apart above a thousandth of an image
+_MIN_GAIN = 1e-3  # gains are told apart above a thousandth of an image
 
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
 _PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
@@ -56,7 +56,7 @@ def turned(vectors: Tensor, yaw: Tensor) -> Tensor:  # [B, N, 3], [B, 2] -> [B, 
 
 def near(offsets: Tensor) -> Tensor:
     """Metres in units of the reach, cut off far away."""
-    return (offsets / _REACH).clamp(-_FARTHEST, _FARTHEST)
+    return (offsets / _REACH).clamp(-_MAX_DISTANCE_M, _MAX_DISTANCE_M)
 
 
 def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
@@ -116,7 +116,7 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
 
 def gain_sizes(gains: Tensor) -> Tensor:
     """About 1 for a gain of 1, 0 for none; the sign is kept."""
-    return gains.sign() * (gains.abs() / _SMALLEST_GAIN).log1p() / 7
+    return gains.sign() * (gains.abs() / _MIN_GAIN).log1p() / 7
 
 
 def _shares(gains: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> [B, K, G] in -1..1

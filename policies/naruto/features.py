@@ -18,7 +18,7 @@ POOL = 4000  # most uncertain voxels, of which TARGETS are kept
 TARGETS = 300
 POOL_SHARE = 0.035  # of the grid's voxels, where that is less: 4000 of room0's 80 x 48 x 30
 TARGET_SHARE = 0.075  # of the pool
-NEAREST, FARTHEST = 0.5, 2.0  # metres between a goal and the targets it may count
+MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and the targets it may count
 SAMPLES = 30  # places between goal and target that must be free
 LISTED = 10  # targets of the look-at list
 
@@ -127,7 +127,7 @@ def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:
 def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.ndarray:  # [P, 3], [T, 3] -> [P, T]
     """Which targets lie at the right distance from each place, with nothing but free voxels on the way."""
     distance = np.linalg.norm(places[:, None] - targets, axis=2)
-    seen = (distance > NEAREST) & (distance < FARTHEST)
+    seen = (distance > MIN_TARGET_DISTANCE_M) & (distance < MAX_TARGET_DISTANCE_M)
     place, target = np.nonzero(seen)
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     samples = places[place][:, None] * (1.0 - share) + targets[target][:, None] * share  # [pairs, 30, 3]

@@ -8,11 +8,11 @@ import numpy as np
 
 from activestructure_gym.policies.naruto.features import LISTED, targets_from
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.facing import standing_places
 from activestructure_gym.sources.places import looking
 
-_MOST_PLACES = 600  # of which the score is worked out; where there are more, an even choice of them
+_MAX_PLACES = 600  # of which the score is worked out; where there are more, an even choice of them
 
 
 @SOURCES.register("targets")
@@ -27,12 +27,12 @@ class TargetFacing(Source):
     rows: int = 128
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"rows": f"[1, {MOST_ROWS}]"})
+        check_ranges(self, {"rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
         """Turns in place, then goals, the best first."""
         places = standing_places(context)
-        step = max(1, -(-len(places) // _MOST_PLACES))
+        step = max(1, -(-len(places) // _MAX_PLACES))
         here = context.agent.pose[:3, 3]
         places = np.concatenate([here[None], places[::step]])
         targets = targets_from(context.mapper, context.volume, places)

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.references.trajectory import named_trajector
 from activestructure_gym.evaluation.running.api import compare
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion.trajectory import poses_at
-from activestructure_gym.ranges import MOST_FRAMES
+from activestructure_gym.ranges import MAX_FRAMES
 from activestructure_gym.scenes import load_scene
 
 FRAMES = 70_000
@@ -32,8 +32,8 @@ def test_a_path_of_every_budget_that_is_allowed_can_be_read(monkeypatch: pytest.
     poses = np.broadcast_to(np.eye(4), (200_001, 4, 4))
     path = {"world_from_camera": poses, "keyframes": np.arange(0, 200_001, 50), **CAMERA}
     run_files.check_trajectory(path)
-    assert run_files.MOST_FRAMES == MOST_FRAMES > len(poses)
-    monkeypatch.setattr(run_files, "MOST_FRAMES", 200_000)
+    assert run_files.MAX_FRAMES == MAX_FRAMES > len(poses)
+    monkeypatch.setattr(run_files, "MAX_FRAMES", 200_000)
     with pytest.raises(Mismatch, match="200001 poses, at most 200000 are read"):
         run_files.check_trajectory(path)
 

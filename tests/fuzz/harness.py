@@ -25,7 +25,7 @@ import numpy as np
 
 SECONDS = 60.0  # per case
 MEGABYTES = 2048.0  # of growth per case
-_LONGEST_MESSAGE = 2000  # characters; a refusal is a sentence, and not the file
+_MAX_MESSAGE_CHARACTERS = 2000  # characters; a refusal is a sentence, and not the file
 _ADDRESSES = 16 << 30  # bytes of address space per process: the machine survives what the watching misses
 _REPOSITORY = str(Path(__file__).resolve().parents[2])
 # Words of Python in a message for people: counted, as some are part of an honest reason.
@@ -229,7 +229,7 @@ def _tried(read: Callable[[], object]) -> tuple[str, str]:
             return "failed", f"refused in {len(message.splitlines())} lines: {message[:500]!r}"
         if _CONTROL.search(message):
             return "failed", f"refused with control characters: {message[:500]!r}"
-        if len(message) > _LONGEST_MESSAGE:
+        if len(message) > _MAX_MESSAGE_CHARACTERS:
             return "failed", f"refused in {len(message)} characters: {message[:500]!r}"
         return "refused", message
     except SystemExit as error:

@@ -12,7 +12,7 @@ from activestructure_gym.planes.surface import SurfaceGrid
 
 CELL = 0.05  # metres
 ROWS, COLUMNS = 40, 20  # a wall of 2 m x 1 m
-LARGEST = 0.04  # metres
+MAX_DISTANCE_M = 0.04  # metres
 FAR_AWAY = np.array([[9.0, 9.0, 9.0]])
 
 
@@ -30,7 +30,7 @@ def on_cells(at: float = 1.0) -> np.ndarray:  # [N, 3] one point per cell of `wa
 
 def patches(nodes: list, means: np.ndarray, sizes: np.ndarray | float, least_cells: int = 20) -> SparsePatches:
     points = MapPoints(means, np.broadcast_to(np.asarray(sizes, float), len(means)).copy())
-    return sparse_patches(nodes, points, tile=10, least_cells=least_cells, largest=LARGEST)
+    return sparse_patches(nodes, points, tile=10, least_cells=least_cells, largest=MAX_DISTANCE_M)
 
 
 def test_a_wall_with_fine_gaussians_has_no_patch() -> None:
@@ -51,7 +51,7 @@ def test_a_wall_without_gaussians_is_all_patches_beside_one_that_is_fine() -> No
     np.testing.assert_array_equal(found.planes, [1] * 8)
     np.testing.assert_allclose(found.areas.sum(), 2.0)
     np.testing.assert_allclose(found.centres[:, 0], 1.0)
-    assert (found.sizes > LARGEST).all()
+    assert (found.sizes > MAX_DISTANCE_M).all()
 
 
 def test_only_the_bare_half_of_a_wall_is_sparse() -> None:
@@ -79,7 +79,7 @@ def test_the_size_of_a_patch_is_that_of_its_coarse_and_bare_cells() -> None:
     found = patches([wall()], both, sizes)
     # Of the first half metre three rows of cells are coarse and two bare; what is fine beside them does not count.
     np.testing.assert_allclose(found.areas[0], 50 * CELL**2)
-    np.testing.assert_allclose(found.sizes[0], (3 * 0.1 + 2 * 2 * LARGEST) / 5, rtol=1e-6)
+    np.testing.assert_allclose(found.sizes[0], (3 * 0.1 + 2 * 2 * MAX_DISTANCE_M) / 5, rtol=1e-6)
 
 
 def test_unseen_cells_and_small_remainders_do_not_count() -> None:
@@ -112,7 +112,7 @@ def test_a_map_without_gaussians_is_sparse_wherever_a_plane_was_seen() -> None:
     found = patches([wall(3.0), wall()], np.zeros((0, 3)), 0.03)
     np.testing.assert_allclose(found.areas.sum(), 4.0)
     np.testing.assert_array_equal(np.bincount(found.planes), [8, 8])
-    np.testing.assert_allclose(found.sizes, 2 * LARGEST)
+    np.testing.assert_allclose(found.sizes, 2 * MAX_DISTANCE_M)
 
 
 def test_no_tile_of_a_large_plane_is_lost() -> None:

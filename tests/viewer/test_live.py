@@ -217,7 +217,7 @@ def test_who_has_no_key_is_told_no_version_and_holds_few_threads(view: LiveView)
     answer = http.client.HTTPConnection(place.netloc, timeout=10)
     answer.request("GET", "/")
     assert answer.getresponse().getheader("Server") == "asg"
-    most, half = live._MOST_STRANGERS, []
+    most, half = live._MAX_STRANGERS, []
     for _ in range(2 * most):
         half.append(socket.create_connection(view._server.server_address[:2], timeout=10))  # type: ignore[arg-type]
         half[-1].sendall(b"GET / HTTP/1.1\r\n")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
-MOST_BYTES = 4 << 30  # of all files of a scene; they are held in memory while they are read
+MAX_BYTES = 4 << 30  # of all files of a scene; they are held in memory while they are read
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ LIMITS = {
     "nodes": Limit(100_000, 0.1, 10_000_000, "join its nodes"),
     "meshes and copies of them": Limit(50_000, 0.005, 1_000_000, "join its meshes by material"),
     "numbers in arrays": Limit(30_000_000, 4.0, 2_000_000_000, "write each array once"),
-    "bytes of pictures": Limit(64 << 20, 2.0, MOST_BYTES, "write each picture once"),
+    "bytes of pictures": Limit(64 << 20, 2.0, MAX_BYTES, "write each picture once"),
     "pixels": Limit(1_000_000_000, 16.0, 20_000_000_000, "make its pictures smaller"),
     "pixels after shrinking": Limit(64_000_000, 16.0, 4_000_000_000, "make its pictures smaller or max_texture lower"),
 }
@@ -65,8 +65,8 @@ class SceneBudget:
         if (status.st_dev, status.st_ino) not in self._files:
             self._files.add((status.st_dev, status.st_ino))
             self.bytes_read += status.st_size
-        if self.bytes_read > MOST_BYTES:
-            raise LimitError(f"its files have more than {MOST_BYTES >> 30} GB; decimate its meshes or split it")
+        if self.bytes_read > MAX_BYTES:
+            raise LimitError(f"its files have more than {MAX_BYTES >> 30} GB; decimate its meshes or split it")
         with open(path, "rb") as stream:
             return stream.read(status.st_size)  # files in /proc have size 0 and may never end
 

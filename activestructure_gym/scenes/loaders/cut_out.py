@@ -17,9 +17,9 @@ from activestructure_gym.scenes.loaders.opacity import Opacity, OpacityPicture
 
 FINEST = 0.01  # metres: shorter edges of pieces are not split
 _PER_PIXEL = 4.0  # edges shorter than 1 / this, in pixels, are not split
-_MOST_PIECES = 300_000  # per file; above it, FINEST is doubled
-_FEWEST_SQUARE_METRES = 1e-12  # per piece; smaller ones are dropped
-_FARTHEST = 1e6  # pixels: coordinates are clipped to this distance from the image's corner
+_MAX_PIECES = 300_000  # per file; above it, FINEST is doubled
+_MIN_AREA_M2 = 1e-12  # per piece; smaller ones are dropped
+_MAX_COORDINATE_PX = 1e6  # pixels: coordinates are clipped to this distance from the image's corner
 _PICTURES_AT_ONCE = 4  # number of images whose lookup tables are kept: 20 MB each
 _OPAQUE = 0.99  # points below it are translucent
 
@@ -50,7 +50,7 @@ class CutOut:
 
 
 class _TooMany(Exception):
-    """Signal that there would be more than `_MOST_PIECES` pieces."""
+    """Signal that there would be more than `_MAX_PIECES` pieces."""
 
 
 def cut_out(parts: Sequence[MeshPart], metres_per_unit: float = 1.0) -> tuple[list[MeshPart], CutOut]:
@@ -72,7 +72,7 @@ def _cut_all(parts: Sequence[MeshPart], metres_per_unit: float, finest: float) -
             kept.append(part)
             continue
         view = _View.of(part, part.opacity, metres_per_unit, pictures)
-        solid, more = _cut(part, part.opacity, view, finest, _MOST_PIECES - found.pieces)
+        solid, more = _cut(part, part.opacity, view, finest, _MAX_PIECES - found.pieces)
         kept += [solid] if len(solid.faces) else []
         found = replace(found, **{name: getattr(found, name) + getattr(more, name) for name in _COUNTED})
     return kept, found
@@ -144,7 +144,7 @@ class _View:
             faces=np.asarray(part.faces),
             positions=np.asarray(part.vertices, dtype=np.float64) * metres,
             values=opacity.at_vertices(count),
-            pixels=np.clip(pixels, -_FARTHEST, _FARTHEST),
+            pixels=np.clip(pixels, -_MAX_COORDINATE_PX, _MAX_COORDINATE_PX),
             picture=picture,
             threshold=opacity.threshold,
         )
@@ -189,7 +189,7 @@ class _View:
         face, corners = (np.concatenate(list(one)) for one in zip((face, corners), *done))
         sides = self.interpolated(self.positions, face, corners)
         doubled = np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
-        has_area = doubled > 2.0 * _FEWEST_SQUARE_METRES
+        has_area = doubled > 2.0 * _MIN_AREA_M2
         return face[has_area], corners[has_area]
 
     def _edges(self, face: np.ndarray, corners: np.ndarray, finest: float) -> np.ndarray:

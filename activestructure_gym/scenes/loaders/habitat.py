@@ -48,8 +48,8 @@ _ENDINGS = {
     "objects": ".object_config.json",
     "scene_instances": ".scene_instance.json",
 }
-_MOST_FILES = 200_000  # of one kind
-_MOST_OBJECTS = 20_000  # of a scene
+_MAX_FILES = 200_000  # of one kind
+_MAX_OBJECTS = 20_000  # of a scene
 
 
 def load_habitat_scene(
@@ -89,8 +89,8 @@ def load_habitat_scene(
             raise InputError(f"'{chosen}' names no stage_instance, which is the building itself")
         parts = _instance(dataset, "stages", stage, textures, chosen, "")
         listed = content.get("object_instances") or []
-        if not isinstance(listed, list) or len(listed) > _MOST_OBJECTS:
-            raise InputError(f"object_instances of '{chosen}' must be a list of at most {_MOST_OBJECTS}")
+        if not isinstance(listed, list) or len(listed) > _MAX_OBJECTS:
+            raise InputError(f"object_instances of '{chosen}' must be a list of at most {_MAX_OBJECTS}")
         origin = str(content.get("translation_origin", ""))
         for one in listed if objects else ():
             if not isinstance(one, Mapping):
@@ -125,7 +125,7 @@ class _Dataset:
         if kind not in self.known:
             root = self.path.parent
             found: dict[str, Path] = {}
-            for file in islice(_listed(self._section(kind), kind, root), _MOST_FILES):
+            for file in islice(_listed(self._section(kind), kind, root), _MAX_FILES):
                 ending = _ENDINGS[kind] if file.name.endswith(_ENDINGS[kind]) else file.suffix
                 # A configuration overrides a bare mesh of the same name.
                 found.setdefault(file.relative_to(root).as_posix().removesuffix(ending), file)

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 # Common formats that Pillow decodes itself; for PostScript it would start Ghostscript.
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA")
-MOST_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while decoding
-_MOST_SCANS = 100  # of a progressive JPEG; encoders write about ten, each a pass over all pixels
+MAX_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while decoding
+_MAX_SCANS = 100  # of a progressive JPEG; encoders write about ten, each a pass over all pixels
 
 
-def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MOST_PIXELS) -> Image:
+def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MAX_PIXELS) -> Image:
     """Return the image, not yet decoded.
 
     Raises `LimitError` if it is too large, and Pillow's errors if it is unreadable.
@@ -35,8 +35,8 @@ def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels
             raise LimitError(f"has more than {most_pixels:,} pixels") from error
     if image.width * image.height > most_pixels:
         raise LimitError(f"has {image.width} x {image.height} pixels; at most {most_pixels:,} are read")
-    if image.format in ("JPEG", "MPO") and data.count(b"\xff\xda") > _MOST_SCANS:
-        raise LimitError(f"has more than {_MOST_SCANS} progressive scans")
+    if image.format in ("JPEG", "MPO") and data.count(b"\xff\xda") > _MAX_SCANS:
+        raise LimitError(f"has more than {_MAX_SCANS} progressive scans")
     return image
 
 

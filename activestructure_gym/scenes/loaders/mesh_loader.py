@@ -38,7 +38,7 @@ _WORLD_FROM_FILE = {
     "-x": ((2, 1, 0), (1, 1, -1)),
 }
 
-_MOST_OVERLAP = 300  # triangle boxes on a line; scans and furnished scenes have 4 to 20
+_MAX_OVERLAP = 300  # triangle boxes on a line; scans and furnished scenes have 4 to 20
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, longest side of a room or building
 _USUAL_HEIGHT = 2.6  # metres, height of a room
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; larger steps distort walls and depth
@@ -353,10 +353,10 @@ def _check_overlap(path: Path, mesh: SceneMesh) -> None:
         total += _box_area(np.ptp(corners, axis=1)).sum()
     # Mean number of triangle boxes that a random line through the scene hits (Cauchy's formula).
     times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
-    if times > _MOST_OVERLAP:
+    if times > _MAX_OVERLAP:
         raise InputError(
             f"'{path}' has triangles that lie over each other: a line through it meets about {times:,.0f} of their "
-            f"boxes, where a furnished flat has 20 (at most {_MOST_OVERLAP}); remove the copies"
+            f"boxes, where a furnished flat has 20 (at most {_MAX_OVERLAP}); remove the copies"
         )
 
 

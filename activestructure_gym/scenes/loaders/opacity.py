@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SOLID_FROM = 0.5  # for formats without a cutoff
-LARGEST_PICTURE = 1024  # pixels; larger images are shrunk. Not an option, since an image's size must not move walls
+MAX_PICTURE_SIDE = 1024  # pixels; larger images are shrunk. Not an option, since an image's size must not move walls
 _ROUNDING = 1e-6  # 0.7 in float32 is less than 0.7
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue (ITU-R BT.709)
 
@@ -147,7 +147,7 @@ def _alpha(image: Image) -> Image | None:
 def _shrunk(channel: Image) -> np.ndarray:
     from PIL import Image as images
 
-    scale = LARGEST_PICTURE / max(channel.size)
+    scale = MAX_PICTURE_SIDE / max(channel.size)
     if scale < 1.0:
         size = (max(1, round(channel.width * scale)), max(1, round(channel.height * scale)))
         channel = channel.resize(size, images.Resampling.BOX)

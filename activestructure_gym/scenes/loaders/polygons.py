@@ -12,7 +12,7 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 # Sine of the angle by which a corner of a concave polygon must turn back. Float32 errors of a small face far from the
 # origin stay below it.
 _TURN = 1e-4
-_MOST_CORNERS = 10_000  # of a concave polygon: ear clipping then takes a third of a second, and grows with the square
+_MAX_CORNERS = 10_000  # of a concave polygon: ear clipping then takes a third of a second, and grows with the square
 
 
 def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,9 +82,9 @@ def ear_clipped(points: np.ndarray, rings: tuple[int, ...] = ()) -> np.ndarray: 
     """Return the triangles of one planar polygon [C, 3]; ``rings`` are the ends of its outline and holes."""
     import mapbox_earcut
 
-    if len(points) > _MOST_CORNERS:
+    if len(points) > _MAX_CORNERS:
         raise UnreadableMesh(
-            f"one of its concave polygons has {len(points):,} corners, more than {_MOST_CORNERS:,}: triangulate it"
+            f"one of its concave polygons has {len(points):,} corners, more than {_MAX_CORNERS:,}: triangulate it"
         )
     if not np.isfinite(points).all():  # reported by the loader
         return np.array([[0, k, k + 1] for k in range(1, len(points) - 1)]).reshape(-1, 3)

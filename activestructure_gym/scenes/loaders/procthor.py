@@ -31,8 +31,8 @@ from activestructure_gym.scenes.loaders.polygons import triangulated
 from activestructure_gym.scenes.scene import Scene
 
 SUFFIXES = (".json", ".jsonl", ".json.gz", ".jsonl.gz")
-_MOST_OBJECTS, _MOST_WALLS = 5000, 5000
-_LARGEST_HOUSE = 64 << 20  # bytes of one house
+_MAX_OBJECTS, _MAX_WALLS = 5000, 5000
+_MAX_HOUSE_BYTES = 64 << 20  # bytes of one house
 
 # Default width, depth and height in metres, by the first listed word in an asset's name.
 SIZES = {
@@ -100,9 +100,9 @@ def _house(file: io.BufferedIOBase, house: int, *, many: bool) -> bytes:
     if not many:
         if house:
             raise UnreadableMesh(f"it holds one house, and number {house} was asked for")
-        return _limited(file.read(_LARGEST_HOUSE + 1))
+        return _limited(file.read(_MAX_HOUSE_BYTES + 1))
     number = 0
-    while line := _limited(file.readline(_LARGEST_HOUSE + 1)):
+    while line := _limited(file.readline(_MAX_HOUSE_BYTES + 1)):
         if line.strip():
             if number == house:
                 return line
@@ -111,18 +111,18 @@ def _house(file: io.BufferedIOBase, house: int, *, many: bool) -> bytes:
 
 
 def _limited(data: bytes) -> bytes:
-    if len(data) > _LARGEST_HOUSE:
-        raise UnreadableMesh(f"a house has more than {_LARGEST_HOUSE:,} bytes")
+    if len(data) > _MAX_HOUSE_BYTES:
+        raise UnreadableMesh(f"a house has more than {_MAX_HOUSE_BYTES:,} bytes")
     return data
 
 
 def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
-    all_walls = [_Wall(wall) for wall in _list(house["walls"], "walls", _MOST_WALLS)]
+    all_walls = [_Wall(wall) for wall in _list(house["walls"], "walls", _MAX_WALLS)]
     walls = {wall.id: wall for wall in all_walls}
     rooms = {str(room["id"]) for room in house["rooms"]}
     panes: list[MeshPart] = []
     for kind in ("doors", "windows"):
-        for hole in _list(house.get(kind, []), kind, _MOST_WALLS):
+        for hole in _list(house.get(kind, []), kind, _MAX_WALLS):
             panes += _cut(hole, walls, rooms, door=kind == "doors")
     parts = [wall.part() for wall in all_walls if not wall.empty]
     top = max((wall.top for wall in all_walls), default=2.5)
@@ -132,7 +132,7 @@ def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
         parts += [_polygon(floor, tint), _polygon(floor + [0.0, 0.0, top - floor[:, 2].min()], (0.93, 0.93, 0.91))]
     parts += panes
     if objects:
-        for thing in _list(house.get("objects", []), "objects", _MOST_OBJECTS):
+        for thing in _list(house.get("objects", []), "objects", _MAX_OBJECTS):
             parts += _boxes(thing, on_floor=True)
     return parts
 
@@ -210,7 +210,7 @@ def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
     placed = corners @ spin.T + middle
     sides = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
     parts = [_quads(placed[np.array(sides)], _tint(name, "object"))]
-    for child in _list(thing.get("children", []), "children", _MOST_OBJECTS):
+    for child in _list(thing.get("children", []), "children", _MAX_OBJECTS):
         parts += _boxes(child, on_floor=False)
     return parts
 

@@ -22,7 +22,7 @@ from activestructure_gym.scenes.scene import Scene
 _SCANNET_MESH = "_vh_clean_2.ply"
 _SCANNETPP_MESH = Path("scans") / "mesh_aligned_0.05.ply"
 _RIGID = 1e-3  # the files have six decimals
-_FARTHEST = 1e4  # metres; largest translation of an alignment
+_MAX_TRANSLATION_M = 1e4  # metres; largest translation of an alignment
 
 
 def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
@@ -106,7 +106,7 @@ def _rigid(path: Path, said: str) -> np.ndarray:  # [4, 4]
         if (
             np.abs(turn @ turn.T - np.eye(3)).max() < _RIGID
             and np.linalg.det(turn) > 0
-            and np.abs(motion[:3, 3]).max() < _FARTHEST
+            and np.abs(motion[:3, 3]).max() < _MAX_TRANSLATION_M
             and np.abs(motion[3] - (0, 0, 0, 1)).max() < _RIGID
         ):
             return motion

@@ -24,7 +24,7 @@ from activestructure_gym.scenes.loaders.json_files import read_json
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MOST_PIXELS = 1 << 23  # per frame: 4K video; evaluations hold dozens of frames in memory
+MAX_PIXELS = 1 << 23  # per frame: 4K video; evaluations hold dozens of frames in memory
 _DEPTH_MODES = ("I;16", "I;16B", "I", "L")  # Pillow modes of single-channel integer images
 
 
@@ -57,7 +57,7 @@ class PosedSequence:
 
     def _image(self, file: Path) -> Image:
         try:
-            image = opened_image(SceneBudget().read(file), formats=("JPEG", "PNG"), most_pixels=MOST_PIXELS)
+            image = opened_image(SceneBudget().read(file), formats=("JPEG", "PNG"), most_pixels=MAX_PIXELS)
             if image.size != (self.camera.width, self.camera.height):
                 raise InputError(
                     f"'{file}' has {image.width} x {image.height} pixels, but cam_params.json says "
@@ -133,9 +133,9 @@ def _camera(path: Path) -> tuple[PinholeCamera, float]:
     if file is None:
         raise InputError(f"sequence '{path}' has no cam_params.json beside its folder ('{path.parent}')")
     camera, scale = read_json(file, "a camera (camera: w, h, fx, fy, cx, cy, scale)", _parsed_camera)
-    if camera.width * camera.height > MOST_PIXELS:
+    if camera.width * camera.height > MAX_PIXELS:
         raise InputError(
-            f"'{file}': frames of {camera.width} x {camera.height} pixels are too large (at most {MOST_PIXELS:,} "
+            f"'{file}': frames of {camera.width} x {camera.height} pixels are too large (at most {MAX_PIXELS:,} "
             "pixels are read); shrink them"
         )
     if not (scale > 0 and np.isfinite(scale)):

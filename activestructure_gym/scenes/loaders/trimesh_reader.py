@@ -149,13 +149,13 @@ _NO_MATERIAL = ("", "None", "(null)")  # written by exporters for no material
 
 
 # Materials times vertices: trimesh loops over all vertices for every material, 2 ns each.
-_MOST_PASSES = 5_000_000_000
+_MAX_PASSES = 5_000_000_000
 _LINE_ENDS = (b"\n", b"\r", b"\v", b"\f", b"\x1c", b"\x1d", b"\x1e")
 
 
 def _check_materials(text: str) -> None:
     materials, vertices = len(set(re.findall(r"^usemtl.*", text, re.MULTILINE))), text.count("\nv ")
-    if materials * vertices > _MOST_PASSES:
+    if materials * vertices > _MAX_PASSES:
         raise UnreadableMesh(
             f"it has {materials:,} materials over {vertices:,} vertices, which takes minutes; join its materials"
         )

@@ -29,8 +29,8 @@ _COLUMNS = 22
 _FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted at a time
 _LEVELS = 4096  # steps of the height within a column
 
-_SHORTEST_GAP = 0.3  # fraction of the side: shorter free lines are inside furniture and walls
-_FEWEST_LINES = 0.15  # fraction of the columns: with fewer free lines it is not a room
+_MIN_GAP = 0.3  # fraction of the side: shorter free lines are inside furniture and walls
+_MIN_LINES = 0.15  # fraction of the columns: with fewer free lines it is not a room
 _NEAR = 0.04  # fraction of the side: points this close to floor or ceiling belong to it
 _END = 0.12  # fraction of the side: walls and ceilings are up to this far behind frames and sills
 # minimum cosines between a normal and the axis: of walls and floors; of any supporting surface
@@ -41,7 +41,7 @@ _STANDS_OUT = 1.3  # factor on surface per length of the next side: shorter and 
 _CLEARLY_OUT = 2.2  # empty rooms narrower than high have up to 1.9 across
 _TELLS = 0.45  # evidence for one end, of at most about 3: furnished rooms have 1.2 to 2.4, empty ones -0.1 to 0.8
 _CLEAR = 1.0
-_LEAST_BETWEEN = 0.015  # fraction of the level surface: with less there is no furniture to judge by
+_MIN_BETWEEN = 0.015  # fraction of the level surface: with less there is no furniture to judge by
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class _Side:
 
     @property
     def is_room_high(self) -> bool:
-        return self.lines >= _FEWEST_LINES and CEILING_HEIGHTS[0] <= self.height <= CEILING_HEIGHTS[1]
+        return self.lines >= _MIN_LINES and CEILING_HEIGHTS[0] <= self.height <= CEILING_HEIGHTS[1]
 
     @property
     def floor_is_low(self) -> float:
         """Return the evidence that the low end is the floor; negative if the high end is."""
-        if self.between < _LEAST_BETWEEN:
+        if self.between < _MIN_BETWEEN:
             return 0.0
         # Lines that end on small surfaces are no evidence: door heads hang down as far as a single chair is high.
         lines = (self.standing - self.hanging) / (self.standing + self.hanging + 0.03)
@@ -276,7 +276,7 @@ def _free_lines(column: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.
     first = np.searchsorted(of[1:], held)  # columns are sorted: the first gap of each
     longest = np.maximum.reduceat(gap, first)
     of_longest = np.repeat(longest, np.diff(np.append(first, len(gap))))
-    is_longest = np.flatnonzero((gap == of_longest) & (gap >= _SHORTEST_GAP * _LEVELS))
+    is_longest = np.flatnonzero((gap == of_longest) & (gap >= _MIN_GAP * _LEVELS))
     _, chosen = np.unique(of[is_longest], return_index=True)
     line = is_longest[chosen]
     return at[line] / _LEVELS, at[line + 1] / _LEVELS, len(held)

@@ -11,7 +11,7 @@ import numpy as np
 Steps = Sequence[Mapping[str, Any]]  # the lines of steps.jsonl
 
 SETTLED = "settled"  # the band of what is decided once nothing is left for the last phase to do
-_MOST_DRAWN = 2000  # decisions of an episode; of more, an even choice: the picture has fewer pixels
+_MAX_DRAWN = 2000  # decisions of an episode; of more, an even choice: the picture has fewer pixels
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def bands(steps: Steps) -> list[Band]:
 
 def drawn_decisions(count: int) -> list[int]:
     """Return the numbers of the decisions that are shown: all, or an even choice of them with the last one."""
-    every = -(-count // _MOST_DRAWN) or 1
+    every = -(-count // _MAX_DRAWN) or 1
     return sorted({*range(0, count, every), *range(max(count - 1, 0), count)})
 
 

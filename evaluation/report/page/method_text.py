@@ -165,7 +165,7 @@ def trajectories_text(results: Results) -> list[str]:
         motion = runs[0].config["configuration"].get("motion", {})
         step, turn = motion.get("max_step_m", 0.0), motion.get("max_turn_deg", 0.0)
         total = {key: sum(run.metrics["metrics"].get(key, 0) for run in runs) for key in _BESIDE}
-        most = {key: max(run.metrics["metrics"].get(key, 0.0) for run in runs) for key in _LARGEST}
+        most = {key: max(run.metrics["metrics"].get(key, 0.0) for run in runs) for key in _MOTION_KEYS}
         told.append(
             f"`{name}` ({total['frames']} frames) {total['collisions']} collisions, {total['poses_outside']} poses "
             f"outside of the free space, {total['steps_too_long']} steps over {step:g} m (largest "
@@ -176,7 +176,7 @@ def trajectories_text(results: Results) -> list[str]:
 
 
 _BESIDE = ("frames", "collisions", "poses_outside", "steps_too_long", "turns_too_wide")
-_LARGEST = ("largest_step_m", "largest_turn_deg")
+_MOTION_KEYS = ("largest_step_m", "largest_turn_deg")
 
 
 def definitions(results: Results) -> list[str]:

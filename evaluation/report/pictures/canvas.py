@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
 
 _PANELS = "asg:panels-2"  # entry of a picture's file
-_MOST_PIXELS = 1 << 26  # of a stored picture
+_MAX_PIXELS = 1 << 26  # of a stored picture
 GAP = 6  # pixels between tiles
 MARGIN = 14
 _TITLE, _LABELS = 30, 22  # pixels above the tiles
@@ -138,7 +138,7 @@ def stored_picture(path: Path) -> Image.Image | None:
         return None
     try:
         with Image.open(path, formats=("PNG",)) as picture:
-            if picture.width * picture.height > _MOST_PIXELS:
+            if picture.width * picture.height > _MAX_PIXELS:
                 return None
             picture.load()
             return picture

@@ -17,8 +17,8 @@ from activestructure_gym.planes.record import GraphArrays, seen_cells
 _LEVEL = 0.8  # |z| of the normal from which a plane is an area of the plan and not a stroke
 _FLOOR_M = 0.2  # level planes this near to the lowest are floor
 _PIXELS_PER_METRE = 120
-_LONGEST_SIDE = 600  # pixels, without the margin
-_LARGEST_PLAN = 3000  # pixels of the longer side of the whole plan, which is drawn first
+_MAX_SIDE_PX = 600  # pixels, without the margin
+_MAX_PLAN_SIDE_PX = 3000  # pixels of the longer side of the whole plan, which is drawn first
 _AROUND = 40  # pixels of the plan around the outermost planes; the scale bar stands there
 _FADED = 0.75  # share of paper in the plan below
 _FLOOR = 0.45  # opacity
@@ -59,8 +59,8 @@ def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Proj
     if not len(points):
         points = np.stack([plan["plan_corner"], plan["plan_corner"] + plan["plan_extent"]])
     low, high = points.min(axis=0), points.max(axis=0)
-    whole = _LARGEST_PLAN / float(plan["plan_extent"].max())  # of which the planes may take a small part
-    scale = min(_PIXELS_PER_METRE, _LONGEST_SIDE / max(float((high - low).max()), 0.1), whole) * SMOOTH
+    whole = _MAX_PLAN_SIDE_PX / float(plan["plan_extent"].max())  # of which the planes may take a small part
+    scale = min(_PIXELS_PER_METRE, _MAX_SIDE_PX / max(float((high - low).max()), 0.1), whole) * SMOOTH
     corner = low - _AROUND * SMOOTH / scale
     size = pixel_size(high + _AROUND * SMOOTH / scale - corner, scale)
     rows = np.array([[scale, 0.0, 0.0], [0.0, -scale, 0.0]])

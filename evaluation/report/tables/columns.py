@@ -86,9 +86,9 @@ QUALITY = (
 )
 
 # How soon the surface was seen, and what late frames were worth; see `metrics.planning`.
-LEAST = "least_"  # before the name of a number of frames: where the budget was too small, the budget
+LOWER_BOUND = "least_"  # before the name of a number of frames: where the budget was too small, the budget
 PROGRESS = (
-    *(Column(f"{LEAST}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
+    *(Column(f"{LOWER_BOUND}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
     _EXPLORATION,
     Column("late_psnr_rate", "late PSNR", "dB / 100 frames", 2, "highest"),
     Column("late_depth_rate", "late Depth", "cm / 100 frames", 2, "lowest"),
@@ -130,10 +130,10 @@ def value_of(run: Run, key: str) -> float | None:
     if key in stages:
         return sum(run.timing.get("seconds", {}).get(stage, 0.0) for stage in stages[key])
     metrics = run.metrics["metrics"]
-    if key.startswith(LEAST):
+    if key.startswith(LOWER_BOUND):
         if metrics.get("observed_area") is None:
             return None
-        name = key.removeprefix(LEAST)
+        name = key.removeprefix(LOWER_BOUND)
         return run.config["configuration"]["frame_budget"] if exceeded(run, key) else metrics[name]
     if key == "lpips" and metrics.get(key) is None:  # it may have been measured later
         return run.numbers.get(key)
@@ -142,7 +142,7 @@ def value_of(run: Run, key: str) -> float | None:
 
 def exceeded(run: Run, key: str) -> bool:
     """Whether a number of frames of `PROGRESS` is the budget in place of more than that."""
-    return key.startswith(LEAST) and run.metrics["metrics"].get(key.removeprefix(LEAST)) is None
+    return key.startswith(LOWER_BOUND) and run.metrics["metrics"].get(key.removeprefix(LOWER_BOUND)) is None
 
 
 def ratios_text(run: Run) -> str:
@@ -200,6 +200,6 @@ def measured(columns: Iterable[Column], runs: Sequence[Run]) -> list[Column]:
 def unreached(runs: Sequence[Run]) -> str:
     """Return a sentence that names the shares of the surface that no run observed; empty if there is none."""
     known = [run for run in runs if run.metrics["metrics"].get("observed_area") is not None]
-    keys = [(level, f"{LEAST}frames_to_{level}") for level in LEVELS]
+    keys = [(level, f"{LOWER_BOUND}frames_to_{level}") for level in LEVELS]
     levels = [f"{level} %" for level, key in keys if known and all(exceeded(run, key) for run in known)]
     return f"No run observed {' or '.join(levels)} of the surface" if levels else ""

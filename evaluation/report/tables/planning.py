@@ -6,7 +6,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from activestructure_gym.evaluation.report.results import Results, once
-from activestructure_gym.evaluation.report.tables.columns import LEAST, PROGRESS, Column, exceeded, measured, unreached
+from activestructure_gym.evaluation.report.tables.columns import (
+    LOWER_BOUND,
+    PROGRESS,
+    Column,
+    exceeded,
+    measured,
+    unreached,
+)
 from activestructure_gym.evaluation.report.tables.layout import MISSING, Cell, Heading, Table, ranked, with_interval
 from activestructure_gym.evaluation.report.tables.overview import empty_rich_table, styled
 from activestructure_gym.evaluation.statistics import estimate
@@ -14,7 +21,7 @@ from activestructure_gym.evaluation.statistics import estimate
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LEAST)]  # the lowest first
+_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LOWER_BOUND)]  # the lowest first
 
 
 @once

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.evaluation.archive.schema import (
-    LARGEST_JSON,
+    MAX_JSON_BYTES,
     Array,
     Mismatch,
     check_arrays,
@@ -85,7 +85,7 @@ def test_a_file_is_read_up_to_a_size(tmp_path):
     path.write_text('{"a": 1}')
     assert read_checked_json(path) == {"a": 1}
     with open(path, "wb") as file:
-        file.truncate(LARGEST_JSON + 1)
+        file.truncate(MAX_JSON_BYTES + 1)
     with pytest.raises(Mismatch, match="it has 67,108,865 bytes, at most 67,108,864 are read"):
         read_checked_json(path)
     with pytest.raises(Mismatch, match="no regular file"):

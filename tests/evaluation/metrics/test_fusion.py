@@ -150,6 +150,6 @@ def test_images_that_look_at_places_far_apart_need_no_box_around_both():
 
 
 def test_more_blocks_than_can_be_held_are_refused(monkeypatch):
-    monkeypatch.setattr(fusion, "MOST_BLOCKS", 20)
+    monkeypatch.setattr(fusion, "MAX_BLOCKS", 20)
     with pytest.raises(InputError, match="more than 20 blocks of 8 x 8 x 8 voxels of 0.05 m"):
         fused_surface(np.full((1, 90, 120), 2.0, np.float32), CAMERA, np.eye(4)[None], voxel=0.05, truncation=0.1)

@@ -179,7 +179,7 @@ def test_no_part_of_a_large_surface_lies_far_from_its_samples_by_chance():
 
 
 def test_a_surface_that_cannot_be_fused_is_none_with_a_reason_and_all_else_is_measured(wall, monkeypatch):
-    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MOST_BLOCKS", 10)
+    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MAX_BLOCKS", 10)
     solid = GaussianMap()
     solid.append(gaussians(wall.surface.points, opacity=0.95))
     path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
@@ -192,7 +192,7 @@ def test_a_surface_that_cannot_be_fused_is_none_with_a_reason_and_all_else_is_me
 
 
 def test_a_surface_of_too_many_blocks_is_refused_before_the_first_frame(monkeypatch):
-    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MOST_BLOCKS", 1000)
+    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MAX_BLOCKS", 1000)
     known = ground_truth_of(load_scene("box"))
     few = StandardProtocol(views=1, view_width=32, view_height=18, surface_samples=2000)
     with pytest.raises(InputError, match=r"m2 of surface in scene 'box-0' need about [0-9,]+ blocks") as refusal:

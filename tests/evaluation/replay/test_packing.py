@@ -83,7 +83,7 @@ def test_a_page_shows_an_even_choice_of_what_is_too_much(
     from activestructure_gym.viewer import packing
 
     recording = recordings[0]
-    monkeypatch.setattr(packing, "_MOST_GAUSSIANS", len(recording.born) // 3)
+    monkeypatch.setattr(packing, "_MAX_GAUSSIANS", len(recording.born) // 3)
     decisions = len(recording.run.steps)
     shown = [moment for moment in recording.moments if moment.decision % 2 == 0 or moment.decision == decisions]
     told, arrays = unpacked(pack(replace(recording, moments=shown, differs="")))

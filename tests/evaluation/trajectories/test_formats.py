@@ -162,7 +162,7 @@ def test_recordings_of_scannetpp(tmp_path: Path) -> None:
 
 
 def test_no_more_lines_are_read_than_poses_may_be(tmp_path, monkeypatch):
-    monkeypatch.setattr(formats, "MOST_POSES", 3)
+    monkeypatch.setattr(formats, "MAX_POSES", 3)
     (tmp_path / "long.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4 + "1 0\n" * 50)
     with pytest.raises(InputError, match="holds 4 poses, from 1 to 3 are read"):
         read_poses(tmp_path / "long.txt")

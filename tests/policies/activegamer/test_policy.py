@@ -9,7 +9,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
 from activestructure_gym.policies.activegamer.policy import (
     COARSE_DIRECTIONS,
     GOOD_PSNR,
-    MOST_VISITS,
+    MAX_VISITS,
     PATIENCE,
     POOL_SHARE,
     SOURCES,
@@ -165,7 +165,7 @@ def test_pathology_it_returns_to_windows_until_a_guard_rail_stops_it() -> None:
     for decision in range(10):
         # The same window from the same place, and a real but smaller gap somewhere else in every decision.
         chosen.append(made.act(observation([0.6, 0.2], [(0, 0, 0), (2.0 + decision, 0, 0)])))
-    assert chosen == [0] * MOST_VISITS + [1] * (10 - MOST_VISITS)
+    assert chosen == [0] * MAX_VISITS + [1] * (10 - MAX_VISITS)
     # From ever new places the cap on visits does not help; the stage ends all the same.
     made = policy()
     for decision in range(STAGNATION + 1):

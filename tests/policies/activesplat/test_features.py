@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
-from activestructure_gym.policies.activesplat.features import VIEW_LEAST, looked_around, regions
+from activestructure_gym.policies.activesplat.features import MIN_VIEW_DEG2, looked_around, regions
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 from activestructure_gym.volume import FREE, VoxelVolume
@@ -124,5 +124,5 @@ def test_a_view_counts_gaps_in_square_degrees_and_no_small_ones() -> None:
     assert show(20.0) == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(20.0))) * np.degrees(1) ** 2, rel=0.03)
     # In the middle of this image a pixel is 2.9 degrees wide: four of them are a gap, two are not.
     assert show(2.5) == pytest.approx(4 * np.degrees(1 / 20.0) ** 2, rel=0.01)
-    assert VIEW_LEAST > 0.5 * show(2.5)
+    assert MIN_VIEW_DEG2 > 0.5 * show(2.5)
     assert show(2.5, above=0.0) == 0.0

@@ -36,7 +36,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     suppression,
     view_surprise,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, LEAST_RISE, LOT, PATIENCE, SentTo, in_pool
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, LOT, MIN_RISE_DB, PATIENCE, SentTo, in_pool
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.sensors.rgbd import SensorConfig
 from tests.policies.binding import bound
@@ -360,8 +360,8 @@ def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:
     for _ in range(3):  # each lot is as much better as it must be, however the single ones turn out
         for step in range(LOT):
             assert revisits(psnr - (0.5 if step else 0.0), place := place + 1.0)
-        psnr += 1.01 * LEAST_RISE
-    psnr -= 0.02 * LEAST_RISE
+        psnr += 1.01 * MIN_RISE_DB
+    psnr -= 0.02 * MIN_RISE_DB
     assert not revisits(psnr, place + 1.0)
     assert not revisits(psnr - 10.0, place + 2.0)
     policy.reset(0)

@@ -7,7 +7,7 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.gs_planner.policy import (
-    LEAST_GAIN,
+    MIN_GAIN,
     QUALITY_WEIGHT,
     SPACING_M,
     STORED_GAIN,
@@ -88,7 +88,7 @@ def test_views_left_behind_are_come_back_to_and_forgotten() -> None:
     assert made.act(near) == 0
     assert made.trace()["library"] == 1  # 4 m ahead; 8 m ahead is not worth storing
     # At the end of a corridor: nothing near is worth a view, and of what is far the stored one is, to half a metre.
-    poor = [0.5 * LEAST_GAIN] * VIEWPOINTS
+    poor = [0.5 * MIN_GAIN] * VIEWPOINTS
     x = [30.0 + 2.0 * i for i in range(VIEWPOINTS)]
     far = observation([*poor, 0.2, 0.9], [*x, 60.0, 65.0])
     far["candidates"][VIEWPOINTS, 0] = 4.5
@@ -104,8 +104,8 @@ def test_a_stored_view_that_lost_its_gain_leaves_and_one_not_on_offer_stays() ->
     made = policy()
     made.act(observation([0.5, 0.3, 0.3], [0.0, 4.0, 20.0]))
     assert made.trace()["library"] == 2
-    poor = [0.5 * LEAST_GAIN] * VIEWPOINTS
-    barren = observation([*poor, 0.5 * LEAST_GAIN], [*[30.0 + 2.0 * i for i in range(VIEWPOINTS)], 60.0])
+    poor = [0.5 * MIN_GAIN] * VIEWPOINTS
+    barren = observation([*poor, 0.5 * MIN_GAIN], [*[30.0 + 2.0 * i for i in range(VIEWPOINTS)], 60.0])
     barren["candidates"][VIEWPOINTS, 0] = 4.0
     made.act(barren)
     assert made.trace() == {"volume": pytest.approx(0.01), "loss": 0.0, "from": "all", "library": 1}
@@ -113,7 +113,7 @@ def test_a_stored_view_that_lost_its_gain_leaves_and_one_not_on_offer_stays() ->
 
 def test_pathology_it_stays_with_small_near_gains_while_most_is_far() -> None:
     """Nothing weighs the near against the far as long as the near is worth anything at all."""
-    gain = [1.5 * LEAST_GAIN] * VIEWPOINTS + [0.9] * 20
+    gain = [1.5 * MIN_GAIN] * VIEWPOINTS + [0.9] * 20
     seen = observation(gain, [2.0 * i for i in range(len(gain))])
     assert policy().act(seen) < VIEWPOINTS
 

@@ -99,7 +99,7 @@ def test_pieces_are_not_split_below_a_centimetre_whatever_the_unit(rng):
 
 
 def test_where_there_would_be_too_many_pieces_the_steps_are_wider(rng, monkeypatch):
-    monkeypatch.setattr(module, "_MOST_PIECES", 3000)
+    monkeypatch.setattr(module, "_MAX_PIECES", 3000)
     picture = np.where(rng.random((200, 200)) < 0.5, 0, 255).astype(np.uint8)
     (solid,), found = cut_out([_part(Opacity(picture=picture, uv=UV))])
     assert found.finest > 0.01 and found.pieces <= 3010 and _area(solid) == pytest.approx(2.0, rel=0.2)
@@ -115,7 +115,7 @@ def test_a_picture_and_values_at_vertices_multiply():
 
 
 def test_odd_coordinates_do_no_harm(monkeypatch):
-    monkeypatch.setattr(module, "_MOST_PIECES", 1000)
+    monkeypatch.setattr(module, "_MAX_PIECES", 1000)
     uv = UV.copy()
     uv[0] = np.nan, 1e30
     picture = np.array([[0, 255], [255, 0]], np.uint8)

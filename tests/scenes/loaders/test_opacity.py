@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.scenes.loaders.opacity import LARGEST_PICTURE, Opacity, OpacityPicture, opacity_picture
+from activestructure_gym.scenes.loaders.opacity import MAX_PICTURE_SIDE, Opacity, OpacityPicture, opacity_picture
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 
@@ -54,10 +54,10 @@ def test_a_palette_may_have_a_transparent_colour():
 
 
 def test_large_pictures_shrink():
-    alpha = np.zeros((2, 2 * LARGEST_PICTURE, 4), np.uint8)
-    alpha[:, :LARGEST_PICTURE, 3] = 255
+    alpha = np.zeros((2, 2 * MAX_PICTURE_SIDE, 4), np.uint8)
+    alpha[:, :MAX_PICTURE_SIDE, 3] = 255
     found = opacity_picture(Image.fromarray(alpha), "alpha")
-    assert found.shape == (1, LARGEST_PICTURE) and found[0, LARGEST_PICTURE // 2 - 1 :][:2].tolist() == [255, 0]
+    assert found.shape == (1, MAX_PICTURE_SIDE) and found[0, MAX_PICTURE_SIDE // 2 - 1 :][:2].tolist() == [255, 0]
 
 
 def test_values_that_are_not_finite_are_opaque():

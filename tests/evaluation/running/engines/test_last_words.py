@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from activestructure_gym.errors import LONGEST
+from activestructure_gym.errors import MAX_CHARACTERS
 from activestructure_gym.evaluation.running.engines.last_words import error_words, last_words
 
 
@@ -16,4 +16,6 @@ def test_a_policys_words_are_one_short_printable_line(tmp_path: Path) -> None:
         last_words(log, 0, -9),
         error_words(RuntimeError("\x1b[2J\n✓" + "x" * 100_000)),
     ):
-        assert said.isprintable() and len(said) < LONGEST + 200 and said.startswith("RuntimeError: \\x1b[2J"), said[:50]
+        assert said.isprintable() and len(said) < MAX_CHARACTERS + 200 and said.startswith("RuntimeError: \\x1b[2J"), (
+            said[:50]
+        )

@@ -11,19 +11,19 @@ from rich.console import Console
 from rich.table import Table
 
 from activestructure_gym.evaluation.cli.fields import Names, PresetName, Switch, option
-from activestructure_gym.evaluation.cli.options import split_list
+from activestructure_gym.evaluation.cli.options import split_list, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
 
-SceneNames = Annotated[str | None, option("SCENE,...", "")]
+SceneNames = Annotated[tuple[str, ...], option("SCENE [SCENE ...]")]
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Speed of the sensor: RGB-D frames per second by renderer and size."""
+    """Measure the RGB-D frames per second of the sensor by renderer and size."""
 
-    scene: SceneNames = None
-    """The scenes it looks at, separated by commas; room if not given."""
+    scenes: SceneNames = ("room",)
+    """Render these scenes."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -31,24 +31,24 @@ class Sensor:
 
         console = make_console()
         with console.status("measuring the sensor"):
-            rows = run_sensor_benchmark(split_names(self.scene) or ["room"])
+            rows = run_sensor_benchmark(split_scenes(self.scenes))
         print_rows(console, rows, "speed of the sensor on this machine")
         return 0
 
 
 @dataclass(frozen=True)
 class Splatting:
-    """Speed of the rasteriser, in what mapping and the scoring of candidate views ask of it."""
+    """Measure the rasteriser's speed in mapping and in scoring candidate views."""
 
     workloads: Names = ("W1", "W2", "W3", "W4")
     (
-        "Mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k (W3), and 64 "
-        "candidate views of 50k (W4)."
+        "Measure mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k (W3), "
+        "and 64 candidate views of 50k (W4)."
     )
     repeats: int = 15
-    """How often everything is timed."""
+    """Time everything this many times."""
     baseline: bool = True
-    """Measure plain torch beside it, for the ratios: minutes instead of half a minute."""
+    """Measure plain torch as well, for the ratios: minutes instead of half a minute."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -72,14 +72,14 @@ class Splatting:
 
 @dataclass(frozen=True)
 class Env:
-    """Steps per second of the environment in one process and in two, and where their time goes."""
+    """Measure the steps per second of the environment in one process and in two, and the time of their stages."""
 
-    scene: SceneNames = None
-    """The scenes in which steps are taken, separated by commas; apartment?rooms=3 if not given."""
+    scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: apartment?rooms=3; --quick: box)")] = ()
+    """Take steps in these scenes."""
     preset: PresetName = "fast"
-    """What `asg config PRESET` prints."""
+    """Use the configuration that `asg config PRESET` prints."""
     quick: Switch = False
-    """In small, to see that it runs."""
+    """Measure in small, to see that it runs."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -90,7 +90,7 @@ class Env:
         size: dict[str, Any] = {"rounds": 1, "seconds": 0.5} if self.quick else {}
         with console.status("measuring the environment") as status:
             speed, rows = run_env_benchmark(
-                split_names(self.scene) or (["box"] if self.quick else SCENES),
+                split_scenes(self.scenes) or (["box"] if self.quick else SCENES),
                 preset=known_preset(self.preset),
                 notify=lambda line: status.update(f"measuring the {escape(line)}"),
                 **size,
@@ -103,7 +103,7 @@ class Env:
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
 @dataclass(frozen=True)
 class Bench:
-    """Measure a part on this machine, and print what was measured."""
+    """Measure the speed of the sensor, the rasteriser or the environment."""
 
     part: (
         Annotated[Sensor, tyro.conf.subcommand("sensor")]
@@ -118,7 +118,7 @@ class Bench:
 
 
 def split_names(scenes: str | None) -> tuple[str, ...]:
-    """Scenes separated by commas; () where none is given."""
+    """Split a text of scenes at its commas; () without one."""
     return split_list([scenes] if scenes else [])
 
 

@@ -314,7 +314,7 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
 
     rows = [{"scene": "box", "size": (160, 90), "raycast": 123.456, "pyrender": None}]
     monkeypatch.setattr(benchmark, "run_sensor_benchmark", lambda scenes: rows if scenes == ("box",) else [])
-    assert main(["bench", "sensor", "--scene", "box"]) == 0
+    assert main(["bench", "sensor", "--scenes", "box"]) == 0
     out = capsys.readouterr().out
     assert "160 .. 90" in out and "123" in out and "n/a" in out
 

@@ -128,7 +128,7 @@ def test_a_part_has_its_own_options_alone():
     assert taken["bc"] - taken["rank"] == {"temperature"} and not taken["rank"] - taken["bc"]
     assert taken["ppo"] - taken["bc"] == {"start", "iterations", "steps", "envs"}
     assert not taken["eval"] & {"seed", "gains", "noise", "resume", "gamma"}
-    assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scene"}
+    assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scenes"}
 
 
 def test_a_list_that_is_said_twice_has_all_its_values():

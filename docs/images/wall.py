@@ -33,7 +33,7 @@ def main() -> None:
     near, close = pose.copy(), PinholeCamera.from_size(*SIZE, sensor.horizontal_fov_deg)
     near[:3, 3] += ahead * pose[:3, 2]
     rgb, depth = renderer.render(camera, pose)
-    pictures = [("the keyframe, 5 m away", Image.fromarray(rgb).resize(SIZE, Image.Resampling.MIN_TARGET_DISTANCE_M))]
+    pictures = [("the keyframe, 5 m away", Image.fromarray(rgb).resize(SIZE, Image.Resampling.NEAREST))]
     pictures.append((f"the wall from {NEAR} m", Image.fromarray(renderer.render(close, near)[0])))
     for name, changes in RULES.items():
         mapper = Mapper(configure("default", changes).mapper, np.random.default_rng(0))

@@ -40,7 +40,7 @@ def draw_plan(
 def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
     """Known space and the map from above over it, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
-    picture = _ground(arrays).resize(size, Image.Resampling.MIN_TARGET_DISTANCE_M)
+    picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
     opacity = Image.fromarray(arrays["above_alpha"], "L").resize(size, Image.Resampling.BICUBIC)
     picture.paste(above, (0, 0), opacity)

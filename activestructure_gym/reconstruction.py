@@ -96,7 +96,7 @@ class Reconstruction:
 
         The ground truth gives the start pose and the free radius around it; it is not stored. ``start_pose`` is
         ``world_from_camera`` [4, 4]; by default one of the scene's start poses is drawn from the seed. Raises
-        `InputError` if the pose lies outside the scene or in collision.
+        `InputError` if the pose is outside the scene or in collision.
         """
         config, scene = self.config, truth.scene
         # One random stream per consumer: a policy's choices cannot change the noise, nor the noise the planned paths.

@@ -243,7 +243,7 @@ class Regions:
         return self._may_be_below(region) and not two_empty_storeys and self._is_over(other, region)
 
     def _is_over(self, other: Region, region: Region) -> bool:
-        """Return whether at least half of the other region's ground lies above a region."""
+        """Return whether at least half of the other region's ground is above a region."""
         ground = self.ground(other)
         lowest = self.grid.origin[2] + region.box[2].start * self.grid.voxel_size
         covered = np.asarray(region.voxels.any(axis=2))
@@ -251,7 +251,7 @@ class Regions:
         return bool(ground.area[above].sum() >= 0.5 * ground.level_area)
 
     def _is_behind(self, other: Region) -> bool:
-        """Return whether an open region lies behind the walls of the default: all surfaces show it their back sides."""
+        """Return whether an open region is behind the walls of the default: all surfaces show it their back sides."""
         default = self.default
         return (
             default.enclosed

@@ -15,7 +15,7 @@ def lattice_samples(
     """Sample so that every surface point is within ``spacing / sqrt(2)`` of a sample; at least one per face.
 
     Rows are parallel to each triangle's longest edge, half a spacing apart, starting on that edge. From any point of
-    the triangle, the next row lies perpendicularly below, however flat the triangle. A needle thus needs one row only.
+    the triangle, the next row is perpendicularly below, however flat the triangle. A needle thus needs one row only.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]  # [F, 3, 3]
     edges = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)  # [F, 3]: from corner k to k + 1

@@ -24,7 +24,7 @@ _SPECK = 4  # cells: unknown islands up to this size count as free
 
 @dataclass(frozen=True)
 class VoronoiGraph:
-    """Hold the graph. Nodes are vertices of degree 3 or more; chains to corners and dead ends are removed."""
+    """Hold the graph. Nodes are vertices of degree 3 or more; chains without a second junction are removed."""
 
     nodes: np.ndarray  # [N, 2] metres, world, sorted by coordinates
     clearance: np.ndarray  # [N] metres to the outline

@@ -110,7 +110,7 @@ class Interior:
     mask: np.ndarray  # [R, C] uint8: I, seen cells after closing, enclosed holes filled
     missing_share: float  # g = |I \\ O| / |I|
     cells: int  # number of cells of I
-    hull_cells: int  # cells whose centre lies in the convex hull of the seen cells
+    hull_cells: int  # cells with their centre in the convex hull of the seen cells
     missing: np.ndarray  # [R', C'] bool: I \\ O in the bounding rectangle of the seen cells
     corner: np.ndarray  # [2] array cell of its first row and column
 
@@ -152,7 +152,7 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
 
 
 def cells_in_polygon(corners: np.ndarray) -> int:
-    """Return the number of cells whose centre lies in or on a convex polygon [N, 2] with cells as corners.
+    """Return the number of cells with their centre in or on a convex polygon [N, 2] with cells as corners.
 
     By Pick's theorem: area + half of the border cells + 1. Rasterising would also count cells touched by the outline, a
     third more on a narrow oblique strip.
@@ -176,7 +176,7 @@ def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.n
 def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return one cell per tile of every hole, and the tile's number of cells.
 
-    It is the tile's cell nearest to their mean, so it never lies outside the hole.
+    It is the tile's cell nearest to their mean, so it is never outside the hole.
     """
     if np.count_nonzero(missing) < config.min_hole_cells:
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)

@@ -17,7 +17,7 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
     """Return the content of ``graph.npz``, for N planes, E edges and D deficiency centres. Metres, world frame.
 
     Planes: ``ids`` [N], ``normals`` [N, 3] and ``offsets`` [N] with normal . x + offset = 0, ``centroids`` [N, 3],
-    ``areas`` [N] m^2, ``observations`` [N] keyframes, ``structural`` [N] bool, ``modes`` [N, 8] in the order of
+    ``areas`` [N] m^2, ``observations`` [N] keyframes, ``structural`` [N] bool. Then ``modes`` [N, 8] in the order of
     ``mode_names`` [8], ``quality`` [N], ``surprise`` [N] and its three factors ``surprise_factors`` [N, 3]
     (connectivity, neighbourhood, geometric), ``deficit`` [N], ``betweenness`` [N].
 

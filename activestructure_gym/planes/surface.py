@@ -39,8 +39,8 @@ class Patch:
 class SurfaceGrid:
     """Hold the seen cells of one plane.
 
-    The frame is orthonormal: ``axes[0]`` and ``axes[1]`` lie in the plane, ``axes[2]`` is its normal; ``origin`` lies
-    on the plane. Array cell (0, 0) is cell ``low`` of the frame.
+    The frame is orthonormal: ``axes[0]`` and ``axes[1]`` lie in the plane, ``axes[2]`` is its normal; ``origin`` is on
+    the plane. Array cell (0, 0) is cell ``low`` of the frame.
     """
 
     def __init__(self, origin: np.ndarray, axes: np.ndarray, cell: float) -> None:

@@ -123,9 +123,9 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     Parameters
     ----------
     spec
-        A `Scene` (returned unchanged), a path, or a text of one of these forms: ``apartment?seed=3&rooms=4`` (a
-        registered name), ``my_package.scenes:make`` (a factory to import), ``house.glb?units=cm&up=y`` (a mesh file, or
-        the folder of a dataset's scene), ``replica:room_0`` (the same with the loader named).
+        A `Scene` (returned unchanged), a path, or a text. Forms of a text: ``apartment?seed=3&rooms=4`` (a registered
+        name) or ``my_package.scenes:make`` (a factory to import). Also ``house.glb?units=cm&up=y`` (a mesh file, or the
+        folder of a dataset's scene) or ``replica:room_0`` (the same with the loader named).
     **options
         Keyword arguments of the factory, and ``inside`` for any scene: a point (x, y, z) in metres in the free-space
         region to use. They override options in the text.

@@ -3,7 +3,7 @@
 Import this module only through `pyrender_backend`, which prepares the import of pyrender. Subclasses fix faults of
 pyrender 0.1.45, so that other users of pyrender in the process are not affected:
 
-* Its frame buffer has 4 samples per pixel and takes the depth of the first one, which lies off the pixel's centre by a
+* Its frame buffer has 4 samples per pixel and takes the depth of the first one, which is off the pixel's centre by a
 driver-dependent amount. This one has one sample, at the centre.
 * Deleting one context closes the connection to the display, and with it every other context. Here it stays open.
 * It leaves the context bound to the thread that drew last. Here it is released, so that any thread may draw next.

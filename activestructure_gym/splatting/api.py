@@ -95,8 +95,8 @@ def rasterize(
     camera
         Pixels and focal lengths.
     sh
-        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting: colour = max(0,
-        0.5 + sum of coefficient times harmonic), seen from the camera centre.
+        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting. Colour =
+        max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
     channels
         [N, D] further values to blend.
     centre_depth

@@ -40,11 +40,11 @@ class Rendering:
 class LossWeights:
     """Weight the terms of the mapping loss.
 
-    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of (1 - A)^2
-    where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is above 0.5. With
-    ``normalised_depth=False`` it is the accumulated depth itself, compared wherever a depth was measured. Either sum is
-    divided by the number of pixels with a measured depth. Without the last term black surfaces become transparent,
-    which is equivalent in front of the black background.
+    Loss = image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * M. M is the mean over all
+    pixels of (1 - A)^2 where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is
+    above 0.5. With ``normalised_depth=False`` it is the accumulated depth itself, compared wherever a depth was
+    measured. Either sum is divided by the number of pixels with a measured depth. Without the last term black surfaces
+    become transparent, which is equivalent in front of the black background.
     """
 
     image: float = 0.5  # of the colour terms

@@ -93,7 +93,7 @@ class _Lives:
         self.cells = np.concatenate([self.cells, new])
         self.cell_frames = np.concatenate([self.cell_frames, np.full(len(new), frame)])
 
-    def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] born, [N] died
+    def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] added, [N] removed
         """Return all Gaussians and their frames of addition and removal, sorted by addition."""
         last = np.iinfo(np.int32).max
         parameters = np.concatenate([self.parameters, *(block for block, _, _ in self.gone)], axis=1)

@@ -114,7 +114,7 @@ class CandidatePool:
         """Create the pool around the start position ``anchor`` [3] within ``bounds`` [2, 3] (metres, world).
 
         ``clearance_m`` is the minimum distance of a candidate to space not known to be free. Raises `InputError` if no
-        height lies within the bounds.
+        height is within the bounds.
         """
         self.config = config
         self._clearance_m = clearance_m

@@ -221,7 +221,7 @@ class VoxelVolume:
         return self.origin + (np.asarray(indices) + 0.5) * self.voxel_size
 
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
-        """Return whether each point lies inside the grid."""
+        """Return whether each point is inside the grid."""
         voxels = self.voxel_of(points)
         return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
 
@@ -238,7 +238,7 @@ class VoxelVolume:
     def unobserved(self) -> np.ndarray:  # [X, Y, Z] bool
         """Return which voxels are unobserved: neither free nor occupied, and without a ray through the centre.
 
-        Use it to select targets for new views; use `state` for motion. In front of every surface lies a shell that rays
+        Use it to select targets for new views; use `state` for motion. In front of every surface is a shell that rays
         crossed without proving it free: the margin, partial footprints, several views beyond 2.4 m. More views of the
         surface do not clear it.
         """

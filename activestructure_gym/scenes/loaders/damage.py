@@ -1,4 +1,4 @@
-"""Describe damage of mesh files in messages that tell users what to do."""
+"""Describe damage of mesh files in messages with a remedy."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Load any mesh as a `Scene`: the common loader for glb, gltf, obj, ply, stl and dae.
 
 File units and axes are converted to metres and z up. Every fault of a mesh is reported in one sentence, and a scale
-check tells the user whether the units are plausible.
+check reports whether the units are plausible.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Infer the up axis from the geometry: many files do not state it, and some state a wrong one.
 
 An indoor scene has a floor and a ceiling: two level surfaces at the distance of a room's height. They have more area
-than the walls along any other axis, and usually lie along the shortest side. Furniture stands on the floor, so geometry
+than the walls along any other axis, and usually lie along the shortest side. Furniture is on the floor, so geometry
 between the two is mostly near the floor, and free vertical lines end on furniture below and at the bare ceiling above.
 If this evidence is weak or contradictory, there is no verdict. Winding is ignored: half of all files have it inverted.
 """

@@ -25,7 +25,7 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit
     """Return a furnished apartment with exactly ``rooms`` rooms (1 to 7), deterministic in its arguments.
 
     The first room is a living room. With ``rooms=1`` the seed selects living room, bedroom, study or kitchen in turn.
-    The floor is z = 0, the ceiling 2.7 m, and the plan lies in x, y >= 0. ``lit=False`` skips light and textures, which
+    The floor is z = 0, the ceiling 2.7 m, and the plan is in x, y >= 0. ``lit=False`` skips light and textures, which
     take most of the time: the same triangles in flat colours. Raises `InputError` for invalid arguments.
     """
     _check_seed(seed)

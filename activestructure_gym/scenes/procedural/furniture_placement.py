@@ -130,7 +130,7 @@ class RoomPlanner:
         return self.piece(kind, x, y, wall.yaw, size, base=base)
 
     def fits(self, rect: Rect, *, gap: float = GAP) -> bool:
-        """Return whether a footprint lies inside the room and on free floor."""
+        """Return whether a footprint is inside the room and on free floor."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )
@@ -141,7 +141,7 @@ class RoomPlanner:
         )
 
     def free_of_furniture(self, rect: Rect) -> bool:
-        """Return whether a person can stand there: inside the room and free of furniture."""
+        """Return whether a position is suitable for a person: inside the room and free of furniture."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )

@@ -29,7 +29,7 @@ class GroundTruth:
     do; the sensor takes the `Scene` alone. Properties raise `InputError` if the scene has no free space.
     """
 
-    scene: Scene
+    scene: Scene  # the scene described
     surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, visible or not
 
     @cached_property

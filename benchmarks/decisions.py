@@ -12,8 +12,8 @@ from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.directory_lock import hold
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
-from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.files import replaced
@@ -29,8 +29,8 @@ _RECORDS, _RESULT = "decisions.jsonl", "decisions.json"
 class Decisions:
     """Frozen decisions of episodes: the true newly observed area of every candidate, and whose pick comes near it."""
 
-    scene: str | None = None
-    """The scenes that are explored, separated by commas; a room and an apartment if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes that are explored, space or comma between them; a room and an apartment if not given."""
     seeds: tuple[str, ...] = ("0",)
     """Whole numbers from 0 on, an episode each."""
     played: str = "hole_area"
@@ -70,7 +70,7 @@ class Decisions:
 
     def _decide(self, settings: Settings, seeds: Sequence[int], folder: Path | None) -> int:
         console = make_console()
-        scenes = split_names(self.scene) or (("box",) if self.quick else benchmark.SCENES)
+        scenes = split_scenes(self.scenes) or (("box",) if self.quick else benchmark.SCENES)
         records = [] if folder is None else _kept(folder, settings)
         asked = {(scene, seed) for scene in scenes for seed in seeds}
         with progress_bar(console, disable=not console.is_terminal) as bar:

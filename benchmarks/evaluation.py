@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.ground_truth import ground_truth_of
@@ -109,15 +110,15 @@ def _timed(work: Callable[[], T]) -> tuple[T, dict[str, float]]:
 class Evaluation:
     """What the evaluation of an episode costs, by stages."""
 
-    scene: str | None = None
-    """The scenes that are explored, separated by commas; a room and an apartment if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes that are explored, space or comma between them; a room and an apartment if not given."""
     quick: bool = False
     """In small, to see that it runs."""
 
     def run(self) -> int:
         """Measure and print."""
         console = make_console()
-        rows = measure_evaluation(console, split_names(self.scene), quick=self.quick)
+        rows = measure_evaluation(console, split_scenes(self.scenes), quick=self.quick)
         print_rows(console, rows, "cost of an episode's evaluation, the truth in the cache")
         return 0
 

@@ -21,7 +21,8 @@ from rich.console import Console
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -123,8 +124,8 @@ def _processor_seconds() -> tuple[float, float]:
 class Grid:
     """What the supervisor of a comparison costs: the same jobs by hand and through it."""
 
-    scene: str | None = None
-    """The scenes that are explored, separated by commas; room if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes that are explored, space or comma between them; room if not given."""
     quick: bool = False
     """In small, to see that it runs."""
 
@@ -133,7 +134,7 @@ class Grid:
         console = make_console()
         size: dict[str, Any] = {"frames": 8, "seeds": (0,), "repeats": 1} if self.quick else {}
         with working(console, "measuring the grid") as notify:
-            chosen = split_names(self.scene) or (["box"] if self.quick else ["room"])
+            chosen = split_scenes(self.scenes) or (["box"] if self.quick else ["room"])
             rows = run_grid_benchmark(chosen, notify=notify, **size)
         print_rows(console, rows, "the same jobs by hand and through the supervisor")
         return 0

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
@@ -167,8 +168,8 @@ def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
 class Quality:
     """Quality of maps on held-out views, by every recipe of the mapper."""
 
-    scene: str | None = None
-    """The scenes that are mapped, separated by commas; two apartments if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes that are mapped, space or comma between them; two apartments if not given."""
     out: str | None = None
     """Directory for mapping.jpg and mapping.json; only printed if not given."""
     quick: bool = False
@@ -177,7 +178,7 @@ class Quality:
     def run(self) -> int:
         """Measure and print."""
         console = make_console()
-        rows = _quality(console, split_names(self.scene), quick=self.quick, out=self.out)
+        rows = _quality(console, split_scenes(self.scenes), quick=self.quick, out=self.out)
         print_rows(console, rows, "quality of maps on held-out views")
         return 0
 

@@ -24,7 +24,8 @@ import cv2
 import numpy as np
 
 from activestructure_gym.evaluation.benchmarks.sensors import benchmark_views
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.depth_noise import CLOSEST, GROWTH, LEAST, axial_sigma
@@ -353,8 +354,8 @@ def _measured(detect: Detector, frames: Sequence[Frame], truths: Sequence[TruePl
 class Planes:
     """Planes found in depth pictures, beside those of OpenCV, and what the graph of planes costs a decision."""
 
-    scene: str | None = None
-    """The scenes whose planes are sought, separated by commas; a room and an apartment if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes whose planes are sought, space or comma between them; a room and an apartment if not given."""
     quick: bool = False
     """In small, to see that it runs."""
 
@@ -365,7 +366,7 @@ class Planes:
         console = make_console()
         sizes, views, keyframes = (SIZES[:1], 4, 8) if self.quick else (SIZES, 20, 60)
         with console.status("measuring the planes"):
-            loaded = [load_scene(spec) for spec in split_names(self.scene) or SCENES]
+            loaded = [load_scene(spec) for spec in split_scenes(self.scenes) or SCENES]
             rows = [row for scene in loaded for row in detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in graph_rows(scene, keyframes=keyframes)]
         print_rows(console, costs, "milliseconds of the planes per decision, 256 candidates")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.bench import print_rows, split_names
-from activestructure_gym.evaluation.cli.options import split_policies
+from activestructure_gym.evaluation.cli.bench import print_rows
+from activestructure_gym.evaluation.cli.options import split_policies, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.streams import escape
@@ -144,8 +144,8 @@ def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
 class Policies:
     """Seconds of a decision by every policy, in one state of an episode."""
 
-    scene: str | None = None
-    """The scenes where they decide, separated by commas; apartment?rooms=3 if not given."""
+    scenes: tuple[str, ...] = ()
+    """The scenes where they decide, space or comma between them; apartment?rooms=3 if not given."""
     policies: tuple[str, ...] = ()
     """Who decides; everybody if nobody is named."""
     gaussians: int | None = None
@@ -174,7 +174,7 @@ class Policies:
         with console.status("measuring the policies") as status:
             rows = [
                 row | {"scene": spec}
-                for spec in split_names(self.scene) or ["box" if self.quick else SCENE]
+                for spec in split_scenes(self.scenes) or ["box" if self.quick else SCENE]
                 for row in run_policy_benchmark(
                     spec, policies=names, notify=lambda line: status.update(escape(line)), **size
                 )

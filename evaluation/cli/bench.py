@@ -117,11 +117,6 @@ class Bench:
         return self.part.run()
 
 
-def split_names(scenes: str | None) -> tuple[str, ...]:
-    """Split a text of scenes at its commas; () without one."""
-    return split_list([scenes] if scenes else [])
-
-
 def print_rows(console: Console, rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print one table."""
     print_whole(console, rows_table(rows, title=title))

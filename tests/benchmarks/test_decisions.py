@@ -19,8 +19,8 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
     played = []
     monkeypatch.setattr(benchmark, "frozen_decisions", lambda *given: played.append(given[:2]) or made_up(*given))
     command = ["--features", "pixel", "--out", str(tmp_path / "new"), "--seeds"]
-    assert run(Decisions, [*command, "0", "--scene", "box"]) == 0
-    assert run(Decisions, [*command, "0,1", "--scene", "box,room"]) == 0
+    assert run(Decisions, [*command, "0", "--scenes", "box"]) == 0
+    assert run(Decisions, [*command, "0,1", "--scenes", "box,room"]) == 0
     assert played == [("box", 0), ("box", 1), ("room", 0), ("room", 1)]
     assert "feature pixel" in capsys.readouterr().out
     written = json.loads((tmp_path / "new" / "decisions.json").read_text())
@@ -52,16 +52,16 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
         ("--played hole_area,random", "--played is one policy, got 2"),
         ("--played nobody", "unknown policy 'nobody'"),
         ("--features nothing", "unknown feature 'nothing'"),
-        ("--scene nothing", "unknown scene 'nothing'"),
+        ("--scenes nothing", "unknown scene 'nothing'"),
         ("--out {file}", "--out is a directory for results, and"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(capsys, tmp_path, words, said):
     (tmp_path / "file").write_text("")
-    scene = [] if "--scene" in words else ["--scene", "box"]
+    scene = [] if "--scenes" in words else ["--scenes", "box"]
     given = words.format(file=tmp_path / "file").split()
     out = [] if "--out" in words else ["--out", str(tmp_path / "out")]
     assert run(Decisions, [*scene, *given, *out]) == 2
     error = capsys.readouterr().err
-    assert "--scene" in words or not (tmp_path / "out").exists()
+    assert "--scenes" in words or not (tmp_path / "out").exists()
     assert said in error and error.startswith("asg: ") and error.count("\n") == 1

@@ -125,6 +125,6 @@ def test_rows_of_a_scene():
 def test_what_is_found_and_what_it_costs_is_printed(monkeypatch, capsys):
     monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
     monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
-    assert run(Planes, ["--scene", "box", "--quick"]) == 0
+    assert run(Planes, ["--scenes", "box", "--quick"]) == 0
     out = capsys.readouterr().out
     assert "0.125" in out and "7.5" in out and "320" not in out

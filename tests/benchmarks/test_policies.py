@@ -65,7 +65,7 @@ def test_every_scene_is_measured(monkeypatch, capsys):
         return [{"policy": "random", "decision_s": 0.125, "options": options}]
 
     monkeypatch.setattr(policy_benchmark, "run_policy_benchmark", measured)
-    assert run(Policies, ["--scene", "box,room", "--quick"]) == 0
+    assert run(Policies, ["--scenes", "box,room", "--quick"]) == 0
     out = capsys.readouterr().out
     assert "0.125" in out and "box" in out and "room" in out and "repeats 1" in out
     assert run(Policies, []) == 0

@@ -34,7 +34,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("sources",),
     ("config",),
     ("reconstruction",),
-    ("compile_ahead", "viewer"),
+    ("first_use", "viewer"),
     ("envs",),
     ("policies",),
     ("evaluation.machine", "evaluation.statistics"),

@@ -8,7 +8,7 @@ memory yet.
 - `stamps`: machine code is used as long as no file has changed that the kernel depends on, in whatever file it is.
 - `files`: it is kept with a checksum, so that a damaged file is compiled again and not run.
 - `locks`: of processes that start together, one compiles a kernel and the others load what it wrote.
-- `progress` says on standard error what is going on; `helper` starts a second process that compiles ahead.
+- `progress` says on standard error what is going on; `ahead` lets other processes compile ahead.
 
 `thread_team` calls a kernel on several threads at once.
 """

@@ -11,10 +11,13 @@ from typing import Any
 from numba import config, njit
 from numba.core.compiler_lock import global_compiler_lock
 
+from activestructure_gym.compiling.ahead import start_helper
 from activestructure_gym.compiling.files import KernelFiles, OthersFolder, warn_of_no_cache
 from activestructure_gym.compiling.locks import LOCKS
 from activestructure_gym.compiling.progress import PROGRESS
 from activestructure_gym.errors import InputError
+
+PROGRESS.call_for_help = start_helper
 
 
 def kernel(function: Callable[..., Any]) -> Any:

@@ -168,6 +168,21 @@ def cache_place() -> Path | None:
         return None
 
 
+def package_folders() -> list[Path]:
+    """Return the folders of this package's code; in a checkout the links in the first lead to the others."""
+    package = Path(__file__).resolve().parents[1]
+    return [package, *((package / room).resolve() for room in ("envs", "policies", "evaluation"))]
+
+
+def kernel_files() -> list[Path]:
+    """Return all cache files of this installation's kernels, damaged or not."""
+    place = cache_place()
+    if place is None:
+        return []
+    roots = package_folders() if place.name == "__pycache__" else [place.parent]  # beside the sources, or all in one
+    return sorted({file for root in roots for file in root.rglob(f"*{SUFFIX}")})
+
+
 def warn_of_no_cache(reason: str) -> None:
     """Warn once per process that compiled kernels cannot be kept, with the remedy."""
     if not not_kept and multiprocessing.parent_process() is None:

@@ -19,7 +19,6 @@ from typing import TextIO
 from numba.core import event
 
 from activestructure_gym.compiling import files
-from activestructure_gym.compiling.helper import start_helper
 from activestructure_gym.compiling.locks import LOCKS
 from activestructure_gym.streams import lowest, raw
 
@@ -121,6 +120,7 @@ class Progress(event.Listener):
 
     def __init__(self) -> None:
         self.listener: Callable[[str], None] | None = None
+        self.call_for_help: Callable[[], None] = lambda: None  # when a kernel of this package is compiled
         self._current: str | None = None  # the kernel in work; functions it calls have events, too
         self._marked: set[str] = set()  # kernels of which other processes know that they are compiled here
         self._told: set[str] = set()  # kernels that had to be compiled
@@ -156,7 +156,7 @@ class Progress(event.Listener):
             LOCKS.take(_mark(self._current))
         if self.listener is None:
             if self._current.startswith(_OURS + "."):
-                start_helper()
+                self.call_for_help()
         elif self._current not in self._told:
             self.listener(self._current)
         self._tell()

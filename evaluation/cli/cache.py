@@ -58,8 +58,7 @@ def _show(part: str) -> dict[str, Any]:
         sizes = [size for _, size in cache_files()]
         return _row(part, len(sizes), sum(sizes)) | {"limit": cache_limit(), "place": str(cache_directory())}
 
-    from activestructure_gym.compiling import cache_place
-    from activestructure_gym.evaluation.running.warmup import kernel_files
+    from activestructure_gym.compiling.files import cache_place, kernel_files
 
     sizes = [file.stat().st_size for file in kernel_files()]
     place = cache_place()
@@ -78,7 +77,7 @@ def _clear(part: str) -> dict[str, Any]:
     if part == "scenes":
         return _row(part, *clear_cache())
 
-    from activestructure_gym.evaluation.running.warmup import kernel_files
+    from activestructure_gym.compiling.files import kernel_files
 
     count, gone = 0, 0
     for file in kernel_files():

@@ -130,8 +130,7 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
 def _kernels_state() -> tuple[str, str]:
     """Directory of the compiled kernels, and whether its files can be used."""
     from activestructure_gym.compiling import cache_place, check_compiling
-    from activestructure_gym.compiling.files import is_whole
-    from activestructure_gym.evaluation.running.warmup import kernel_files
+    from activestructure_gym.compiling.files import is_whole, kernel_files
 
     try:
         check_compiling()

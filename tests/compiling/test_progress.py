@@ -10,7 +10,7 @@ import time
 import pytest
 from numba.core import event
 
-from activestructure_gym.compiling import helper, kernel, progress
+from activestructure_gym.compiling import ahead, kernel, progress
 from activestructure_gym.compiling.locks import LOCKS
 
 
@@ -89,7 +89,7 @@ def test_beside_a_spinner_the_lines_are_those_of_a_log(kept, monkeypatch) -> Non
     # rich puts an object of its own in the place of sys.stderr while a spinner turns.
     monkeypatch.setattr(LOCKS, "take", lambda name: True)  # another process may be the one that tells
     monkeypatch.setattr(LOCKS, "drop", lambda name: None)
-    monkeypatch.setattr(helper, "_started", [True])
+    monkeypatch.setattr(ahead, "_started", [True])
     monkeypatch.setattr("activestructure_gym.compiling.decorator.PROGRESS", mine := progress.Progress())
     monkeypatch.setattr(sys, "stderr", Terminal())
 

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build
-from activestructure_gym.evaluation.running.warmup import WarmMark, all_gains, smallest_job
+from activestructure_gym.evaluation.running.warmup import all_gains, mark_of, smallest_job
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
@@ -96,10 +96,10 @@ def test_a_checkpoint_spelt_in_two_ways_runs_once(run: Path, monkeypatch) -> Non
 
 
 def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None:
-    def mark() -> WarmMark | None:
+    def mark() -> Path | None:
         policies = [canonical_policy("learned:run"), "random"]
         assert all_gains(policies) == ["structure"]
-        return WarmMark.of(smallest_job(policies, {}), all_gains(policies))
+        return mark_of(smallest_job(policies, {}), all_gains(policies))
 
     first = mark()
     assert first is not None and first == mark()

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from activestructure_gym.compiling import files
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.running import warmup
 from activestructure_gym.scenes.cache import cached_arrays
 
 
@@ -18,7 +18,7 @@ def kept(tmp_path, monkeypatch):
         cached_arrays(key, lambda: {"a": np.zeros(100_000, np.uint8)})
     (tmp_path / "scenes" / "thesis.tex").touch()
     (tmp_path / "one.kernel").write_bytes(bytes(5000))
-    monkeypatch.setattr(warmup, "kernel_files", lambda: list(tmp_path.glob("*.kernel")))
+    monkeypatch.setattr(files, "kernel_files", lambda: list(tmp_path.glob("*.kernel")))
     return tmp_path
 
 

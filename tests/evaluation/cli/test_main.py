@@ -240,12 +240,11 @@ def test_doctor_says_what_a_datasets_folder_holds(tmp_path, capsys):
 
 def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
     from activestructure_gym.compiling import files
-    from activestructure_gym.evaluation.running import warmup
 
     whole, damaged = tmp_path / "a.kernel", tmp_path / "b.kernel"
     for file in (whole, damaged):
         files.write(file, bytes(32), b"machine code")
-    monkeypatch.setattr(warmup, "kernel_files", lambda: [whole, damaged])
+    monkeypatch.setattr(files, "kernel_files", lambda: [whole, damaged])
     assert main(["doctor"]) == 0 and "works, 2 kernels" in " ".join(capsys.readouterr().out.split())
     damaged.write_bytes(damaged.read_bytes()[:-1])
     assert main(["doctor"]) == 0 and "1 of 2 files damaged" in " ".join(capsys.readouterr().out.split())

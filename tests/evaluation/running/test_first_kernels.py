@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from activestructure_gym.compiling.files import package_folders
 from activestructure_gym.evaluation.running import warmup
 from activestructure_gym.evaluation.running.first_kernels import kernels_of, not_compiled
 from activestructure_gym.features import FEATURES
@@ -17,7 +18,7 @@ from activestructure_gym.features import FEATURES
 def kernels_in_the_sources() -> set[str]:
     """Every function under the decorator, or given to it, by its full name."""
     found = set()
-    for room in warmup._rooms():
+    for room in package_folders():
         package = "activestructure_gym" if room.name == "activestructure_gym" else f"activestructure_gym.{room.name}"
         for file in room.rglob("*.py"):
             if (text := file.read_text(encoding="utf-8")).find("kernel") < 0:
@@ -67,8 +68,8 @@ def test_a_first_comparison_compiles_these_kernels_and_no_others(tmp_path):
         "import json, sys; from activestructure_gym.evaluation.running import warmup\n"
         "from activestructure_gym.ground_truth import ground_truth_of\n"
         "from activestructure_gym.scenes import load_scene\n"
-        "names, call = set(), warmup._Tally.__call__\n"
-        "warmup._Tally.__call__ = lambda self, name: names.add(name) or call(self, name)\n"
+        "names, call = set(), warmup.Tally.__call__\n"
+        "warmup.Tally.__call__ = lambda self, name: names.add(name) or call(self, name)\n"
         "with warmup.warming_up(['random', 'activestructure'], {}):\n"
         "    ground_truth_of(load_scene('room')).observable_surface\n"
         "print(json.dumps(sorted(names)))"

@@ -1,31 +1,17 @@
-"""Compile the kernels that an episode needs later, in a second process while the first one starts up.
-
-`compiling.helper` starts this module with the first kernel that has to be compiled: ``python -P -m
-activestructure_gym.compile_ahead PARENT PART...``. The process prints nothing. It ends when everything is compiled or
-its parent has ended, and leaves only the kernels' cache files. Each kernel has its own lock: the parent compiles any
-kernel that this process has not reached yet. Set ``ASG_COMPILE_AHEAD=0`` in the environment to switch it off.
-"""
+"""Small calls that need the kernels of a first episode, for `compiling.ahead` to make in other processes."""
 
 from __future__ import annotations
 
-import os
-import sys
-import threading
-import time
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from activestructure_gym.compiling import told_to
 from activestructure_gym.compiling.decorator import name_of
-from activestructure_gym.compiling.helper import only_helper
 from activestructure_gym.compiling.locks import LOCKS
 
-_GLANCE = 0.5  # seconds between checks that the parent runs
 
-
-def compile_map() -> None:
+def map_making() -> None:
     """Call the kernels of the rasteriser and the mapper on two frames of a flat wall."""
     from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
     from activestructure_gym.mapping.parts import may_be_seen
@@ -61,7 +47,7 @@ def _camera() -> Any:
     return PinholeCamera.from_size(64, 36)
 
 
-def compile_sensing() -> None:
+def sensing() -> None:
     """Call the kernels of the sensor, the volume and the planes."""
     from activestructure_gym.ground_truth import free_space_of
     from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
@@ -78,7 +64,7 @@ def compile_sensing() -> None:
         planes.update(frame)
 
 
-def compile_motion() -> None:
+def motion() -> None:
     """Call the motion kernels in a volume with hand-made free space."""
     from activestructure_gym.motion import first_blocked, path_lengths
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
@@ -103,7 +89,7 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
     return path
 
 
-def compile_views() -> None:
+def views() -> None:
     """Call the kernels of features and visibility that read more than rendered maps."""
     from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
@@ -141,7 +127,7 @@ def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
     return list(calls.items())[:of_keyframe], list(calls.items())[of_keyframe:]
 
 
-def compile_rasteriser() -> None:
+def rasteriser() -> None:
     """Compile the kernels of a first keyframe, last one first.
 
     The main process compiles them from the first one on.
@@ -150,7 +136,7 @@ def compile_rasteriser() -> None:
         _compile(kernel, arguments)
 
 
-def compile_score() -> None:
+def score() -> None:
     """Compile the kernels that only a first decision calls."""
     for kernel, arguments in calls_of_the_rasteriser()[1]:
         _compile(kernel, arguments)
@@ -162,30 +148,3 @@ def _compile(kernel: Any, arguments: tuple[Any, ...]) -> None:
 
     if not LOCKS.is_held(name_of(kernel)):
         kernel.compile(tuple(typeof(argument) for argument in arguments))
-
-
-PARTS = {
-    "rasteriser": compile_rasteriser,
-    "motion": compile_motion,
-    "views": compile_views,
-    "score": compile_score,
-    "sensing": compile_sensing,
-}
-
-
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_GLANCE)
-    os._exit(0)
-
-
-def main(parent: int, parts: list[str]) -> None:
-    """Compile the parts in order, unless another helper process is running."""
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    with only_helper() as alone, told_to(lambda name: None):
-        for part in parts if alone else ():
-            PARTS[part]()
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:])

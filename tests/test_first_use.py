@@ -1,4 +1,4 @@
-"""A second process compiles what a first use comes to late: the right kernels, once, quietly, and not for ever."""
+"""The calls of a first use need the right kernels, and compile each of them once and quietly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from activestructure_gym import compile_ahead
+from activestructure_gym import first_use
 from activestructure_gym.compiling import progress
 from activestructure_gym.compiling.thread_team import TEAM
 from activestructure_gym.geometry import PinholeCamera
@@ -26,7 +26,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 def test_the_calls_are_those_of_a_first_keyframe_and_a_first_decision() -> None:
     of_keyframe, of_decision = (
         {kernel.py_func.__name__: tuple(map(typeof, arguments)) for kernel, arguments in calls}
-        for calls in compile_ahead.calls_of_the_rasteriser()
+        for calls in first_use.calls_of_the_rasteriser()
     )
     called = {}
     run = TEAM.run
@@ -37,20 +37,20 @@ def test_the_calls_are_those_of_a_first_keyframe_and_a_first_decision() -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TEAM, "run", listen)
-        mapper = compile_ahead.map_a_wall()
+        mapper = first_use.map_a_wall()
         assert called == of_keyframe and list(called) == list(of_keyframe)
         called.clear()
-        compile_ahead.score_the_wall(mapper)
+        first_use.score_the_wall(mapper)
     assert called == of_decision
 
 
 def test_noting_calls_leaves_the_rasteriser_as_it_was() -> None:
-    compile_ahead.calls_of_the_rasteriser.cache_clear()
+    first_use.calls_of_the_rasteriser.cache_clear()
     parameters = np.zeros((14, 16), np.float32)
     parameters[2], parameters[3], parameters[7:10], parameters[10], parameters[11] = 1.0, 1.0, -1.0, 5.0, 1.0
     arguments = parameters, 16, PinholeCamera.from_size(32, 32), np.eye(4)
     before = render(*arguments)
-    compile_ahead.calls_of_the_rasteriser()
+    first_use.calls_of_the_rasteriser()
     after = render(*arguments)
     assert before.alpha.max() > 0.9
     assert np.array_equal(before.color, after.color) and np.array_equal(before.alpha, after.alpha)
@@ -67,58 +67,35 @@ def test_what_another_process_is_at_is_left_to_it(monkeypatch) -> None:
             asked.append(self.py_func.__qualname__)
 
     calls = tuple([(Kernel(name), (1,)) for name in names] for names in (("first", "second", "third"), ("fourth",)))
-    monkeypatch.setattr(compile_ahead, "calls_of_the_rasteriser", lambda: calls)
-    monkeypatch.setattr(compile_ahead.LOCKS, "is_held", lambda name: name == "room.second")
-    compile_ahead.compile_rasteriser()
+    monkeypatch.setattr(first_use, "calls_of_the_rasteriser", lambda: calls)
+    monkeypatch.setattr(first_use.LOCKS, "is_held", lambda name: name == "room.second")
+    first_use.rasteriser()
     assert asked == ["third", "first"]  # its parent begins with the first
-    compile_ahead.compile_score()
+    first_use.score()
     assert asked[2:] == ["fourth"]
 
 
 def test_the_path_around_a_corner_needs_the_tree_of_the_planner() -> None:
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
-    assert len(compile_ahead.plan_around_a_corner(volume)) > 2  # no straight line
+    assert len(first_use.plan_around_a_corner(volume)) > 2  # no straight line
 
 
 @pytest.mark.parametrize("part", ["motion", "views", "sensing"])
 def test_the_parts_run(part) -> None:
-    compile_ahead.PARTS[part]()
-
-
-WAITING = """
-import os
-from activestructure_gym import compile_ahead
-parent = os.getppid()  # before anybody can end
-print("up", flush=True)
-compile_ahead._end_with(parent)
-"""
-
-PARENT = f"""
-import subprocess, sys
-subprocess.Popen([sys.executable, "-c", '''{WAITING}'''])
-sys.stdin.readline()
-"""
-
-
-def test_a_helper_ends_with_its_parent() -> None:
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], env=ENVIRONMENT, text=True, **pipes)
-    assert parent.stdout.readline() == "up\n"
-    parent.kill()
-    assert parent.communicate(timeout=30)[0] == ""  # the pipe is closed: nobody holds its other end any longer
+    getattr(first_use, part)()
 
 
 FIRST_USE = """
-from activestructure_gym import compile_ahead
-compile_ahead.compile_map()
+from activestructure_gym import first_use
+first_use.map_making()
 """
 
 SECOND_USE = """
-from activestructure_gym import compile_ahead
+from activestructure_gym import first_use
 from activestructure_gym.compiling import told_to
 compiled = []
 with told_to(compiled.append):
-    compile_ahead.compile_map()
+    first_use.map_making()
 print(*compiled)
 """
 

@@ -75,6 +75,7 @@ class SharedGreedy(Greedy):
     softmax(log IG) is IG / sum IG, and the sum is the same for every candidate.
     """
 
+    travel_term = "the shared one"
     least = 1e-6  # of gains that are shares of an image: below the share of any pixel
 
     def __init__(self) -> None:

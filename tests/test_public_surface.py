@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from activestructure_gym.policies import POLICIES
+
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("", ".envs", ".policies", ".evaluation")
 HEAVY = ("torch", "numba", "scipy", "cv2", "trimesh", "matplotlib", "stable_baselines3")
@@ -80,6 +82,14 @@ def test_every_name_has_its_page(name: str, public: str) -> None:
             assert re.search(rf"^(\w+, )*\**{parameter}\b", said, re.MULTILINE), f"{public}: say what {parameter} is"
     if signature.return_annotation not in (None, "None", inspect.Signature.empty):
         assert re.search(r"^(Returns|Yields)\n-+$", text, re.MULTILINE), f"{public}: say what it gives"
+
+
+@pytest.mark.parametrize("name", sorted(POLICIES))
+def test_every_option_of_a_policy_has_its_words(name: str) -> None:
+    kind = POLICIES.get(name)
+    pages = "\n".join(inspect.getdoc(one) or "" for one in kind.__mro__)
+    for parameter in inspect.signature(kind).parameters:
+        assert re.search(rf"^(``)?{parameter}\b", pages, re.MULTILINE), f"{name}: {parameter}?"
 
 
 def fields_without_words(kind: type) -> list[str]:

@@ -33,13 +33,13 @@ def feature_table() -> str:
     ``NAME_cov`` has no row of its own: its file is that of ``NAME``, and all of them have one unit.
     """
     rows = ["| feature | columns | unit | range | file |", "|---|---|---|---|---|"]
-    room = __name__.rpartition(".")[0]
+    ours = f"{__name__.partition('.')[0]}."
     for name in FEATURES:
         feature = FEATURES.get(name)
-        package, _, module = feature.__module__.rpartition(".")
-        if package == room and name.removesuffix("_cov") not in set(FEATURES) - {name}:
+        file = f"{feature.__module__.removeprefix(ours).replace('.', '/')}.py"
+        if feature.__module__.startswith(ours) and name.removesuffix("_cov") not in set(FEATURES) - {name}:
             words = (columns_in_words(feature), units_in_words(feature), ranges_in_words(feature))
-            rows.append(f"| `{name}` | {' | '.join(words)} | `{module}.py` |")
+            rows.append(f"| `{name}` | {' | '.join(words)} | `{file}` |")
     return "\n".join(rows)
 
 

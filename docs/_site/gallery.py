@@ -28,9 +28,8 @@ _MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # of the vertical axis, percent
 def pages() -> dict[str, str]:
     """The gallery, and a page per policy."""
     told = json.loads(CURVES.read_text(encoding="utf-8"))
-    sections = _sections((DOCS / "guide" / "planners.md").read_text(encoding="utf-8"))
     names = sorted(POLICIES)
-    texts = {f"policies/{name}.md": _page(name, told, sections) for name in names}
+    texts = {f"policies/{name}.md": _page(name, told) for name in names}
     last = {name: told["policies"][name][_MEASURE][-1] for name in names if name in told["policies"]}
     order = sorted(last, key=lambda name: -last[name]) + [name for name in names if name not in last]
     cards = "\n".join(_card(name, told) for name in order)
@@ -41,6 +40,7 @@ def pages() -> dict[str, str]:
         "share of the observable surface that was observed, over frames; the other policies stand behind it in grey, "
         "dashed who decides by the true mesh, one step at a time (`--references oracle`). "
         "What the runs of the published planners showed is in [the notebook](../../notebook/planners.md).\n\n"
+        f"{_table(names)}\n\n"
         f'```{{raw}} html\n{_behind(told)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )
@@ -56,9 +56,12 @@ def _card(name: str, told: dict) -> str:
     return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{equation}{chart}</a>'
 
 
-def _page(name: str, told: dict, sections: dict[str, str]) -> str:
+def _page(name: str, told: dict) -> str:
     kind = POLICIES.get(name)
-    parts = [f"# `{name}`\n", f"Decides by: {kind.decides_by or _first(kind)}. Source: {kind.source}.\n"]
+    parts = [
+        f"# `{name}`\n",
+        f"Decides by: {kind.decides_by or _first(kind)}. Travel term: {kind.travel_term}. Source: {kind.source}.\n",
+    ]
     if name in told["policies"]:
         row = " | ".join(f"{_benchmark(name, key):.1f}" for key in ("observed", "completion_ratio", "psnr"))
         parts.append(
@@ -70,9 +73,7 @@ def _page(name: str, told: dict, sections: dict[str, str]) -> str:
             f"Means over {told['scenes']} scenes of means over seeds, {told['runs']} runs; with intervals in "
             "[benchmark.md](../../notebook/benchmark.md).\n"
         )
-    where = sections.get(name) or sections.get(name.removesuffix("_cov"))
-    if where:
-        parts.append(f"Formula, and what differs from the original: [planners.md](../../guide/planners.md#{where}).\n")
+    parts.append(_readme(kind))
     base, words = ("random", "chance") if name == "hole_area" else ("hole_area", "the area of holes")
     parts.append(
         f"```{{eval-rst}}\n.. autoclass:: {kind.__module__}.{kind.__name__}\n   :no-index:\n   :show-inheritance:\n"
@@ -113,14 +114,22 @@ def _equation(kind: type[Policy]) -> str:
     return next((one.strip() for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
 
 
-def _sections(guide: str) -> dict[str, str]:
-    """Anchors of the headings of planners.md, by the policies they name."""
-    found: dict[str, str] = {}
-    for heading in re.findall(r"^## (.*)$", guide, flags=re.MULTILINE):
-        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-        for name in re.findall(r"`([\w-]+)`", heading):
-            found.setdefault(name, anchor)
-    return found
+def _table(names: Sequence[str]) -> str:
+    rows = ["| policy | decides by | own travel term | source |", "|---|---|---|---|"]
+    for name in names:
+        kind = POLICIES.get(name)
+        cells = (kind.decides_by or _first(kind), kind.travel_term, kind.source)
+        rows.append(f"| [`{name}`]({name}.md) | {' | '.join(map(escaped, cells))} |")
+    return "\n".join(rows)
+
+
+def _readme(kind: type[Policy]) -> str:
+    """The page in the planner's folder without its heading, its links as from a made page; empty if there is none."""
+    page = Path(inspect.getfile(kind)).with_name("README.md") if kind.__module__.endswith(".policy") else None
+    if page is None or not page.is_file():
+        return ""
+    _, _, text = page.read_text(encoding="utf-8").partition("\n")
+    return text.replace("](../../docs/", "](../../").strip() + "\n"
 
 
 def _first(kind: type[Policy]) -> str:

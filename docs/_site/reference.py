@@ -11,6 +11,8 @@ import tokenize
 from functools import cache
 from typing import Any
 
+from activestructure_gym.features.table import feature_table
+
 # Those of docs/guide/api.md, and what its sections send to. What stands in several has its entry in the last of them.
 ROOMS = {
     "activestructure_gym": "What most programs need",
@@ -30,6 +32,7 @@ ROOMS = {
 def pages() -> dict[str, str]:
     """A page per room, and their list."""
     texts = {f"reference/{room}.md": _page(room, title) for room, title in ROOMS.items()}
+    texts["features/index.md"] = f"# Table of the features\n\n{feature_table()}\n"
     names = "\n".join(ROOMS)
     texts["reference/index.md"] = (
         "# Reference\n\nWhat may be imported, room by room, with shapes, units and frames. The names of "

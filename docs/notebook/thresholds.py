@@ -11,18 +11,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from importlib import import_module
 from types import ModuleType
 from unittest import mock
 
 import activestructure_gym.features.information as information
-import activestructure_gym.policies.gs_planner as gs
-import activestructure_gym.policies.hgs_planner as hgs
+import activestructure_gym.policies.gs_planner.features as gains
+import activestructure_gym.policies.gs_planner.policy as gs
+import activestructure_gym.policies.hgs_planner.policy as hgs
 from activestructure_gym.envs.reward import RewardConfig
 from activestructure_gym.policies import make_env_and_policy
 
 SCENES, SEEDS, FRAMES = ("room?seed=22", "apartment?rooms=2&seed=21"), (0, 1), 150
-gains = import_module("activestructure_gym.features.gs_planner")  # the package has the feature by that name
 GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
     "gs_planner": {
         "weight of the loss": (gs, "QUALITY_WEIGHT"),

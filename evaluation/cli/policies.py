@@ -73,6 +73,7 @@ def _describe(facts: dict[str, Any]) -> None:
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
     print_text(console, facts["about"])
     console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}")
+    console.print(f"Its own travel term: {escape(facts['travel_term'])}.")
     console.print(escape(f"On native terms it brings {facts['native']}."))
     if not facts["options"]:
         console.print("It takes no options.")
@@ -110,6 +111,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
         "name": name,
         "decides_by": kind.decides_by or about.partition("\n")[0],
         "gains": list(gains_asked(name)),
+        "travel_term": kind.travel_term,
         "source": kind.source,
         "native": schedule_of(kind, "native").told(),
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},

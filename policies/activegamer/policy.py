@@ -63,6 +63,7 @@ class ActiveGAMER(Planner):
     """
 
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
+    travel_term = "1 - softmax(metres)"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
     brings = Schedule(

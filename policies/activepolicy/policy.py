@@ -30,6 +30,7 @@ class ActivePolicy(Planner):
     """
 
     decides_by = "the most central of the 16 views with most disagreeing depth"
+    travel_term = "none, equals by way"
     source = "inspired by ActivePolicy, CVPR 2026"
     required_gains = ("activepolicy",)
 

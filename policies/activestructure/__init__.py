@@ -1,6 +1,6 @@
 """ActiveStructure: the planner of the paper ([activestructure]) and the rungs of its ablation (Table 3).
 
-Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and what ends each), `planner`
+Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and what ends each), `policy`
 (Eq. 15 and the loop). The planes, their quality and their surprise (Eqs. 4 to 10) come with the observation.
 """
 

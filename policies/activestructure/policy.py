@@ -62,6 +62,7 @@ class StructurePolicy(Policy):
         what it adds, and the terms weigh what they weigh in phase I of the full model, which adds the phases.
     """
 
+    travel_term = "the shared one"
     brings = SPLATAM
     weights: ClassVar[Weights] = Weights()  # beside pixels
     on_base: ClassVar[Weights] = _ON_BASE  # beside another gain of discovery

@@ -27,6 +27,7 @@ class Aiisrfe(Planner):
     """
 
     decides_by = "frontiers, and by turns with them surface of unsure colour"
+    travel_term = "shortest tour of tasks"
     source = "by a digest of Zeng et al., ICRA 2024"
     required_gains = ("aiisrfe",)
     # Views are drawn for tasks there, too; how many, and how far apart, are own choices.

@@ -11,6 +11,7 @@ class GaussMI(Greedy):
     """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
 
     decides_by = "how unreliable Gaussians are from a view's side"
+    travel_term = "revisits discounted"
     source = "Xie et al., GauSS-MI, 2025"
     required_gains = ("gauss_mi",)
 
@@ -23,5 +24,6 @@ class GaussMICov(Greedy):
     """
 
     decides_by = "how unreliable Gaussians are from a view's side, and unseen space"
+    travel_term = "revisits discounted"
     source = "this project, with the gain of Xie et al., GauSS-MI, 2025"
     required_gains = ("gauss_mi_cov",)

@@ -37,6 +37,7 @@ class HGSPlanner(Greedy):
     """
 
     decides_by = "unseen space through transmittance, Fisher information"
+    travel_term = "local window, then a tour"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_gains = ("hgs_planner", "hgs_coverage")
     brings = replace(SPLATAM, budget="")

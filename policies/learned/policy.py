@@ -26,6 +26,7 @@ class Learned(Policy):
     """
 
     decides_by = "the score of a small network over all candidates"
+    travel_term = "an input"
     source = "this project"
 
     checkpoint: ClassVar[Path]

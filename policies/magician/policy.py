@@ -25,6 +25,7 @@ class Magician(Planner):
     """
 
     decides_by = "imagined surface that a plan of several views would see"
+    travel_term = "frames bound the plan"
     source = "by a digest of Li et al., MAGICIAN, CVPR 2026"
     required_gains = ("magician",)
 

@@ -14,6 +14,7 @@ class ViewAngle(Planner):
     """
 
     decides_by = "directions from which the map was not seen"
+    travel_term = "none, equals by way"
     source = "COVER, arXiv 2604.05259"
     required_gains = ("view_angle",)
 

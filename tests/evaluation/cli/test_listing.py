@@ -55,7 +55,9 @@ def test_a_policy_s_options_stand_with_their_defaults(capsys):
 def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
-    assert {"name", "decides_by", "gains", "source", "native", "options", "required", "about"} == set(rows[0])
+    assert {"name", "decides_by", "gains", "travel_term", "source", "native", "options", "required", "about"} == set(
+        rows[0]
+    )
 
 
 def test_a_policy_says_what_it_brings_on_native_terms(capsys):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from setuptools import find_packages
@@ -92,6 +93,15 @@ def test_the_pins_are_within_what_setup_cfg_asks_for() -> None:
     for wanted in ours(*extras()):
         (version,) = pinned[canonicalize_name(wanted.name)].specifier
         assert wanted.specifier.contains(version.version, prereleases=True), f"{wanted}, pinned to {version.version}"
+
+
+def test_hooks_before_a_commit_run_the_pinned_versions() -> None:
+    config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    hooks = [hook for repo in config["repos"] for hook in repo["hooks"]]
+    assert [hook["id"] for hook in hooks] == ["ruff-check", "ruff-format", "codespell"]
+    for hook in hooks:
+        (wanted,) = map(Requirement, hook["additional_dependencies"])
+        assert pins()[wanted.name].specifier == wanted.specifier
 
 
 def test_workflows_install_the_pinned_versions() -> None:

@@ -291,6 +291,15 @@ def test_workflows_read_only_and_name_actions_by_commit(path: Path) -> None:
     )
 
 
+def test_pull_requests_are_checked_on_every_python_that_is_promised() -> None:
+    content = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text(encoding="utf-8"))
+    assert {"push", "pull_request", "schedule"} <= content[True].keys()  # YAML reads `on` as a truth value
+    check = content["jobs"]["check"]
+    assert check["steps"][-1]["run"] == ".ci/run" and os.access(ROOT / ".ci" / "run", os.X_OK)
+    promised = set(re.findall(r"Python :: (3\.\d+)", (ROOT / "setup.cfg").read_text(encoding="utf-8")))
+    assert promised and promised <= set(check["strategy"]["matrix"]["python"])
+
+
 def test_the_workflow_publishes_with_the_least_rights() -> None:
     text = (ROOT / ".github" / "workflows" / "publish.yml").read_text(encoding="utf-8")
     jobs = yaml.safe_load(text)["jobs"]

@@ -387,7 +387,7 @@ class _Recording:
 
     def on_retry(self, job: Job, error: str) -> None:
         """See `Listener`."""
-        self._listener.again(job, error)
+        self._listener.on_retry(job, error)
 
     def ended(self, outcome: Outcome) -> None:
         """See `Listener`."""

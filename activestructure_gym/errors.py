@@ -18,7 +18,7 @@ MAX_CHARACTERS = 1500  # maximum length of a message, characters
 
 
 def printable(text: str) -> str:
-    """Return the text with control characters escaped (``\\x1b``); line ends stay, a tab becomes a space.
+    r"""Return the text with control characters escaped (``\x1b``); line ends stay, a tab becomes a space.
 
     Bidirectional control characters and lone surrogates are escaped as well.
     """

@@ -417,7 +417,7 @@ class Reconstruction:
         world_from_camera: np.ndarray,  # [K, 4, 4] views
         revisit: np.ndarray | None = None,  # [K] bool, which are a stored keyframe's pose
     ) -> FeatureContext:
-        """The reconstruction as it is now, as features read it, with these views as candidates."""
+        """Return the context that features read: the current state, with these views as candidates."""
         return FeatureContext(
             mapper=self.mapper,
             volume=self.volume,

@@ -120,7 +120,7 @@ def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
         return place
     raise InputError(
         f"{dataset.variable} is '{root}', but there is no scene '{folder}' in it; "
-        f"`asg doctor --dataset {dataset.kind} {root}` says what is there"
+        f"`asg doctor --dataset {dataset.kind} {root}` lists what it contains"
     )
 
 

@@ -165,9 +165,9 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for key in options:
         if key in said:
-            raise InputError(f"the scene '{spec}' says its own {key}; say it in one place")
+            raise InputError(f"the scene '{spec}' gives its own {key}; give it in one place")
         if key not in parameters and key != INSIDE and not takes_any:
-            raise InputError(f"the scene '{spec}' takes no {key}; leave it away")
+            raise InputError(f"the scene '{spec}' takes no {key}; remove it")
     more = "&".join(f"{key}={value}" for key, value in options.items())
     return f"{spec}{'&' if said else '?'}{more}"
 
@@ -192,7 +192,7 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
     if os.sep in target:
         raise InputError(f"there is no scene file or folder {shown(target)}")
     unknown = unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
-    raise InputError(f"{unknown}; a file or folder is a scene, too, and there is none of that name")
+    raise InputError(f"{unknown}, and there is no file or folder of that name")
 
 
 def check_scene_name(spec: str) -> None:

@@ -99,6 +99,7 @@ class CpuRasterization(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, by_color, by_depth, by_alpha, by_extra, _):
+        """Return the gradients of the inputs of `forward` from those of its images; the median depth has none."""
         given = _Given(*ctx.saved_tensors)  # torch raises if one was changed in place
         sh, channels, camera_from_world = given.sh, given.channels, given.camera_from_world
         cameras, batched = len(ctx.rendered), camera_from_world.dim() == 3

@@ -94,8 +94,8 @@ class LiveView:
             self._server = _Server((address, port), self)
         except (OSError, OverflowError, ValueError) as error:
             raise InputError(
-                f"nothing can be served at {shown(address)} port {shown(port)}: {error}. 127.0.0.1 and port 0, a free "
-                "one, always can"
+                f"cannot serve at {shown(address)} port {shown(port)}: {error}. 127.0.0.1 with port 0 (a free "
+                "port) always works"
             ) from None
         host, port = str(self._server.server_address[0]), self._server.server_address[1]
         host = f"[{host}]" if ":" in host else host

@@ -126,7 +126,7 @@ class Recorder:
 
     def __init__(self, episode: Reconstruction, *, most_bytes: int | None = None) -> None:
         if not hasattr(episode.mapper, "map"):
-            raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
+            raise InputError("a recording needs a map of Gaussians, and this mapper has another kind of map")
         self.moments: list[Moment] = []
         self._most_bytes, self._bytes = most_bytes, 0
         self._noted, self.every = 0, 1  # number of moments so far, and the interval at which they are kept

@@ -72,7 +72,7 @@ def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
     away = float(np.abs(bounds).max())
     if away > MAX_COORDINATE_M:
         raise InputError(
-            f"the scene lies {away:,.0f} m from the origin, and at most {MAX_COORDINATE_M:,.0f} m is allowed: move it"
+            f"the scene is {away:,.0f} m from the origin, and at most {MAX_COORDINATE_M:,.0f} m is allowed: move it"
         )
     extent = np.asarray(bounds[1], dtype=np.float64) - bounds[0]
     cells = np.ceil(extent / voxel_size - 1e-9) + 2.0

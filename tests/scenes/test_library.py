@@ -233,7 +233,7 @@ def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):
     assert with_options("hut?width=4", {"seed": 4, "roof": False}) == "hut?width=4&seed=4&roof=False"
     assert load_scene(with_options("hut?width=4", {"seed": 4})).source == load_scene("hut?width=4&seed=4").source
     for scene, said in (
-        ("hut?seed=3", "the scene 'hut?seed=3' says its own seed"),
+        ("hut?seed=3", "the scene 'hut?seed=3' gives its own seed"),
         (str(mesh_file), "takes no seed"),
         (mesh_file, "takes no seed"),
         (furnished_room, "is loaded already and takes no seed"),

@@ -271,7 +271,7 @@ def test_what_cannot_be_served_is_said() -> None:
     taken = LiveView("a test")
     port = urlsplit(taken.url).port
     for given in ({"address": "nowhere"}, {"port": 70000}, {"port": port}, {"address": "203.0.113.7"}):
-        with pytest.raises(InputError, match=r"nothing can be served at .*127\.0\.0\.1 and port 0"):
+        with pytest.raises(InputError, match=r"cannot serve at .*127\.0\.0\.1 with port 0"):
             LiveView("a test", **given)
     taken.close()
 

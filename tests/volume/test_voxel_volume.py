@@ -341,5 +341,5 @@ def test_unobserved_is_what_no_ray_went_through() -> None:
 
 def test_a_scene_that_no_run_could_be_read_of_is_refused():
     bounds = np.array([[4_999_997.0, 0.0, 0.0], [5_000_003.0, 5.0, 3.0]])
-    with pytest.raises(InputError, match="lies 5,000,003 m from the origin, and at most 1,000,000 m are allowed"):
+    with pytest.raises(InputError, match="is 5,000,003 m from the origin, and at most 1,000,000 m is allowed"):
         VoxelVolume(bounds)

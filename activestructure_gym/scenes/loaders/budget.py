@@ -28,6 +28,7 @@ class Limit:
     remedy: str
 
     def at(self, bytes_read: int) -> int:
+        """Return the limit for a scene of which this many bytes were read."""
         return min(self.ceiling, self.allowance + int(self.per_byte * bytes_read))
 
 

@@ -23,6 +23,10 @@ class Input:
     values: np.ndarray  # [N, stride]
 
     def of(self, corners: np.ndarray, width: int) -> np.ndarray:  # [C, columns of <p>] -> [C, width]
+        """Return the first ``width`` numbers of the property at each corner.
+
+        Raises `UnreadableMesh` for an index out of range and for values with fewer numbers.
+        """
         index = corners[:, self.column]
         if len(index) and (index.min() < 0 or index.max() >= len(self.values)):
             raise UnreadableMesh(f"its corners name {self.semantic} {index.max()} of {len(self.values)}")

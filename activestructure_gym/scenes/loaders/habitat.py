@@ -257,9 +257,7 @@ def _turn(told: Mapping[str, Any], where: Path) -> np.ndarray:  # [3, 3]
     right = np.cross(front, up)
     lengths = [float(np.linalg.norm(axis)) for axis in (right, up, front)]
     if min(lengths) < 1e-6 or abs(up @ front) > 1e-3 * lengths[1] * lengths[2]:
-        raise InputError(
-            f"up and front of '{where}' must stand at a right angle, got {up.tolist()} and {front.tolist()}"
-        )
+        raise InputError(f"up and front of '{where}' must be perpendicular, got {up.tolist()} and {front.tolist()}")
     return np.stack([right / lengths[0], up / lengths[1], -front / lengths[2]])
 
 

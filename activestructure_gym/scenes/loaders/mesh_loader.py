@@ -216,12 +216,12 @@ def texture_notes(textures: TextureStore) -> list[str]:
             searched = f", searched in '{textures.searched}', {', '.join(PICTURE_FOLDERS)}"
         notes.append(
             f"{len(missing)} texture or material files could not be read ({_some(missing)}){searched}; plain colours "
-            "stand in for them"
+            "replace them"
         )
     if bare:
         notes.append(
             f"{len(bare)} materials have a texture, but surfaces without usable texture coordinates "
-            f"({_some(bare)}); plain colours stand in there"
+            f"({_some(bare)}); plain colours replace them"
         )
     if ignored:
         notes.append(f"texture settings that are not supported were ignored ({_some(ignored)})")
@@ -355,8 +355,8 @@ def _check_overlap(path: Path, mesh: SceneMesh) -> None:
     times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
     if times > _MAX_OVERLAP:
         raise InputError(
-            f"'{path}' has triangles that lie over each other: a line through it meets about {times:,.0f} of their "
-            f"boxes, where a furnished flat has 20 (at most {_MAX_OVERLAP}); remove the copies"
+            f"'{path}' has triangles on top of each other: a line through it meets about {times:,.0f} of their "
+            f"boxes, where a furnished apartment has 20 (at most {_MAX_OVERLAP}); remove the copies"
         )
 
 

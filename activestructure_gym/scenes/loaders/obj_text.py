@@ -62,7 +62,7 @@ def _absolute(index: str, above: int) -> str:
         return index
     absolute = above + 1 + int(index)
     if absolute < 1:
-        raise UnreadableMesh(f"a face counts back {index[1:]} entries where only {above} stand above it")
+        raise UnreadableMesh(f"a face refers {index[1:]} entries back, but only {above} precede it")
     return str(absolute)
 
 

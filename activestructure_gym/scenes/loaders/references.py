@@ -47,8 +47,8 @@ def find_reference(base: Path, reference: str, *, climb: int = 1, folders: Seque
         if found and os.path.isfile(found):
             return Path(found)
     if outside:
-        raise LimitError(f"lies outside of '{root}'; put it into the folder of the mesh")
-    raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
+        raise LimitError(f"is outside '{root}'; put it into the folder of the mesh")
+    raise FileNotFoundError(f"'{reference}' is not next to '{base}'")
 
 
 def _is_inside(path: str, root: Path) -> bool:

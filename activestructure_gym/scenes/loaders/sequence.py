@@ -131,7 +131,7 @@ def _numbered(folder: Path, prefix: str) -> tuple[Path, ...]:
 def _camera(path: Path) -> tuple[PinholeCamera, float]:
     file = next((f for f in (path.parent / "cam_params.json", path / "cam_params.json") if f.is_file()), None)
     if file is None:
-        raise InputError(f"sequence '{path}' has no cam_params.json beside its folder ('{path.parent}')")
+        raise InputError(f"sequence '{path}' has no cam_params.json next to its folder ('{path.parent}')")
     camera, scale = read_json(file, "a camera (camera: w, h, fx, fy, cx, cy, scale)", _parsed_camera)
     if camera.width * camera.height > MAX_PIXELS:
         raise InputError(

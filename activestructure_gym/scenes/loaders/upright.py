@@ -116,7 +116,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
     if abs(evidence) < _TELLS:
         near = side.surface_per_length / _CLEARLY_OUT
         possible = (axis, *(name for name, other in others.items() if other.surface_per_length > near))
-        reason = f"{room}, but what stands between them does not tell one from the other"
+        reason = f"{room}, but the surfaces between them do not show which is the floor"
         return Verdict(None, _both_ends(possible), reason)
     up, floor = (_ENDS[axis][0], f"-{axis}") if evidence > 0 else (_ENDS[axis][1], f"+{axis}")
     share = side.lower if evidence > 0 else 1.0 - side.lower
@@ -171,7 +171,7 @@ def choose_up(
     if given == "auto":
         if verdict.up is None:
             raise InputError(
-                f"'{path}': up=auto cannot tell which way is up: {verdict.reason}; give it, for example up=y or up=z"
+                f"'{path}': up=auto cannot determine the up axis: {verdict.reason}; give it, for example up=y or up=z"
             )
         return verdict.up, [f"up={verdict.up} by the geometry: {verdict.reason}"]
     up, choice = (declared.up, f"{declared.up} is up {declared.words}") if given is None else (given, f"up={given}")

@@ -71,6 +71,7 @@ def overlap(a: Rect, b: Rect, gap: float = 0.0) -> bool:
 
 
 def walls_of(layout: Layout, room: int) -> list[Wall]:
+    """Return the four walls of a room, counterclockwise from the lower one, with their doors and windows."""
     (x0, y0, _), (x1, y1, _) = layout.spaces[room].box
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     walls = []

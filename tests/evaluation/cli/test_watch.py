@@ -29,7 +29,7 @@ def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -
     assert "whoever reaches 0.0.0.0 and has the link can look and steer" in capsys.readouterr().err
     for wrong, message in (
         (["--policy", "nobody"], "unknown policy 'nobody'"),
-        (["--host", "here"], "nothing can be served at"),
+        (["--host", "here"], "cannot serve at"),
         (["--scene", "nowhere"], "nowhere"),
         (["--scene", ","], "--scene names a scene to explore, got ','"),
     ):

@@ -200,7 +200,7 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
         ("small.scene_dataset_config.json", {"objects": {}}, "unknown template among the objects"),
         ("stages/room.stage_config.json", {"render_asset": "../../../etc/passwd"}, "not in the dataset"),
         ("stages/room.stage_config.json", {"render_asset": None}, "names no render_asset"),
-        ("stages/room.stage_config.json", {"front": [0, 1, 0]}, "at a right angle"),
+        ("stages/room.stage_config.json", {"front": [0, 1, 0]}, "must be perpendicular"),
         ("stages/room.stage_config.json", {"up": "y"}, "up of .* must be 3 finite numbers"),
         ("stages/room.stage_config.json", {"origin": [1, 0, 0]}, "moves its stage by an origin"),
         ("stages/room.stage_config.json", {"units_to_meters": 0}, "must be above 0"),

@@ -56,7 +56,7 @@ def test_lines_that_end_as_on_old_computers(tmp_path):
 
 
 def test_counting_back_beyond_the_first_vertex_is_refused():
-    with pytest.raises(UnreadableMesh, match="counts back 5 entries where only 4 stand"):
+    with pytest.raises(UnreadableMesh, match="refers 5 entries back, but only 4 precede"):
         plain_obj(square(1, 0)[0] + "f -5 -3 -2 -1\n")
 
 

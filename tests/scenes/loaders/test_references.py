@@ -37,7 +37,7 @@ def test_nothing_outside_of_the_model_is_opened(tmp_path):
     store = TextureStore()
     for reference in ("../../secret.png", str(tmp_path / "secret.png"), f"file://{tmp_path}/secret.png"):
         assert store.add_file(models, reference) == -1
-        assert f"lies outside of '{models.parent}'" in store.unreadable[-1]
+        assert f"is outside '{models.parent}'" in store.unreadable[-1]
     assert store.add_file(models, "x" * 5000) == -1 and len(store.unreadable[-1]) <= 200
     (models.parent / "near.png").write_bytes(b"x")
     assert find_reference(models, "../near.png").is_file()
@@ -84,5 +84,5 @@ def test_a_missing_picture_is_said_with_the_folders_that_were_searched(tmp_path)
     store.add_file(tmp_path, "gone.png")
     assert texture_notes(store) == [
         f"1 texture or material files could not be read (gone.png), searched in '{tmp_path}', textures, "
-        "materials/textures, ../textures, ../materials/textures; plain colours stand in for them"
+        "materials/textures, ../textures, ../materials/textures; plain colours replace them"
     ]

@@ -230,7 +230,7 @@ def test_auto_says_what_it_decided_and_why(room, write, loads, up):
 def test_auto_refuses_to_guess(tmp_path, write, make_box):
     path = write(make_box((0, 0, 0), (4, 3, 2.5)), "y")
     assert error(path, up="auto").endswith("give it, for example up=y or up=z")
-    assert "cannot tell which way is up: floor and ceiling lie" in error(path, up="auto")
+    assert "cannot determine the up axis: floor and ceiling lie" in error(path, up="auto")
     # A wrong unit is the likelier reason, and is what the message is about.
     huge = write(make_box((0, 0, 0), (4000, 3000, 2500)), "y", ".ply")
     assert error(huge, up="auto").endswith("try units=mm (4.0 x 2.5 x 3.0 m) or units=cm (40.0 x 25.0 x 30.0 m)")

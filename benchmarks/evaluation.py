@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.cli.bench import print_rows
 from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
@@ -56,7 +57,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
 
     with tempfile.TemporaryDirectory(prefix="asg-bench-") as directory:
         run = run_job(
-            Job(spec, "random", 0, preset=preset, frame_budget=frames, protocol=protocol), Path(directory) / "r"
+            Job(spec, "random", 0, conditions=Conditions(preset, frames, protocol=protocol)), Path(directory) / "r"
         )
         gaussians = GaussianMap.load_npz(run.directory / "map.npz")
         path = read_path(run.directory / "trajectory.npz")

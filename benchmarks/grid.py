@@ -19,6 +19,7 @@ from typing import Any
 from rich.console import Console
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli.bench import print_rows
@@ -65,9 +66,8 @@ def run_grid_benchmark(
     """
     if shutil.which("xargs") is None:
         raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
-    comparison = Comparison(
-        scenes, ("random", "pixel_only"), seeds, frame_budget=frames, protocol=StandardProtocol(views=8)
-    )
+    conditions = Conditions(frame_budget=frames, protocol=StandardProtocol(views=8))
+    comparison = Comparison(scenes, ("random", "pixel_only"), seeds, conditions=conditions)
     jobs = comparison.prepare(notify)
     ways = {"by_hand": _by_hand, "supervisor": _supervised}
     rows: list[dict[str, Any]] = []

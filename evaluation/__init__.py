@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.comparison import open_comparison
+    from activestructure_gym.evaluation.archive.conditions import Conditions
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.archive.store import Run, read_run
     from activestructure_gym.evaluation.metrics import (
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "archive.comparison": ("open_comparison",),
+    "archive.conditions": ("Conditions",),
     "archive.jobs": ("Job",),
     "archive.store": ("Run", "read_run"),
     "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
@@ -54,6 +56,7 @@ __all__ = [
     "PROTOCOLS",
     "ActiveGamerProtocol",
     "Comparison",
+    "Conditions",
     "Job",
     "Limits",
     "Result",

@@ -33,10 +33,10 @@ def changed_schedule(directory: Path, job: Job) -> list[str]:
     from activestructure_gym.policies.schedule import schedule_of
 
     name = job.policy.partition("?")[0]
-    if job.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
+    if job.conditions.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
-    schedule = schedule_of(POLICIES.get(name), job.terms)
-    config = configure(job.preset, schedule.overrides() | dict(job.overrides))
+    schedule = schedule_of(POLICIES.get(name), job.conditions.terms)
+    config = configure(job.conditions.preset, schedule.overrides() | dict(job.conditions.overrides))
     now = json.loads(json.dumps(store.plain(dataclasses.asdict(config))))
     try:
         then = store.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})

@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, shown
-from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
-from activestructure_gym.policies.schedule import Terms, schedule_of
+from activestructure_gym.evaluation.archive.conditions import Conditions
 
 if TYPE_CHECKING:
-    from activestructure_gym.config import Preset
-    from activestructure_gym.policies import Policy
     from activestructure_gym.registry import Registry
 
 REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
 TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in place of a policy
+CELL = ("scene", "policy", "seed", "scene_hash")  # fields that differ between the jobs of a comparison
 _HASH_DIGITS = 12
 MAX_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
@@ -42,26 +40,13 @@ class Job:
     policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
     seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
     scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
-    preset: Preset = "default"  # of the configuration
-    frame_budget: int | None = None  # frames; None = the preset's
-    overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
-    start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
-    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what the map is measured by
-    also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
-    terms: Terms = "shared"  # native: with the policy's own candidate sources and schedule
+    conditions: Conditions = field(default_factory=Conditions)  # equal for all jobs of a comparison
 
     def __post_init__(self) -> None:
         for kind, name in (("scene", self.scene), ("policy", self.policy)):
             check_in_one_line(kind, name)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {shown(self.seed)}")
-        if self.frame_budget is not None and self.frame_budget < 1:
-            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
-        if self.protocol.name in self.also:
-            raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
-        schedule_of(None, self.terms)
-        object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
-        object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     @cached_property
     def hash(self) -> str:
@@ -83,38 +68,18 @@ class Job:
         return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        content = dataclasses.asdict(self)
-        content["overrides"] = dict(self.overrides)
-        content["protocol"] = self.protocol.parameters()
-        content["also"] = [get_protocol(name).parameters() for name in self.also]
-        if self.terms == "shared":  # the default is left out
-            del content["terms"]
-        return content
-
-    def changes(self, policy: Policy | None) -> dict[str, Any]:
-        """All changes of the preset's fields: what the policy brings on these terms, and what was asked for."""
-        return schedule_of(policy, self.terms).overrides() | dict(self.overrides)
+        """Return plain values for JSON."""
+        cell = {name: getattr(self, name) for name in CELL}
+        return cell | self.conditions.as_dict()
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
-        """The job that `as_dict` described."""
-        values = dict(content)
-        if more := values.keys() - {field.name for field in dataclasses.fields(cls)}:
+        """Return the job that `as_dict` described."""
+        known = {*CELL, *(one.name for one in dataclasses.fields(Conditions))}
+        if more := content.keys() - known:
             raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
-        protocol = protocol_from(values.pop("protocol"))
-        if not isinstance(protocol, StandardProtocol):
-            raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
-        also = [protocol_from(parameters) for parameters in values.pop("also")]
-        start_pose = values.pop("start_pose")
-        overrides = tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in values.pop("overrides").items())
-        return cls(
-            **values,
-            overrides=overrides,
-            start_pose=None if start_pose is None else tuple(start_pose),
-            protocol=protocol,
-            also=tuple(other.name for other in also),
-        )
+        shared = {name: value for name, value in content.items() if name not in CELL}
+        return cls(**{name: content[name] for name in CELL if name in content}, conditions=Conditions.from_dict(shared))
 
 
 def check_in_one_line(kind: str, name: str) -> None:
@@ -154,11 +119,11 @@ def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
 
     if not (is_reference(job.policy) or is_trajectory(job.policy)):
         yield POLICIES, job.policy
-    gains = dict(job.overrides).get("gains", ())
+    gains = job.conditions.overrides.get("gains", ())
     for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
         if isinstance(name, str):
             yield FEATURES, name
-    for name in sources_in(dict(job.overrides)):
+    for name in sources_in(dict(job.conditions.overrides)):
         yield SOURCES, name
 
 

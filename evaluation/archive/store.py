@@ -93,7 +93,7 @@ class Run:
 
         The run's own numbers are `metrics`, completed by an LPIPS that was measured later.
         """
-        own = self.job.protocol
+        own = self.job.conditions.protocol
         found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
         for content in self.evaluations.values():
             name, numbers = content["protocol"]["name"], content["metrics"]
@@ -105,7 +105,7 @@ class Run:
     @property
     def numbers(self) -> dict[str, Any]:
         """The numbers of the run's own protocol, completed by an LPIPS that was measured later."""
-        numbers: dict[str, Any] = self.protocols[self.job.protocol.name]["metrics"]
+        numbers: dict[str, Any] = self.protocols[self.job.conditions.protocol.name]["metrics"]
         return numbers
 
     @cached_property
@@ -191,7 +191,7 @@ def read_shown(run: Run) -> None:
     steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
     try:
         agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
-        agreement.check_views(run.metrics, run.job.protocol, pictures)
+        agreement.check_views(run.metrics, run.job.conditions.protocol, pictures)
         if graph is not None:
             agreement.check_planes(graph, steps)
     except schema.Mismatch as error:

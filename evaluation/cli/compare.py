@@ -16,19 +16,9 @@ from rich.console import Console
 
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.closing import print_end
-from activestructure_gym.evaluation.cli.fields import (
-    Changes,
-    Count,
-    NoNames,
-    PathName,
-    Switch,
-    Text,
-    ViewSource,
-    Words,
-    option,
-)
+from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
+from activestructure_gym.evaluation.cli.fields import NoNames, Switch, Text, Words, option
 from activestructure_gym.evaluation.cli.options import (
-    parse_overrides,
     parse_seeds,
     split_list,
     split_policies,
@@ -38,7 +28,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_trust,
 )
 from activestructure_gym.evaluation.cli.output import make_console, working
-from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
+from activestructure_gym.policies.schedule import Terms
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
@@ -46,89 +36,59 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Compare:
+class GridOptions:
+    """The cells of a comparison. Without any of them, a resumed comparison has those of its record."""
+
+    scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
+    """Explore these scenes, separated by commas or spaces: names (see `asg scenes`), files, folders."""
+    policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
+    (
+        "Compare these policies: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A "
+        'to E), or `all`. Options follow a question mark: "active_gs?travel=shared" has the shared travel term.'
+    )
+    mappers: NoNames = ()
+    (
+        "Map the trajectories among the policies (trajectory:FILE, :sweep, :passive) by default, splatam, monogs, "
+        "gaussian_slam or co_slam, one run for each."
+    )
+    seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
+    """Use these whole numbers as seeds. Equal seeds start at the same pose, so policies are compared in pairs."""
+    references: NoNames = ()
+    (
+        "Add upper bounds with ground truth: oracle (one step, all views of the pool, by newly observed surface), "
+        "oracle-quality (later by image quality)."
+    )
+
+
+@dataclass(frozen=True)
+class Compare(RunOptions, ConditionOptions, GridOptions):
     """Run policies on scenes under one budget.
 
     The result is a table and a report page with curves and pictures.
     Without any option: `random` against `activestructure` in a furnished room, in about a minute.
     """
 
-    # What is compared has None, or nothing, where it was not typed: the usual value is put in by `comparison_of`, and
-    # by the record where a comparison is gone on with. Nobody can type None.
-
-    scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
-    """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
-    policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
-    (
-        "Who explores: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A to E), or "
-        '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
-        "term."
-    )
-    mappers: NoNames = ()
-    (
-        "Who maps the trajectories among the policies (trajectory:FILE, :sweep, :passive): default, splatam, monogs, "
-        "gaussian_slam, co_slam, one run for each."
-    )
-    seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
-    """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
-    references: NoNames = ()
-    (
-        "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
-        "of the pool, what they show first), oracle-quality (later what they mend in the map)."
-    )
     terms: Annotated[Terms | None, option("{shared,native}", "(default: shared)")] = None
     (
-        "shared: everybody gets the same candidates, keyframes and mapper; native: each brings its own, at 2000 frames "
-        "of 320 x 180 (preset full) if not said otherwise."
+        "shared: equal candidates, keyframes and mapper for all policies; native: each policy's own, by default at "
+        "2000 frames of 320 x 180 (preset full)."
     )
-    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
-    """What `asg config PRESET` prints."""
-    frames: Count = None
-    """Frame budget of every episode; the preset's if not given."""
-    out: PathName = None
-    """Directory for the results; runs/<date>-<time> if not given."""
-    resume: Switch = False
-    (
-        "Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given "
-        "as well are added to it; everything else stays as it was."
-    )
-    trust_code: Switch = False
-    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
-    engine: Annotated[str, option("local|inline|ray")] = "local"
-    (
-        "local: one process per run, several at a time; inline: one after the other in this process; ray: on a Ray "
-        "cluster."
-    )
-    workers: int = 0
-    """Runs at a time; 0 is one per core."""
+    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
+    """Start every episode at x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or `published`: at the pose
+    of papers in a scene of Replica or Matterport3D."""
     shard: Annotated[str | None, option("I/N", "")] = None
     (
         "Run every N-th job, from the I-th one on: N programs with the same options, one for each I, run the whole "
         "comparison into --out. `asg compare --resume --out` then runs what is missing and writes the report."
     )
     timeout: float = 0.0
-    """Minutes after which a run is stopped and tried again; 0 is any time."""
+    """Stop a run after this number of minutes and try it again; 0 is no limit."""
     retries: int = 1
-    """How often a run is tried again that was killed or ran out of time."""
-    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
-    """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or `published`: where
-    papers start in that scene of Replica or Matterport3D."""
-    set: Changes = ()
-    """Changes of the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
-    views: Annotated[int | None, option("N", "(default: 64)")] = None
-    """Held-out views that PSNR and SSIM are measured on."""
-    protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
-    """What finished maps are measured by: standard always is, activegamer can be as well."""
-    lpips_weights: PathName = None
-    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
-    samples: Annotated[int | None, option("N", "(default: 200000)")] = None
-    """Points of the true surface that geometry is measured on, seen or not."""
-    view_source: Annotated[ViewSource | None, option("{free_space,recorded}", "(default: free_space)")] = None
-    """Drawn in the scene's free space, or recorded with the scene."""
+    """Try a run again this many times if it was killed or timed out."""
     replay: Switch = False
-    """Also write a page to watch of every run, replay.html beside it; takes as long again as the runs explored."""
+    """Write replay.html, a page to watch, for every run. This takes as long again as the runs explored."""
     baseline: Text = None
-    """The policy the report measures the others against; see `asg report --help`."""
+    """Measure the other policies against this one in the report; see `asg report --help`."""
     wide: Switch = False
     """Print all columns of the result scene by scene, whatever the width of the terminal."""
 
@@ -139,10 +99,6 @@ class Compare:
 
 # What differs without any option: measured on less, to end in about a minute on two cores.
 DEMO = Compare(scenes=("room",), views=16, samples=50_000)
-
-
-# What names cells of the grid. Where none of it is typed, those of the record are gone on with, and no others.
-_GRID = ("scenes", "policies", "mappers", "seeds", "references")
 
 
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
@@ -171,7 +127,8 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     shard = None if options.shard is None else Shard.parse(options.shard)
     check_output(directory, resume=options.resume, shared=shard is not None)
     began = time.monotonic()
-    as_recorded = comparison is None and options.resume and not _typed(options, *_GRID)
+    grid = [one.name for one in dataclasses.fields(GridOptions)]
+    as_recorded = comparison is None and options.resume and not _typed(options, *grid)
     if comparison is None and options.resume:
         comparison = _added_to(directory, options)
     demo = comparison is None and not options.scenes
@@ -223,7 +180,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
 
 def _typed(options: Compare, *names: str) -> bool:
-    """Whether any of these options was typed, those of what is compared; a typed one may well say what is usual."""
+    """Check whether any of the named options was typed, even with its default value."""
     return any(getattr(options, name) != getattr(Compare, name) for name in names)
 
 
@@ -283,26 +240,22 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def comparison_of(options: Compare) -> Comparison:
-    """The comparison that the options name; what was not typed is as usual."""
+    """Return the comparison that the options name; options that were not typed have their defaults."""
+    from activestructure_gym.evaluation.archive.conditions import Conditions
     from activestructure_gym.evaluation.running.comparison import Comparison
 
     usual = Comparison(
-        scenes=("room",),
-        policies=("random", "activestructure"),
-        preset=NATIVE_PRESET if options.terms == "native" else "default",
+        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(terms=options.terms or "shared")
     )
     return dataclasses.replace(usual, **_typed_fields(options, usual))
 
 
 def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
-    """What was typed, and nothing else, as fields of a comparison that takes their place in ``begun``."""
-    from activestructure_gym.config import known_preset
+    """Return the typed options as fields of a comparison, which replace those of ``begun``."""
     from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.references.trajectory import with_mappers
 
-    overrides = parse_overrides(options.set)
-    if options.frames is not None and "frame_budget" in overrides:
-        raise InputError(f"--frames {options.frames} and --set frame_budget={overrides['frame_budget']}: leave one out")
+    changes = options.typed(begun.conditions)
     typed: dict[str, Any] = {}
     if options.scenes:
         typed["scenes"] = split_scenes(options.scenes)
@@ -314,22 +267,12 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
         typed["references"] = split_list(options.references)
     if options.seeds is not None:
         typed["seeds"] = parse_seeds(options.seeds)
-    if options.preset is not None:
-        typed["preset"] = known_preset(options.preset)
     if options.terms is not None:
-        typed["terms"] = options.terms
-    if options.frames is not None:
-        typed["frame_budget"] = options.frames
-    if options.set:
-        typed["overrides"] = overrides
+        changes["terms"] = options.terms
     if options.start is not None:
-        typed["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
-    said = {"views": options.views, "surface_samples": options.samples, "view_source": options.view_source}
-    measured: dict[str, Any] = {name: value for name, value in said.items() if value is not None}
-    if measured:
-        typed["protocol"] = dataclasses.replace(begun.protocol, **measured)
-    if options.protocols is not None:
-        typed["also_protocols"] = [name for name in split_list(options.protocols) if name != begun.protocol.name]
+        changes["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
+    if changes:
+        typed["conditions"] = dataclasses.replace(begun.conditions, **changes)
     return typed
 
 
@@ -339,17 +282,18 @@ def _announce(
     from activestructure_gym.config import configure
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
-    frames = comparison.frame_budget or configure(comparison.preset, comparison.overrides).frame_budget
+    shared = comparison.conditions
+    frames = shared.frame_budget or configure(shared.preset, shared.overrides).frame_budget
     parts = [
         counted(len(comparison.scenes), "scene"),
         counted(policies, "policy", "policies"),
         counted(len(comparison.seeds), "seed"),
     ]
-    conditions = f"{comparison.terms} terms, preset {comparison.preset}, {frames} frames"
+    conditions = f"{shared.terms} terms, preset {shared.preset}, {frames} frames"
     what = f"[bold]{' x '.join(parts)}[/], {conditions} per run" if jobs > 1 else f"[bold]one run[/], {conditions}"
     console.print(f"{what}, into {escape(str(directory))}")
     if demo:
-        protocol, usual = comparison.protocol, StandardProtocol()
+        protocol, usual = shared.protocol, StandardProtocol()
         console.print(
             f"[dim]The demo is measured on {protocol.views} views and {protocol.surface_samples:,} points; with "
             f"--scenes a comparison is measured on {usual.views} and {usual.surface_samples:,} (asg compare --help)."

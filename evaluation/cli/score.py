@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.compare import Compare, compare_with, comparison_of
-from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, NoNames, PathName, Switch, option
+from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
+from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_start, split_list, use_trust
 
 if TYPE_CHECKING:
@@ -18,54 +18,33 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Score:
+class TrajectoryOptions:
+    """A trajectory, its frame and its mapper."""
+
+    trajectory: PathName = None
+    """Follow a file of poses, a folder with one (traj.txt, traj_w_c.txt, trajectory.npz, pose), or a finished run."""
+    scene: Annotated[str | None, option("SCENE", "")] = None
+    """Explore this scene; by default a run's own, with its seed and configuration."""
+    format: Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"] = "auto"
+    """Read the file in this format; auto uses its ending and the numbers in a line."""
+    axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: opencv; habitat's own)")] = None
+    """Read poses in these axes. Poses in walls are refused; the error names the axes that fit best."""
+    inverted: Switch = False
+    """Read poses that map world to camera."""
+    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
+    """Put the first pose here, for files in the frame of their first camera (write --start=-1,2,1.4,90)."""
+    mapper: NoNames = ()
+    """Map by default, splatam, monogs, gaussian_slam or co_slam, one run for each."""
+    seeds: Annotated[tuple[str, ...], option("N [N ...]", "")] = ()
+    """Use these seeds for the sensor's noise and the mapper; by default 0, or the run's own."""
+
+
+@dataclass(frozen=True)
+class Score(RunOptions, ConditionOptions, TrajectoryOptions):
     """Map a recorded trajectory and measure the map.
 
     A run's own trajectory gives the run's own map again, byte for byte: asg score --trajectory RUN.
     """
-
-    trajectory: PathName = None
-    """A file of poses, a folder that has one (traj.txt, traj_w_c.txt, trajectory.npz, pose), or a finished run."""
-    scene: Annotated[str | None, option("SCENE", "")] = None
-    """What is explored; a run's own, with its seed and configuration, if not given."""
-    format: Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"] = "auto"
-    """How the file is written; auto goes by its ending and by the numbers in a line."""
-    axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: opencv; habitat's own)")] = None
-    """Whose axes its poses have. Poses that cannot be are refused, with the convention that fits best."""
-    inverted: Switch = False
-    """The poses map world to camera."""
-    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
-    """Where the first pose is put, for files in the frame of their first camera (write --start=-1,2,1.4,90)."""
-    mapper: NoNames = ()
-    """Who maps it: default, splatam, monogs, gaussian_slam, co_slam, one run for each."""
-    frames: Count = None
-    """Frame budget; all poses if not given."""
-    seeds: Annotated[tuple[str, ...], option("N [N ...]", "")] = ()
-    """Of the sensor's noise and of the mapper; 0, or the run's own, if not given."""
-    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
-    """What `asg config PRESET` prints."""
-    set: Changes = ()
-    """Changes of the configuration (see `asg config`)."""
-    out: PathName = None
-    """Directory for the results; runs/<date>-<time> if not given."""
-    resume: Switch = False
-    """Go on with what is in --out, or add to it."""
-    engine: Annotated[str, option("local|inline|ray")] = "local"
-    """As for `asg compare`."""
-    workers: int = 0
-    """Runs at a time; 0 is one per core."""
-    views: Annotated[int | None, option("N", "(default: 64)")] = None
-    """Held-out views that PSNR and SSIM are measured on."""
-    samples: Annotated[int | None, option("N", "(default: 200000)")] = None
-    """Points of the true surface that geometry is measured on, seen or not."""
-    view_source: Literal["free_space", "recorded"] = "free_space"
-    """Drawn in the scene's free space, or recorded with the scene."""
-    protocols: Names = ("standard",)
-    """What finished maps are measured by: standard always is, activegamer can be as well."""
-    lpips_weights: PathName = None
-    """Folder with AlexNet's and LPIPS's weights."""
-    trust_code: Switch = False
-    """Let a run's files name code, package.module:Name, that is run."""
 
     def run(self) -> int:
         """Check, follow, report; exit codes as of `asg compare`."""
@@ -98,31 +77,23 @@ def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
         inverted=options.inverted,
         start=parse_start(options.start),
     )
-    specs = [dataclasses.replace(given, mapper=name).spec for name in split_list(options.mapper) or ("",)]
-    same = {name: getattr(options, name) for name in _SHARED}
+    specs = [replace(given, mapper=name).spec for name in split_list(options.mapper) or ("",)]
+    same = {one.name: getattr(options, one.name) for kind in (RunOptions, ConditionOptions) for one in fields(kind)}
     asked = Compare(**same, scenes=(options.scene or "",), policies=tuple(specs), seeds=options.seeds or None)
     if run is None or options.scene is not None:
         comparison = comparison_of(asked)
         if options.frames is None:
-            comparison = dataclasses.replace(comparison, frame_budget=given.frames)
+            comparison = replace(comparison, conditions=replace(comparison.conditions, frame_budget=given.frames))
         return asked, comparison
     job = run.job
-    asked = dataclasses.replace(asked, scenes=(job.scene,), preset=options.preset or job.preset)
+    asked = replace(asked, scenes=(job.scene,), preset=options.preset or job.conditions.preset)
     if not options.seeds:
-        asked = dataclasses.replace(asked, seeds=(str(job.seed),))
+        asked = replace(asked, seeds=(str(job.seed),))
     comparison = comparison_of(asked)
-    return asked, dataclasses.replace(
-        comparison,
-        frame_budget=options.frames if options.frames is not None else run.config["configuration"]["frame_budget"],
-        overrides=_changes_of(run) | dict(comparison.overrides),
-        recorded={job.scene: job.scene_hash},
-    )
-
-
-_SHARED = (
-    "frames", "preset", "set", "out", "resume", "engine", "workers", "views", "samples", "view_source", "protocols",
-    "lpips_weights", "trust_code",
-)  # fmt: skip
+    budget = options.frames if options.frames is not None else run.config["configuration"]["frame_budget"]
+    overrides = _changes_of(run) | dict(comparison.conditions.overrides)
+    conditions = replace(comparison.conditions, frame_budget=budget, overrides=overrides)
+    return asked, replace(comparison, conditions=conditions, recorded={job.scene: job.scene_hash})
 
 
 def _changes_of(run: Run) -> dict[str, Any]:
@@ -133,13 +104,13 @@ def _changes_of(run: Run) -> dict[str, Any]:
     from activestructure_gym.policies import make_policy
 
     job = run.job
-    if job.terms == "shared":
-        refuse_code([dataclasses.replace(job, policy="random")], run.directory / CONFIG)
-        brought = dict(job.overrides)
+    if job.conditions.terms == "shared":
+        refuse_code([replace(job, policy="random")], run.directory / CONFIG)
+        brought = dict(job.conditions.overrides)
     else:
         refuse_code([job], run.directory / CONFIG)
         alone = is_reference(job.policy) or is_trajectory(job.policy)
-        brought = job.changes(None if alone else make_policy(job.policy))
+        brought = job.conditions.changes(None if alone else make_policy(job.policy))
     if is_trajectory(job.policy) and (mapper := TrajectorySpec.of(job.policy).mapper):
         brought["mapper.name"] = mapper
     return {name: value for name, value in brought.items() if name not in ("gains", "frame_budget")}

@@ -275,18 +275,10 @@ class TrajectoryPolicy:
 def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryPolicy, TrajectoryEnv]:
     """Who follows the trajectory of a job, and its env."""
     given = TrajectorySpec.of(job.policy)
-    changes = given.changes(dict(job.overrides))
-    config = configure(job.preset, changes)
-    env = TrajectoryEnv(
-        given.course(known, config.keyframe_every),
-        known,
-        preset=job.preset,
-        frame_budget=job.frame_budget,
-        gains=(),
-        config=changes,
-        coverage_target=None,
-        start_pose=job.start_pose,
-    )
+    changes = given.changes(job.conditions.overrides)
+    config = configure(job.conditions.preset, changes)
+    resolved = given.course(known, config.keyframe_every)
+    env = TrajectoryEnv(resolved, known, gains=(), **job.conditions.env_options(changes))
     return TrajectoryPolicy(), env
 
 

@@ -58,21 +58,18 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     if "gains" not in stored or "max_candidates" not in stored.get("views", {}):
         raise InputError(f"'{run.directory / CONFIG}' lacks gains or views.max_candidates: no replay without")
     if not trusted:  # a policy is made on native terms alone, to learn what it brings
-        refuse_code([job if job.terms == "native" else replace(job, policy="random")], run.directory / CONFIG)
+        refuse_code(
+            [job if job.conditions.terms == "native" else replace(job, policy="random")], run.directory / CONFIG
+        )
     truth = ground_truth_of(load_job_scene(job))
     env: ReconstructionEnv
     if is_trajectory(job.policy):
         env = trajectory_policy_and_env(job, truth)[1]
     else:
-        env = ReconstructionEnv(
-            scene=truth,
-            preset=job.preset,
-            frame_budget=stored["frame_budget"],
-            gains=() if is_reference(job.policy) else _at_hand(stored["gains"]),
-            config={**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]},
-            coverage_target=None,
-            start_pose=job.start_pose,
-        )
+        changes = {**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]}
+        options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
+        gains = () if is_reference(job.policy) else _at_hand(stored["gains"])
+        env = ReconstructionEnv(scene=truth, gains=gains, **options)
     try:
         env.reset(seed=job.seed)
         yield env
@@ -106,9 +103,9 @@ def _changes(run: Run) -> dict[str, Any]:
     """What the configuration differs in from the preset's: what was asked for, and what the policy brought."""
     from activestructure_gym.policies import make_policy
 
-    if run.job.terms == "shared":
-        return dict(run.job.overrides)
-    return run.job.changes(make_policy(run.job.policy))
+    if run.job.conditions.terms == "shared":
+        return dict(run.job.conditions.overrides)
+    return run.job.conditions.changes(make_policy(run.job.policy))
 
 
 def _at_hand(gains: list[str]) -> tuple[str, ...]:

@@ -208,7 +208,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
     for run, flat in zip(runs, told):
         for name in names:
             found.setdefault(name, {})[flat.get(name, "not given")] = None
-        found.setdefault(f"start_pose in {run.scene}", {})[str(run.job.start_pose)] = None
+        found.setdefault(f"start_pose in {run.scene}", {})[str(run.job.conditions.start_pose)] = None
         if run.job.scene_hash:  # one name, as of a file that was changed
             found.setdefault(f"content of {run.scene}", {})[run.job.scene_hash[:_DIGITS]] = None
     return {name: list(values) for name, values in found.items()}
@@ -216,7 +216,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
 
 def _told(run: Run) -> dict[str, str]:
     job = run.job.as_dict()
-    flat = {name: job[name] for name in ("preset", "frame_budget")} | {"terms": run.job.terms}
+    flat = {name: job[name] for name in ("preset", "frame_budget")} | {"terms": run.job.conditions.terms}
     flat |= {f"set {name}": value for name, value in job["overrides"].items()}
     flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
     return {name: str(value) for name, value in flat.items()}

@@ -13,6 +13,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import refuse_code
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.archive.store import CONFIG, Run, plain
@@ -42,7 +43,7 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     from activestructure_gym.ground_truth import ground_truth_of
 
     # Nobody plays here: of what the job names only the scene is loaded.
-    refuse_code([replace(run.job, policy="random", overrides=())], run.directory / CONFIG)
+    refuse_code([replace(run.job, policy="random", conditions=Conditions())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 

@@ -107,7 +107,8 @@ def contradictions(run: Run) -> list[str]:
     with suppress(InputError):  # a protocol that this version does not know
         for protocol, stored in protocols_of(run):
             stored = stored or {}
-            measured = measure_again(run, protocol) | (planned if protocol.name == run.job.protocol.name else {})
+            own = protocol.name == run.job.conditions.protocol.name
+            measured = measure_again(run, protocol) | (planned if own else {})
             wrong += [
                 f"{protocol.name}: {name} is {_shown(stored[name])}, and {_shown(value)} by the run's own map and curve"
                 for name, value in measured.items()
@@ -119,10 +120,10 @@ def contradictions(run: Run) -> list[str]:
 
 def untrue_evaluations(run: Run) -> list[str]:
     """Evaluations by the run's own protocol that say more than an LPIPS beside the run's own numbers, in words."""
-    own, parameters = run.metrics["metrics"], store.plain(run.job.protocol.parameters())
+    own, parameters = run.metrics["metrics"], store.plain(run.job.conditions.protocol.parameters())
     wrong = []
     for name, content in run.evaluations.items():
-        if content["protocol"]["name"] != run.job.protocol.name:
+        if content["protocol"]["name"] != run.job.conditions.protocol.name:
             continue
         numbers = differing(own, content["metrics"])
         if numbers or content["protocol"] != parameters:
@@ -142,7 +143,8 @@ def evaluations_again(run: Run, again: Run) -> tuple[list[str], list[str]]:
     pairs = [(own, found)]
     for name, content in run.evaluations.items():
         stored, parameters = content["metrics"], content["protocol"]
-        if parameters["name"] == run.job.protocol.name:  # an LPIPS and nothing else, see `untrue_evaluations`
+        own_name = run.job.conditions.protocol.name
+        if parameters["name"] == own_name:  # an LPIPS and nothing else, see `untrue_evaluations`
             pairs.append((stored, found))
             same = None in (_lpips_of(stored), _lpips_of(found)) or _lpips_of(stored) == _lpips_of(found)
         elif (made := again.evaluations.get(name)) is not None:

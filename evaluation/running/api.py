@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, InputWarning, shown
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison, Result, check_output, run_comparison
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
-from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
-
-if TYPE_CHECKING:
-    from activestructure_gym.config import Preset
 
 
 class NullListener:
@@ -43,13 +38,7 @@ def compare(
     out: str | os.PathLike[str],
     *,
     seeds: Sequence[int] = (0,),
-    preset: Preset | None = None,
-    terms: Terms = "shared",
-    frame_budget: int | None = None,
-    config: Mapping[str, Any] | None = None,
-    start_pose: tuple[float, float, float, float] | None = None,
-    protocol: StandardProtocol | None = None,
-    also_protocols: Sequence[str] = (),
+    conditions: Conditions | None = None,
     engine: str = "local",
     limits: Limits | None = None,
     listener: Listener | None = None,
@@ -71,21 +60,8 @@ def compare(
         The directory of the comparison; new or empty, unless ``resume``.
     seeds
         Whole numbers from 0 on.
-    preset
-        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``; ``"default"`` if not given, on native terms ``"full"``.
-    terms
-        ``"shared"`` (the same candidates, keyframes and mapper) or ``"native"`` (what each policy brings).
-    frame_budget
-        Frames of every episode, the first one included; the preset's if not given.
-    config
-        Changes of the preset by field, ``{"sensor.depth_noise": "kinect"}``.
-    start_pose
-        Where every episode starts: x, y, z in metres and yaw in degrees (0 = +x), world; drawn from the seed if not
-        given.
-    protocol
-        What maps are measured by; the standard protocol with its usual constants if not given.
-    also_protocols
-        Names of further protocols, ``"activegamer"``.
+    conditions
+        Configuration, budget, start and protocols of all runs; the defaults if not given.
     engine
         ``"local"`` (a process per run), ``"inline"`` (this process) or ``"ray"``.
     limits
@@ -108,28 +84,18 @@ def compare(
     Examples
     --------
     >>> import tempfile
-    >>> from activestructure_gym.evaluation import compare
+    >>> from activestructure_gym.evaluation import Conditions, StandardProtocol, compare
+    >>> protocol = StandardProtocol(views=1, surface_samples=2000, points_source="means")
+    >>> conditions = Conditions(preset="fast", frame_budget=2, protocol=protocol)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     result = compare(["box"], ["random"], folder, preset="fast", frame_budget=2, engine="inline",
-    ...                      protocol=StandardProtocol(views=1, surface_samples=2000, points_source="means"))
+    ...     result = compare(["box"], ["random"], folder, conditions=conditions, engine="inline")
     ...     [(run.policy, run.metrics["metrics"]["psnr"] > 0) for run in result.runs]
     [('random', True)]
     """
-    for name, given in (("scenes", scenes), ("policies", policies), ("also_protocols", also_protocols)):
+    for name, given in (("scenes", scenes), ("policies", policies)):
         if isinstance(given, str):
             raise InputError(f"{name} are a list of names, as ['{given}'], got the text {shown(given)}")
-    comparison = Comparison(
-        scenes=scenes,
-        policies=policies,
-        seeds=seeds,
-        preset=preset or (NATIVE_PRESET if terms == "native" else "default"),
-        terms=terms,
-        frame_budget=frame_budget,
-        overrides=config or {},
-        start_pose=start_pose,
-        protocol=protocol or StandardProtocol(),
-        also_protocols=also_protocols,
-    )
+    comparison = Comparison(scenes, policies, seeds, conditions=conditions or Conditions())
     directory = Path(out)
     check_output(directory, resume=resume)
     jobs = comparison.prepare()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store, temporary
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.archive.jobs import (
     REFERENCE,
@@ -24,7 +25,7 @@ from activestructure_gym.evaluation.archive.jobs import (
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
-from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
+from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.engines.base import LOGS
@@ -33,10 +34,9 @@ from activestructure_gym.evaluation.running.recorded_scene import scene_as_recor
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
-from activestructure_gym.policies.schedule import Terms, schedule_of
+from activestructure_gym.policies.schedule import schedule_of
 
 if TYPE_CHECKING:
-    from activestructure_gym.config import Preset
     from activestructure_gym.scenes import Scene
 
 
@@ -47,14 +47,8 @@ class Comparison:
     scenes: Sequence[str]  # texts as `load_scene` takes them
     policies: Sequence[str]  # names with options
     seeds: Sequence[int] = (0,)  # equal seeds share start and noise
-    preset: Preset = "default"  # of the configuration
-    frame_budget: int | None = None  # frames; None = the preset's
-    overrides: Mapping[str, Any] = field(default_factory=dict)  # of the preset's fields
-    start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
-    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what maps are measured by
-    also_protocols: Sequence[str] = ()  # every finished map is measured by these too
-    references: Sequence[str] = ()  # names of those who see the ground truth, beside the policies
-    terms: Terms = "shared"  # native: every policy with its own candidate sources and schedule
+    references: Sequence[str] = ()  # names of references, which see the ground truth
+    conditions: Conditions = field(default_factory=Conditions)  # shared by all runs
     recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
 
     def __post_init__(self) -> None:
@@ -68,19 +62,12 @@ class Comparison:
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
         """The smallest comparison that has all of these jobs, which were made under the same conditions."""
-        first = jobs[0]
         return cls(
             scenes=[job.scene for job in jobs],
             policies=[job.policy for job in jobs if not is_reference(job.policy)],
             references=[job.policy.removeprefix(REFERENCE) for job in jobs if is_reference(job.policy)],
             seeds=[job.seed for job in jobs],
-            preset=first.preset,
-            frame_budget=first.frame_budget,
-            overrides=dict(first.overrides),
-            start_pose=first.start_pose,
-            protocol=first.protocol,
-            also_protocols=first.also,
-            terms=first.terms,
+            conditions=jobs[0].conditions,
             recorded={job.scene: job.scene_hash for job in jobs},
         )
 
@@ -91,7 +78,7 @@ class Comparison:
         from activestructure_gym.splatting.rasterizers import rasterizer
 
         check_compiling()
-        rasterizer(configure(self.preset, self.overrides).mapper.backend)
+        rasterizer(configure(self.conditions.preset, self.conditions.overrides).mapper.backend)
 
     def everybody(self, policies: Sequence[str] = ()) -> list[str]:
         """Who takes part, as jobs call them: the policies (of these names, if they are known), then the references."""
@@ -115,25 +102,13 @@ class Comparison:
                 check_scene_name(spec)
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
-        with warming_up(planners or ["random"], self.overrides, notify):
+        with warming_up(planners or ["random"], self.conditions.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec, policies).content_hash
             notify("making sure that all kernels are compiled")
         jobs = [
-            Job(
-                scene=scene,
-                policy=policy,
-                seed=seed,
-                scene_hash=hashes[scene],
-                preset=self.preset,
-                frame_budget=self.frame_budget,
-                overrides=tuple(self.overrides.items()),
-                start_pose=self.start_pose,
-                protocol=self.protocol,
-                also=tuple(self.also_protocols),
-                terms=self.terms,
-            )
+            Job(scene, policy, seed, hashes[scene], self.conditions)
             for seed in self.seeds
             for scene in self.scenes
             for policy in everybody
@@ -146,25 +121,25 @@ class Comparison:
         from activestructure_gym.config import configure
         from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 
-        configure(self.preset, self.overrides)  # what policies replace must be usable too
-        changes = dict(self.overrides)
-        if self.frame_budget is not None:
-            changes["frame_budget"] = self.frame_budget
+        configure(self.conditions.preset, self.conditions.overrides)  # what policies replace must be usable too
+        changes = dict(self.conditions.overrides)
+        if self.conditions.frame_budget is not None:
+            changes["frame_budget"] = self.conditions.frame_budget
         named = []
         for spec in self.policies:
             if is_trajectory(spec):
                 given = TrajectorySpec.of(spec)
-                configure(self.preset, given.changes(changes))
+                configure(self.conditions.preset, given.changes(changes))
                 named.append(given.spec)
                 continue
             if module := POLICIES.module_of(spec.partition("?")[0]):
                 first_checksum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
-            brought = schedule_of(policy, self.terms).overrides()
-            configure(self.preset, brought | changes | {"gains": tuple(policy.required_gains)})
+            brought = schedule_of(policy, self.conditions.terms).overrides()
+            configure(self.conditions.preset, brought | changes | {"gains": tuple(policy.required_gains)})
         for seed in self.seeds:
-            Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
+            Job(scene="", policy="", seed=seed)
         return list(dict.fromkeys(named))
 
     def _check_scene(self, spec: str, policies: Sequence[str]) -> Scene:
@@ -175,23 +150,23 @@ class Comparison:
 
         scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
         known = ground_truth_of(scene)
-        config = configure(self.preset, self.overrides)
+        config = configure(self.conditions.preset, self.conditions.overrides)
         grid_shape(scene.bounds, config.volume.voxel_size)
-        if not len(known.free_space.start_poses) and self.start_pose is None:
+        if not len(known.free_space.start_poses) and self.conditions.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
-        if self.start_pose is not None:
-            check_start_pose(known, as_pose(self.start_pose), config.motion.body_radius)
+        if self.conditions.start_pose is not None:
+            check_start_pose(known, as_pose(self.conditions.start_pose), config.motion.body_radius)
         for policy in filter(is_trajectory, policies):
             given = TrajectorySpec.of(policy)
             given.course(known, config.keyframe_every)
-            if given.place == PASSIVE and self.protocol.view_source == "recorded":
+            if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":
                 raise InputError(
                     f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "
                     "--view-source at free_space"
                 )
         warn_if_hardly_seen(known)
-        self.protocol.truth(known)
-        for name in self.also_protocols:
+        self.conditions.protocol.truth(known)
+        for name in self.conditions.also:
             get_protocol(name).truth(known)
         return scene
 

@@ -80,8 +80,8 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     own = plugin_code_of(job, first_checksum_of)  # before it is imported, as it may be edited while it plays
     began = time.perf_counter()
     known = ground_truth_of(load_job_scene(job))
-    truth = job.protocol.truth(known)
-    for name in job.also:
+    truth = job.conditions.protocol.truth(known)
+    for name in job.conditions.also:
         get_protocol(name).truth(known)
     place = played.played_episode(directory, job, first_checksum_of)
     if place is None:
@@ -125,8 +125,6 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
     """The job's policy and an env that offers the gains it asks for; or its reference, which alone gets the truth.
 
     Or who follows the job's trajectory, which decides nothing.
-
-    The env never ends an episode by how much surface was seen: that is ground truth, and no planner may profit.
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
@@ -134,30 +132,16 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
     if is_reference(job.policy):
         from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
 
-        env = ReconstructionEnv(
-            scene=known,
-            preset=job.preset,
-            frame_budget=job.frame_budget,
-            gains=(),
-            config=dict(job.overrides) | {"views.max_candidates": WHOLE_POOL},
-            coverage_target=None,
-            start_pose=job.start_pose,
-        )
-        return make_reference(job.policy, env, known, job.protocol), env
+        changes = dict(job.conditions.overrides) | {"views.max_candidates": WHOLE_POOL}
+        env = ReconstructionEnv(scene=known, gains=(), **job.conditions.env_options(changes))
+        return make_reference(job.policy, env, known, job.conditions.protocol), env
     if is_trajectory(job.policy):
         from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
 
         return trajectory_policy_and_env(job, known)
     policy = make_policy(job.policy)
-    env = ReconstructionEnv(
-        scene=known,
-        preset=job.preset,
-        frame_budget=job.frame_budget,
-        gains=tuple(policy.required_gains),
-        config=job.changes(policy),
-        coverage_target=None,
-        start_pose=job.start_pose,
-    )
+    options = job.conditions.env_options(job.conditions.changes(policy))
+    env = ReconstructionEnv(scene=known, gains=tuple(policy.required_gains), **options)
     policy.bind(env)
     return policy, env
 
@@ -280,7 +264,7 @@ class _Episode:
             self._next_images = _following(frames, budget // IMAGE_CHECKPOINTS)
         if surface:
             self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
-        scores = self.job.protocol.checkpoint(
+        scores = self.job.conditions.protocol.checkpoint(
             reconstruction.mapper.map,
             self.truth,
             CameraPath.from_arrays(_path_arrays(reconstruction)),

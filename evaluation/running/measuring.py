@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputWarning
 from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.archive.temporary import atomic_files
@@ -35,7 +36,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     began = time.perf_counter()
     episode = played.read_episode(place)
     path, gaussians = CameraPath.from_arrays(played.read_path(place)), GaussianMap.load_npz(place / store.MAP)
-    metrics = job.protocol.evaluate(gaussians, truth, path)
+    metrics = job.conditions.protocol.evaluate(gaussians, truth, path)
     # The curve ends with the numbers of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
     episode["curve"][-1] |= last
@@ -45,11 +46,11 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
         played.bring_files(place, part)
         _write_numbers(part, job, known, metrics, episode["curve"])
         _write_steps(place / store.STEPS, part / store.STEPS, last)
-        for other in map(get_protocol, job.also):
+        for other in map(get_protocol, job.conditions.also):
             numbers = other.evaluate(gaussians, other.truth(known), path)
             store.write_evaluation(part, other.parameters(), known.scene.content_hash, numbers)
         views = [view["psnr"] for view in metrics["views"]]
-        pictures = picture_arrays(job.protocol, truth, gaussians, played.read_plan(place), views)
+        pictures = picture_arrays(job.conditions.protocol, truth, gaussians, played.read_plan(place), views)
         write_npz(part / store.PICTURES, pictures)
         _write_clocks(part, episode["clock"], time.perf_counter() - began)
         # Last: a directory without it is not a result.
@@ -71,9 +72,9 @@ def measure_played(directory: Path) -> store.Run | None:
         return None
     job = played.job_of(place)
     # Nobody plays here: of what the job names only the scene is loaded.
-    refuse_code([replace(job, policy="random", overrides=())], place / store.CONFIG)
+    refuse_code([replace(job, policy="random", conditions=Conditions())], place / store.CONFIG)
     known = ground_truth_of(load_job_scene(job))
-    return measure(job, place, directory, known, job.protocol.truth(known))
+    return measure(job, place, directory, known, job.conditions.protocol.truth(known))
 
 
 def _write_numbers(
@@ -81,7 +82,7 @@ def _write_numbers(
 ) -> None:
     results = {
         "format": store.FORMAT_VERSION,
-        "protocol": job.protocol.parameters(),
+        "protocol": job.conditions.protocol.parameters(),
         "scene": known.scene.content_hash,
         "metrics": metrics,
         "curve": curve,

@@ -18,10 +18,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import plugin_code, store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
-
-# What tells the cells of one grid apart; whatever else a job has is the same for all of them.
-_CELL = ("scene", "scene_hash", "policy", "seed")
 
 
 def recorded_jobs(directory: Path) -> list[Job]:
@@ -70,7 +68,7 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
 def _is_as_it_was(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
     if plugin_code.plugin_code_of(job, checksums):
         return plugin_code.is_as_it_was(place, job, checksums)
-    return job.terms == "native" and not changed_schedule(place, job)
+    return job.conditions.terms == "native" and not changed_schedule(place, job)
 
 
 def _changed_schedule(place: Path, job: Job) -> list[str]:
@@ -88,7 +86,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
     A scene that is asked for under another path has that one in all of them.
     """
     if recorded and asked:
-        _check_conditions(conditions(recorded[0]), conditions(asked[0]), directory)
+        _check_conditions(recorded[0].conditions, asked[0].conditions, directory)
         hashes = {job.scene: job.scene_hash for job in recorded}
         for job in asked:
             if hashes.get(job.scene, job.scene_hash) != job.scene_hash:
@@ -98,21 +96,17 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
     return list({job.name: job for job in one_spec_each((*recorded, *asked))}.values())
 
 
-def conditions(job: Job) -> dict[str, Any]:
-    """The conditions that a job shares with all others of its comparison, in JSON's types."""
-    content: dict[str, Any] = json.loads(json.dumps(store.plain(job.as_dict())))
-    return {"terms": "shared"} | {key: value for key, value in content.items() if key not in _CELL}
-
-
-def _check_conditions(before: Mapping[str, Any], asked: Mapping[str, Any], directory: Path) -> None:
-    if before == asked:
-        return
-    old, new = _flat(before), _flat(asked)
+def _check_conditions(before: Conditions, asked: Conditions, directory: Path) -> None:
+    old, new = (
+        _flat(json.loads(json.dumps(store.plain({"terms": one.terms} | one.as_dict())))) for one in (before, asked)
+    )
     different = [
         f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"
         for name in dict.fromkeys((*old, *new))
         if old.get(name) != new.get(name)
     ]
+    if not different:
+        return
     raise InputError(
         f"'{directory}' was begun under other conditions ({'; '.join(different)}): give --out and --resume alone to go "
         "on with it, or choose another --out"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.cores import core_count
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -87,7 +87,7 @@ def mark_of(job: Job, gains: Sequence[str] = ()) -> Path | None:
     origins = [type(make_policy(job.policy)), *(FEATURES.get(FEATURES.owner(name)) for name in gains)]
     ours = all(origin.__module__.startswith("activestructure_gym.") for origin in origins)
     place = cache_place()
-    if not ours or ":" in str(job.overrides) or place is None:
+    if not ours or ":" in str(job.conditions.overrides) or place is None:
         return None
     sources = {file for folder in package_folders() for file in folder.rglob("*.py")}
     content = [
@@ -139,10 +139,12 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
         scene="box",
         policy=max(policies, key=lambda name: len(make_policy(name).required_gains)),
         seed=0,
-        preset="fast",
-        frame_budget=_FRAMES,
-        overrides=tuple(overrides.items()),
-        protocol=dataclasses.replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
+        conditions=Conditions(
+            preset="fast",
+            frame_budget=_FRAMES,
+            overrides=overrides,
+            protocol=StandardProtocol(views=1, view_width=64, view_height=36, surface_samples=2000),
+        ),
     )
 
 
@@ -171,7 +173,9 @@ def play(work: Mapping[str, Any]) -> None:
     job = Job.from_dict(work["job"])
     with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
         run_job(job, Path(directory) / "run")
-    env = ReconstructionEnv(scene=job.scene, preset=job.preset, gains=work["gains"], config=dict(job.overrides))
+    env = ReconstructionEnv(
+        scene=job.scene, preset=job.conditions.preset, gains=work["gains"], config=dict(job.conditions.overrides)
+    )
     env.reset(seed=job.seed)
     env.step(0)
     env.close()

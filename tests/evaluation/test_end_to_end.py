@@ -196,8 +196,9 @@ def test_a_job_that_asks_for_a_further_protocol_writes_its_numbers(runs, monkeyp
     from activestructure_gym.evaluation.protocols import PROTOCOLS
 
     monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
-    job = replace(runs[0].job, frame_budget=3, also=("activegamer",))
-    assert job.hash != replace(job, also=()).hash
+    conditions = replace(runs[0].job.conditions, frame_budget=3)
+    job = replace(runs[0].job, conditions=replace(conditions, also=("activegamer",)))
+    assert job.hash != replace(job, conditions=conditions).hash
     run = episode.run_job(job, tmp_path / "run")
     assert run.protocols["activegamer"]["metrics"]["true_samples"] > 1000
 
@@ -249,7 +250,7 @@ def test_a_job_that_fails_before_its_episode_is_kept_leaves_nothing(runs, tmp_pa
         raise OSError("No space left on device")
 
     monkeypatch.setattr(episode, "_write_files", full_disk)
-    job = replace(runs[0].job, frame_budget=3)
+    job = replace(runs[0].job, conditions=replace(runs[0].job.conditions, frame_budget=3))
     with pytest.raises(OSError, match="No space left"):
         episode.run_job(job, tmp_path / "jobs" / job.name)
     assert not any((tmp_path / "jobs").iterdir())
@@ -267,7 +268,7 @@ def test_a_policy_that_returns_no_row_is_told(runs, tmp_path, monkeypatch):
             self.rng.random()
 
     monkeypatch.setitem(POLICIES._entries, "silent", Silent)
-    job = replace(runs[0].job, policy="silent", frame_budget=3)
+    job = replace(runs[0].job, policy="silent", conditions=replace(runs[0].job.conditions, frame_budget=3))
     with pytest.raises(
         InputError, match=r"policy 'silent': act\(\) must return a row, a whole number from 0 to \d+, got None"
     ):

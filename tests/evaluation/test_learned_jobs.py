@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label
 from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -90,7 +91,7 @@ def test_a_checkpoint_spelt_in_two_ways_runs_once(run: Path, monkeypatch) -> Non
     monkeypatch.setattr(comparison, "warming_up", lambda policies, *_: warmed.append(policies) or nullcontext())
     monkeypatch.setattr(StandardProtocol, "truth", lambda self, scene: None)
     specs = ["learned:run", f"learned:{run / 'best.safetensors'}", "random"]
-    jobs = comparison.Comparison(["box"], specs, preset="fast").prepare()
+    jobs = comparison.Comparison(["box"], specs, conditions=Conditions(preset="fast")).prepare()
     assert [job.policy for job in jobs] == [canonical_policy("learned:run"), "random"] == warmed[0]
     assert comparison.Comparison.of(jobs).policies == tuple(warmed[0])
 
@@ -110,7 +111,12 @@ def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None
 def test_its_env_offers_the_gains_of_the_checkpoint(run: Path) -> None:
     from activestructure_gym.scenes import load_scene
 
-    job = Job(scene="box", policy=canonical_policy("learned:run"), seed=0, preset="fast", frame_budget=10)
+    job = Job(
+        scene="box",
+        policy=canonical_policy("learned:run"),
+        seed=0,
+        conditions=Conditions(preset="fast", frame_budget=10),
+    )
     policy, env = build(job, load_scene("box"))
     assert env.config.gains == ("structure",)
     observation, _ = env.reset(seed=0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.evaluation.archive import run_files, store
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -47,11 +48,13 @@ def test_an_episode_of_70_000_frames_is_kept_reported_replayed_exported_and_veri
         ["box"],
         [named_trajectory(f"trajectory:{tmp_path / 'path.npz'}")],
         tmp_path / "out",
-        preset="fast",
-        frame_budget=FRAMES,
-        config={"keyframe_every": 1000, "sensor.width": 64, "sensor.height": 36},
-        protocol=StandardProtocol(
-            views=1, view_width=64, view_height=36, surface_samples=1000, tsdf_voxel_m=0.06, tsdf_image_width=64
+        conditions=Conditions(
+            preset="fast",
+            frame_budget=FRAMES,
+            overrides={"keyframe_every": 1000, "sensor.width": 64, "sensor.height": 36},
+            protocol=StandardProtocol(
+                views=1, view_width=64, view_height=36, surface_samples=1000, tsdf_voxel_m=0.06, tsdf_image_width=64
+            ),
         ),
         engine="inline",
     )

@@ -45,7 +45,7 @@ def write_run(directory: Path, job: Job = JOB, *, checksums: bool = True, **numb
     mapped = {"keyframe_rounds": np.ones(4, np.int64), "legs": legs, "max_range": np.array(10.0)}
     np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera, **mapped)
     np.savez_compressed(directory / store.GRAPH, **run.graph)
-    protocol = job.protocol
+    protocol = job.conditions.protocol
     shown = np.zeros((len(views), protocol.view_height, protocol.view_width, 3), np.uint8)
     np.savez_compressed(directory / store.PICTURES, **run.pictures | {"rendered": shown, "true": shown})
     GaussianMap(8).save_npz(directory / store.MAP)

@@ -9,6 +9,7 @@ import pytest
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import build
 from activestructure_gym.ground_truth import ground_truth_of
@@ -176,15 +177,17 @@ class Bringer(Policy):
 
 def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() -> None:
     spec = "tests.policies.test_schedule:Bringer"
-    shared = Job("box", spec, 0, preset="fast", frame_budget=20)
-    native = Job("box", spec, 0, preset="fast", frame_budget=20, terms="native")
+    shared = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20))
+    native = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20, terms="native"))
     assert "terms" not in shared.as_dict() and shared.hash != native.hash
     assert Job.from_dict(native.as_dict()) == native and Job.from_dict(shared.as_dict()) == shared
     known = ground_truth_of(load_scene("box"))
     assert build(shared, known)[1].config.views.stages == (("pool",),)
     policy, env = build(native, known)
     assert env.config.views.stages == (("turns?count=5",),)
-    changed = Job("box", spec, 0, preset="fast", overrides=(("keyframe_every", 7),), terms="native")
+    changed = Job(
+        "box", spec, 0, conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7),), terms="native")
+    )
     assert build(changed, known)[1].config.keyframe_every == 7  # what was asked for goes before
     observation, _ = env.reset(seed=0)
     *_, info = env.step(policy.act(observation))
@@ -194,7 +197,7 @@ def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() 
 
 def test_wrong_terms_and_declarations_are_said() -> None:
     with pytest.raises(InputError, match="did you mean 'native'"):
-        Job("box", "random", 0, terms="nativ")  # type: ignore[arg-type]
+        Job("box", "random", 0, conditions=Conditions(terms="nativ"))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="what Odd brings must be a Schedule"):
         schedule_of(type("Odd", (), {"brings": {"mapper": "splatam"}}), "native")
     with pytest.raises(InputError, match="give config as a dictionary"):

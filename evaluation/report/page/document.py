@@ -77,7 +77,7 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
     facts = [
         f"{counted(len(results.runs), 'finished run')}: {counted(len(results.scenes), 'scene')}, "
         f"{counted(len(results.policies), 'policy', 'policies')}, {counted(len(results.seeds), 'seed')}",
-        f"{first.job.terms} terms, preset {first.job.preset}, "
+        f"{first.job.conditions.terms} terms, preset {first.job.conditions.preset}, "
         f"{first.config['configuration']['frame_budget']} frames per run",
         f"protocol {' and '.join(first.protocols)}",
     ]

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.statistics import resampling
 
 def meanings(results: Results) -> dict[str, str]:
     """Explanation of each quality column, by its header."""
-    protocol = results.runs[0].job.protocol
+    protocol = results.runs[0].job.conditions.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
     every = {
         "accuracy_cm": "mean distance from the reconstructed points to the true surface",
@@ -44,7 +44,7 @@ def absences(results: Results) -> list[str]:
     ]
     reasons: dict[str, list[str]] = {}
     for name in results.runs[0].protocols:
-        own = name == results.runs[0].job.protocol.name
+        own = name == results.runs[0].job.conditions.protocol.name
         for header, metric in columns:
             key = metric if own else f"{name}/{metric}"
             found = [reason_of(run, key) for run in results.runs if value_of(run, key) is None]
@@ -72,7 +72,7 @@ def protocol_texts(results: Results) -> list[str]:
 def protocol_text(results: Results) -> str:
     """How the protocol measures, in sentences; `meanings` explains its numbers."""
     run = results.runs[0]
-    protocol = run.job.protocol
+    protocol = run.job.conditions.protocol
     views = (
         f"{protocol.views} views drawn in free space"
         if protocol.view_source == "free_space"
@@ -113,7 +113,7 @@ def machine_text(results: Results) -> str:
     sensor = run.config["configuration"]["sensor"]
     hardware, versions = run.timing["hardware"], run.config["versions"]
     return (
-        f"Preset `{run.job.preset}`, sensor {sensor['width']} x {sensor['height']} pixels, depth noise "
+        f"Preset `{run.job.conditions.preset}`, sensor {sensor['width']} x {sensor['height']} pixels, depth noise "
         f"{sensor['depth_noise']}. {hardware['processor']}, {hardware['cores']} cores; activestructure-gym "
         f"{versions['activestructure-gym']}, Python {versions['python']}, numpy {versions['numpy']}, numba "
         f"{versions['numba']}, embreex {versions['embreex']}."
@@ -122,7 +122,7 @@ def machine_text(results: Results) -> str:
 
 def terms_text(results: Results) -> list[str]:
     """What every policy brought, where they are compared on their own terms."""
-    if results.runs[0].job.terms == "shared":
+    if results.runs[0].job.conditions.terms == "shared":
         return []
     told = []
     for name in results.policies:

@@ -170,7 +170,7 @@ class Aspect:
 def aspects(runs: Sequence[Run]) -> list[Aspect]:
     """The runs' own protocol, its TSDF surface if there is one, and every further protocol."""
     surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in (*_SHAPE, RATIOS[0], _PRECISION, _F_SCORE))
-    own = runs[0].job.protocol.name
+    own = runs[0].job.conditions.protocol.name
     found = [Aspect("", own, tuple(measured(QUALITY, runs)))]
     found.append(Aspect("tsdf", f"{own}, TSDF surface", tuple(measured(surface, runs))))
     others = dict.fromkeys(name for run in runs for name in run.protocols if name != own)
@@ -183,7 +183,7 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
 def reason_of(run: Run, key: str) -> str:
     """Why a number is not defined, as far as the protocol said."""
     protocol, _, name = key.rpartition("/")
-    content = run.protocols.get(protocol or run.job.protocol.name)
+    content = run.protocols.get(protocol or run.job.conditions.protocol.name)
     notes = content["metrics"].get("notes") or {} if content else {}
     return notes.get(name) or notes.get(name.partition("_")[0], "")
 

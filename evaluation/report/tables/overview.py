@@ -153,8 +153,8 @@ def runs_csv(runs: Sequence[Run]) -> str:
     writer.writerow(map(spreadsheet_text, [*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)]))
     for run, numbers in zip(runs, scalars):
         job = run.job
-        identity: list[Any] = [run.scene, job.scene_hash[:_HASH_DIGITS], run.policy, job.seed, job.preset]
-        identity += [job.protocol.name, job.hash]
+        identity: list[Any] = [run.scene, job.scene_hash[:_HASH_DIGITS], run.policy, job.seed, job.conditions.preset]
+        identity += [job.conditions.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         row = [*identity, *values, run.timing["total"], *seconds]

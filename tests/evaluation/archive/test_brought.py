@@ -11,18 +11,21 @@ import pytest
 from activestructure_gym.config import configure
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.resuming import settle
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.schedule import Schedule
 
-JOB = Job("box", "activegamer", 0, preset="full", terms="native", overrides=(("keyframe_every", 7),))
+JOB = Job(
+    "box", "activegamer", 0, conditions=Conditions(preset="full", terms="native", overrides=(("keyframe_every", 7),))
+)
 
 
 def write(place: Path, job: Job = JOB, **changes: Any) -> Path:
     """What a run of today says of its configuration, with changes."""
     place.mkdir(exist_ok=True, parents=True)
-    config = configure(job.preset, job.changes(POLICIES.get(job.policy)) | changes)
+    config = configure(job.conditions.preset, job.conditions.changes(POLICIES.get(job.policy)) | changes)
     store.write_json(place / store.CONFIG, {"configuration": store.plain(dataclasses.asdict(config))})
     return place
 
@@ -35,15 +38,15 @@ def test_fields_that_a_schedule_sets_otherwise_today_are_named(tmp_path: Path) -
 
 
 def test_what_was_asked_for_is_no_change_of_the_schedule(tmp_path: Path) -> None:
-    assert configure("full", JOB.changes(POLICIES.get("activegamer"))).keyframe_every == 7
-    asked = dataclasses.replace(JOB, overrides=(("mapper.iterations", 3),))
+    assert configure("full", JOB.conditions.changes(POLICIES.get("activegamer"))).keyframe_every == 7
+    asked = dataclasses.replace(JOB, conditions=dataclasses.replace(JOB.conditions, overrides={"mapper.iterations": 3}))
     assert changed_schedule(write(tmp_path, asked), asked) == []
 
 
 def test_shared_terms_own_code_and_what_cannot_be_read_have_none(tmp_path: Path) -> None:
     old = write(tmp_path, **{"mapper.iterations": 10})
     for changes in (
-        {"terms": "shared"},
+        {"conditions": dataclasses.replace(JOB.conditions, terms="shared")},
         {"policy": "mine:Mine"},
         {"policy": "learned:model"},
         {"policy": "trajectory:x"},

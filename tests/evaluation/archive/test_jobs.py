@@ -1,9 +1,11 @@
 import json
+from dataclasses import replace
 
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import (
     Job,
     absolute_spec,
@@ -15,19 +17,36 @@ from activestructure_gym.evaluation.archive.jobs import (
 )
 from activestructure_gym.evaluation.protocols import StandardProtocol
 
-JOB = Job("room", "random", 3, scene_hash="abc", overrides=(("sensor.width", 96), ("mapper.iterations", 2)))
+JOB = Job(
+    "room",
+    "random",
+    3,
+    scene_hash="abc",
+    conditions=Conditions(overrides=(("sensor.width", 96), ("mapper.iterations", 2))),
+)
 
 
 def test_a_job_survives_json():
-    job = Job("a.glb", "p:Q", 1, frame_budget=7, start_pose=(1, 2, 3, 4), protocol=StandardProtocol(views=3))
+    job = Job(
+        "a.glb",
+        "p:Q",
+        1,
+        conditions=Conditions(frame_budget=7, start_pose=(1, 2, 3, 4), protocol=StandardProtocol(views=3)),
+    )
     assert Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
     assert Job.from_dict(json.loads(json.dumps(JOB.as_dict()))).hash == JOB.hash
 
 
 def test_the_hash_does_not_depend_on_the_order_of_overrides_nor_on_how_the_scene_is_named():
-    turned = Job("room", "random", 3, scene_hash="abc", overrides=JOB.overrides[::-1])
+    turned = Job(
+        "room",
+        "random",
+        3,
+        scene_hash="abc",
+        conditions=Conditions(overrides=dict(reversed(JOB.conditions.overrides.items()))),
+    )
     assert turned == JOB
-    assert Job("other/path/to/it", "random", 3, scene_hash="abc", overrides=JOB.overrides).hash == JOB.hash
+    assert Job("other/path/to/it", "random", 3, "abc", JOB.conditions).hash == JOB.hash
 
 
 @pytest.mark.parametrize(
@@ -37,16 +56,15 @@ def test_the_hash_does_not_depend_on_the_order_of_overrides_nor_on_how_the_scene
         {"policy": "random?travel=shared"},
         {"seed": 4},
         {"scene_hash": "abd"},
-        {"preset": "fast"},
-        {"frame_budget": 10},
-        {"overrides": ()},
-        {"start_pose": (0.0, 0.0, 1.0, 0.0)},
-        {"protocol": StandardProtocol(opacity_threshold=0.4)},
+        {"conditions": replace(JOB.conditions, preset="fast")},
+        {"conditions": replace(JOB.conditions, frame_budget=10)},
+        {"conditions": replace(JOB.conditions, overrides={})},
+        {"conditions": replace(JOB.conditions, start_pose=(0.0, 0.0, 1.0, 0.0))},
+        {"conditions": replace(JOB.conditions, protocol=StandardProtocol(opacity_threshold=0.4))},
     ],
 )
 def test_whatever_decides_the_numbers_is_in_the_hash(change):
-    content = {"scene": "room", "policy": "random", "seed": 3, "scene_hash": "abc", "overrides": JOB.overrides}
-    assert Job(**(content | change)).hash != JOB.hash
+    assert replace(JOB, **change).hash != JOB.hash
 
 
 def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
@@ -59,7 +77,7 @@ def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
 
 def test_wrong_numbers_are_refused():
     with pytest.raises(InputError, match="frame budget must be at least 1, got 0"):
-        Job("box", "random", 0, frame_budget=0)
+        Job("box", "random", 0, conditions=Conditions(frame_budget=0))
     with pytest.raises(InputError, match="seed"):
         Job("box", "random", -1)
 
@@ -154,8 +172,8 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
         ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
         ({"policy": "os:system?command=touch hacked"}, "policy"),
-        ({"overrides": (("gains", ["pixel", "os:system"]),)}, "feature"),
-        ({"overrides": (("gains", "os:system"),)}, "feature"),
+        ({"conditions": Conditions(overrides={"gains": ["pixel", "os:system"]})}, "feature"),
+        ({"conditions": Conditions(overrides={"gains": "os:system"})}, "feature"),
     ],
 )
 def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
@@ -169,4 +187,4 @@ def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
 @pytest.mark.parametrize("scene", ["room?seed=3", "a/b.glb?up=y", "mesh:c:d.obj", "replica:room_0", "nothing_known"])
 @pytest.mark.parametrize("policy", ["random", "naruto?travel=shared", "learned:runs/bc@01234567"])
 def test_registered_names_and_files_are_taken_from_a_record(scene, policy):
-    refuse_code([Job(scene, policy, 0, overrides=(("gains", ["pixel"]),))], "compare.json")
+    refuse_code([Job(scene, policy, 0, conditions=Conditions(overrides=(("gains", ["pixel"]),)))], "compare.json")

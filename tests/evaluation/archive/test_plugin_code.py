@@ -11,6 +11,7 @@ import pytest
 
 from activestructure_gym import registry
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.plugin_code import changed_code, checksum_of, is_as_it_was, plugin_code_of
 
@@ -25,17 +26,19 @@ def test_what_is_registered_here_a_checkpoint_a_reference_and_a_scene_have_none(
     for policy in ("hole_area", "active_gs?travel=shared", "learned:runs/mine", "reference:oracle", "trajectory:x.npz"):
         assert plugin_code_of(Job("my_scenes:cube", policy, 0), str) == {}
     assert (
-        plugin_code_of(Job("room?seed=3", "random", 0, overrides=(("gains", ("pixel", "naruto_look_x")),)), str) == {}
+        plugin_code_of(
+            Job("room?seed=3", "random", 0, conditions=Conditions(overrides=(("gains", ("pixel", "naruto_look_x")),))),
+            str,
+        )
+        == {}
     )
 
 
 def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
     for name in ("mine_b", "mine_c", "mine_d"):
         (here / f"{name}.py").write_text(f"raise AssertionError('{name}')\n")
-    job = Job(
-        "box", "mine_b:Mine?depth=2", 0,
-        overrides=(("gains", ("pixel", "mine_c:gain")), ("views.stages", [["pool", "mine_d:views"]])),
-    )  # fmt: skip
+    changes = {"gains": ("pixel", "mine_c:gain"), "views.stages": [["pool", "mine_d:views"]]}
+    job = Job("box", "mine_b:Mine?depth=2", 0, conditions=Conditions(overrides=changes))
     found = plugin_code_of(job, checksum_of)
     assert list(found) == ["policy mine_b:Mine?depth=2", "feature mine_c:gain", "candidate source mine_d:views"]
     assert len(set(found.values())) == 3 and all(len(total) == 64 for total in found.values())
@@ -81,7 +84,14 @@ def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatc
     point = EntryPoint("two", "installed_two:two", "activestructure_gym.features")
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
     for name, found in (("two", 1), ("two_left_eye", 1), ("naruto_look_x", 0), ("pixel", 0), ("three_x", 0)):
-        assert len(plugin_code_of(Job("box", "random", 0, overrides=(("gains", (name,)),)), checksum_of)) == found, name
+        assert (
+            len(
+                plugin_code_of(
+                    Job("box", "random", 0, conditions=Conditions(overrides=(("gains", (name,)),))), checksum_of
+                )
+            )
+            == found
+        ), name
 
 
 def test_what_cannot_be_found_is_left_out():
@@ -113,7 +123,10 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
 
 
 def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
-    run, job = here / "run", Job("box", "mine_f:Mine", 0, overrides=(("gains", ("mine_g:gain",)),))
+    run, job = (
+        here / "run",
+        Job("box", "mine_f:Mine", 0, conditions=Conditions(overrides=(("gains", ("mine_g:gain",)),))),
+    )
     run.mkdir()
     checksums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
     store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, checksums.get)})

@@ -250,7 +250,7 @@ def test_lpips_measured_later_completes_the_runs_own_numbers(tmp_path):
     views = [{**view, "lpips": 0.3} for view in own["views"]]
     later = {**own, "lpips": 0.3, "lpips_weights": "sums", "views": views, "notes": {}}
     assert value_of(run, "lpips") is None
-    store.write_evaluation(place, run.job.protocol.parameters(), "", later)
+    store.write_evaluation(place, run.job.conditions.protocol.parameters(), "", later)
     run = store.read_run(place)
     assert run.protocols["standard"]["metrics"] == later and value_of(run, "lpips") == 0.3
     assert differing(run.protocols["standard"]["metrics"], later) == []  # a second evaluation finds nothing else
@@ -265,7 +265,9 @@ def test_no_other_number_is_filled_in_by_an_evaluation_beside_the_run(tmp_path):
     own = store.read_run(place).metrics["metrics"]
     forged = {**own, "tsdf_completion_ratio": 99.0, "invented": 1.0}
     for views, lpips in ((own["views"], 0.3), (own["views"][1:], None)):  # an LPIPS of other views is none of the run's
-        store.write_evaluation(place, ARCHIVED.protocol.parameters(), "", {**forged, "lpips": 0.3, "views": views})
+        store.write_evaluation(
+            place, ARCHIVED.conditions.protocol.parameters(), "", {**forged, "lpips": 0.3, "views": views}
+        )
         run = store.read_run(place)
         assert value_of(run, "tsdf_completion_ratio") is None and "invented" not in run.numbers
         assert run.numbers["tsdf_completion_ratio"] is None and value_of(run, "lpips") == lpips

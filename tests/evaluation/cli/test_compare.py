@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import compare as module
@@ -33,11 +34,7 @@ def asked(monkeypatch, tmp_path):
 
     def prepare(self, notify):
         calls.append(self)
-        conditions = {
-            name: getattr(self, name) for name in ("preset", "frame_budget", "start_pose", "protocol", "terms")
-        }
-        same = {**conditions, "overrides": tuple(self.overrides.items()), "also": tuple(self.also_protocols)}
-        return [Job(self.scenes[0], (self.policies or ("random",))[0], self.seeds[0], **same)]
+        return [Job(self.scenes[0], (self.policies or ("random",))[0], self.seeds[0], conditions=self.conditions)]
 
     def run(jobs, directory, listener, **options):
         calls.append((jobs, directory, options))
@@ -52,8 +49,8 @@ def test_without_options_it_is_the_demo(asked, capsys):
     assert main(["compare"]) == 0
     wanted, (_, directory, options) = asked
     assert (wanted.scenes, wanted.policies, wanted.seeds) == (("room",), ("random", "activestructure"), (0,))
-    assert (wanted.preset, wanted.frame_budget) == ("default", None)  # the preset's 300
-    assert (wanted.protocol.views, wanted.protocol.surface_samples) == (16, 50_000)
+    assert (wanted.conditions.preset, wanted.conditions.frame_budget) == ("default", None)  # the preset's 300
+    assert (wanted.conditions.protocol.views, wanted.conditions.protocol.surface_samples) == (16, 50_000)
     assert directory.parts[0] == "runs" and options["engine"] == "local"
     said = " ".join(capsys.readouterr().out.split())
     assert "one run, shared terms, preset default, 300 frames, into runs" in said
@@ -66,7 +63,7 @@ def test_the_demo_can_be_changed_in_part():
     assert module._with_demo_defaults(Compare(preset="fast")).frames is None
     assert module._with_demo_defaults(Compare(set=("frame_budget=30",))).frames is None
     native = module.comparison_of(module._with_demo_defaults(Compare(policies=("random",), terms="native")))
-    assert (native.preset, native.frame_budget) == ("full", None)
+    assert (native.conditions.preset, native.conditions.frame_budget) == ("full", None)
 
 
 def test_all_options_arrive(asked):
@@ -77,8 +74,8 @@ def test_all_options_arrive(asked):
     assert main(words.split()) == 0
     wanted, (_, directory, options) = asked
     assert wanted.scenes == ("box", "room?seed=2") and wanted.seeds == (1, 2)
-    assert dict(wanted.overrides) == {"sensor.width": 64, "views.max_candidates": 9}
-    assert wanted.start_pose == (1.0, 2.0, 1.5, 90.0) and wanted.protocol.views == 5
+    assert dict(wanted.conditions.overrides) == {"sensor.width": 64, "views.max_candidates": 9}
+    assert wanted.conditions.start_pose == (1.0, 2.0, 1.5, 90.0) and wanted.conditions.protocol.views == 5
     assert str(directory) == "here" and options["engine"] == "inline" and options["limits"] == Limits(workers=3)
 
 
@@ -182,11 +179,14 @@ def test_without_ray_its_engine_says_what_to_install(monkeypatch, tmp_path, caps
 @pytest.mark.parametrize("words", ["", "--preset fast", "--lpips-weights weights", "--view-source free_space"])
 def test_where_no_cell_is_named_those_of_the_record_are_gone_on_with_and_no_others(asked, monkeypatch, tmp_path, words):
     monkeypatch.setattr(module, "use_lpips_weights", lambda place: asked.append(place))
-    recorded = [Job("box", "random", 7, preset="fast"), Job("box", "pixel_only", 8, preset="fast")]  # no product
+    recorded = [
+        Job("box", "random", 7, conditions=Conditions(preset="fast")),
+        Job("box", "pixel_only", 8, conditions=Conditions(preset="fast")),
+    ]  # no product
     write_comparison(tmp_path / "here", recorded)
     assert main(f"compare --out here --resume --workers 1 --retries 4 --timeout 9 {words}".split()) == 0
     place, checked, (jobs, _, options) = asked
-    assert place == ("weights" if "weights" in words else None) and checked.preset == "fast"
+    assert place == ("weights" if "weights" in words else None) and checked.conditions.preset == "fast"
     assert jobs == recorded and options["resume"]
     assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)
 
@@ -205,7 +205,12 @@ def test_a_condition_that_is_typed_is_not_ignored_where_it_is_the_usual_one(
     asked, tmp_path, capsys, words, message, cells
 ):
     protocol = dataclasses.replace(StandardProtocol(), view_source="recorded")
-    begun = Job("box", "random", 0, preset="fast", terms="native", also=("activegamer",), protocol=protocol)
+    begun = Job(
+        "box",
+        "random",
+        0,
+        conditions=Conditions(preset="fast", terms="native", also=("activegamer",), protocol=protocol),
+    )
     write_comparison(tmp_path / "here", [begun])
     if cells:  # `run_comparison`, which refuses it, is replaced
         main(f"compare --out here --resume {cells} {words}".split())
@@ -233,15 +238,19 @@ def test_a_condition_that_is_typed_is_not_ignored_where_it_is_the_usual_one(
 def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, words, scenes, policies, seeds, capsys):
     protocol = dataclasses.replace(StandardProtocol(), views=3)
     grid = [
-        Job(scene, policy, seed, "", "fast", 60, (("mapper.iterations", 2),), protocol=protocol)
+        Job(scene, policy, seed, conditions=Conditions("fast", 60, {"mapper.iterations": 2}, protocol=protocol))
         for seed in (3, 4) for scene in ("box", "room") for policy in ("random", "hole_area")
     ]  # fmt: skip
     write_comparison(tmp_path / "here", grid)
     main(f"compare --out here --resume {words}".split())
     wanted = asked[0]
     assert (wanted.scenes, wanted.policies, wanted.seeds) == (scenes, policies, seeds)
-    assert (wanted.preset, wanted.frame_budget, wanted.overrides) == ("fast", 60, {"mapper.iterations": 2})
-    assert wanted.protocol == protocol and "demo" not in capsys.readouterr().out
+    assert (wanted.conditions.preset, wanted.conditions.frame_budget, wanted.conditions.overrides) == (
+        "fast",
+        60,
+        {"mapper.iterations": 2},
+    )
+    assert wanted.conditions.protocol == protocol and "demo" not in capsys.readouterr().out
 
 
 def test_what_is_compared_has_a_default_that_nobody_can_type():
@@ -313,9 +322,13 @@ def test_code_that_only_the_record_names_is_refused(asked, tmp_path, capsys, mon
 
 
 def test_another_condition_that_is_given_is_not_ignored(asked, tmp_path):
-    write_comparison(tmp_path / "here", [Job("box", "random", 0, preset="fast")])
+    write_comparison(tmp_path / "here", [Job("box", "random", 0, conditions=Conditions(preset="fast"))])
     main("compare --out here --resume --policies frontier --preset default --frames 9 --views 2".split())
-    assert (asked[0].preset, asked[0].frame_budget, asked[0].protocol.views) == ("default", 9, 2)  # to be refused
+    assert (asked[0].conditions.preset, asked[0].conditions.frame_budget, asked[0].conditions.protocol.views) == (
+        "default",
+        9,
+        2,
+    )  # to be refused
 
 
 def test_the_baseline_must_take_part(asked, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.score import Score, _asked, _run_of
@@ -25,24 +26,30 @@ def test_a_file_costs_as_many_frames_as_it_has_poses(tmp_path: Path) -> None:
     (tmp_path / "way.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 7)
     place = str(tmp_path / "way.txt")
     wanted = asked(place, scene="box", axes="opengl", mapper=("splatam,default",), seeds=("3",))
-    assert (wanted.scenes, wanted.seeds, wanted.frame_budget) == (("box",), (3,), 7)
+    assert (wanted.scenes, wanted.seeds, wanted.conditions.frame_budget) == (("box",), (3,), 7)
     assert [policy.partition("?")[2] for policy in wanted.policies] == [
         "axes=opengl&mapper=splatam",
         "axes=opengl&mapper=default",
     ]
-    assert asked(place, scene="box", frames=5).frame_budget == 5
+    assert asked(place, scene="box", frames=5).conditions.frame_budget == 5
 
 
 def test_a_run_names_its_scene_seed_and_configuration(tmp_path: Path) -> None:
-    job = Job("box", "random", 4, preset="fast", overrides=(("keyframe_every", 7), ("gains", ("pixel",))))
+    job = Job(
+        "box",
+        "random",
+        4,
+        conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7), ("gains", ("pixel",)))),
+    )
     run = write_run(tmp_path / "run", job)
     wanted = asked(str(run), set=("revisit_rounds=2",))
-    assert (wanted.scenes, wanted.seeds, wanted.preset) == (("box",), (4,), "fast")
-    assert dict(wanted.overrides) == {"keyframe_every": 7, "revisit_rounds": 2}
+    assert (wanted.scenes, wanted.seeds, wanted.conditions.preset) == (("box",), (4,), "fast")
+    assert wanted.conditions.overrides == {"keyframe_every": 7, "revisit_rounds": 2}
     assert wanted.policies[0].startswith(f"trajectory:{run.resolve() / 'trajectory.npz'}@")
-    assert asked(str(run), frames=0).frame_budget == 0  # for a configuration to refuse, and not the run's
+    with pytest.raises(InputError, match="must be at least 1, got 0"):  # it does not count as not given
+        asked(str(run), frames=0)
     elsewhere = asked(str(run), scene="room")
-    assert (elsewhere.scenes, elsewhere.seeds, dict(elsewhere.overrides)) == (("room",), (0,), {})
+    assert (elsewhere.scenes, elsewhere.seeds, elsewhere.conditions.overrides) == (("room",), (0,), {})
 
 
 def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_reference, policy_label, refuse_code
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -51,7 +52,12 @@ def test_it_sees_more_than_chance(tmp_path):
     size = {"sensor.width": 48, "sensor.height": 27}
     runs = [
         run_job(
-            Job("box", who, 3, preset="fast", frame_budget=40, overrides=tuple(size.items()), protocol=SMALL),
+            Job(
+                "box",
+                who,
+                3,
+                conditions=Conditions(preset="fast", frame_budget=40, overrides=tuple(size.items()), protocol=SMALL),
+            ),
             tmp_path / str(number),
         )
         for number, who in enumerate((reference_job("oracle"), "random"))

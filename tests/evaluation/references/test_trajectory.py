@@ -12,6 +12,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.references.trajectory import TrajectorySpec, named_trajectory, with_mappers
@@ -23,18 +24,23 @@ from activestructure_gym.geometry import look_along
 
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
 CONFIG = {"mapper.iterations": 2, "keyframe_every": 5, "views.max_revisits": 4}
-USUAL: dict[str, Any] = {"preset": "fast", "frame_budget": 40, "engine": "inline", "protocol": PROTOCOL}
+USUAL: dict[str, Any] = {"conditions": Conditions("fast", 40, CONFIG, protocol=PROTOCOL), "engine": "inline"}
 
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    (run,) = compare(["box"], ["random"], tmp_path_factory.mktemp("played") / "runs", config=CONFIG, **USUAL).runs
+    (run,) = compare(
+        ["box"],
+        ["random"],
+        tmp_path_factory.mktemp("played") / "runs",
+        **USUAL,
+    ).runs
     return run
 
 
 def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_path: Path) -> None:
     spec = f"trajectory:{played.directory / 'trajectory.npz'}"
-    result = compare(["box"], [spec, "random"], tmp_path / "runs", config=CONFIG, **USUAL)
+    result = compare(["box"], [spec, "random"], tmp_path / "runs", **USUAL)
     again = next(run for run in result.runs if is_trajectory(run.job.policy))
     assert again.policy.startswith("trajectory:random--seed0@")
     for file in ("map.npz", "map.ply", "graph.npz", "trajectory.npz"):
@@ -43,7 +49,7 @@ def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_pat
     assert {name: numbers[name] for name in before} == before
     assert again.metrics["curve"] == played.metrics["curve"]
     assert (numbers["steps_too_long"], numbers["turns_too_wide"], numbers["poses_outside"]) == (0, 0, 0)
-    kept = compare(["box"], [spec], tmp_path / "runs", config=CONFIG, resume=True, **USUAL)
+    kept = compare(["box"], [spec], tmp_path / "runs", resume=True, **USUAL)
     assert kept.skipped == 1 and not kept.failed
 
 
@@ -62,7 +68,12 @@ def test_what_a_trajectory_does_beyond_the_limits_is_told(played: Run, tmp_path:
     poses = flown(played.trajectory["world_from_camera"][0])
     poses[3:, :3, 3] += [0.0, 0.0, 0.15]
     file = write(tmp_path / "poses.txt", poses)
-    (run,) = compare(["box"], [f"trajectory:{file}?mapper=splatam"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    (run,) = compare(
+        ["box"],
+        [f"trajectory:{file}?mapper=splatam"],
+        tmp_path / "runs",
+        **USUAL,
+    ).runs
     numbers = run.metrics["metrics"]
     assert (numbers["frames"], numbers["ended"]) == (6, "the trajectory has ended")
     assert (numbers["steps_too_long"], numbers["turns_too_wide"], numbers["collisions"]) == (1, 5, 0)
@@ -80,10 +91,10 @@ def test_a_wrong_convention_is_refused_before_anything_runs(played: Run, tmp_pat
     poses[:, :3, 1:3] *= -1  # as OpenGL has them
     file = write(tmp_path / "poses.txt", poses)
     with pytest.raises(InputError, match="the most likely convention is --axes opengl"):
-        Comparison(["box"], [f"trajectory:{file}"], preset="fast").prepare()
+        Comparison(["box"], [f"trajectory:{file}"], conditions=Conditions(preset="fast")).prepare()
     relative = write(tmp_path / "relative.txt", np.linalg.inv(poses[0]) @ poses)
     with pytest.raises(InputError, match="--start x,y,z,yaw says"):
-        Comparison(["box"], [f"trajectory:{relative}"], preset="fast").prepare()
+        Comparison(["box"], [f"trajectory:{relative}"], conditions=Conditions(preset="fast")).prepare()
 
 
 def test_a_trajectory_has_one_name_and_is_known_by_its_content(played: Run, tmp_path: Path) -> None:
@@ -115,7 +126,7 @@ def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:
     arrays = {**played.trajectory, "legs": np.array([[99, 99, 0]])}
     np.savez(tmp_path / "trajectory.npz", **arrays)
     with pytest.raises(InputError, match="is damaged: legs must rise"):
-        Comparison(["box"], [f"trajectory:{tmp_path}"], preset="fast").prepare()
+        Comparison(["box"], [f"trajectory:{tmp_path}"], conditions=Conditions(preset="fast")).prepare()
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -137,7 +148,7 @@ def test_the_poses_of_a_scan_are_known_by_what_turns_them_too(tmp_path: Path, el
 def test_a_sweep_is_the_same_for_every_mapper_and_starts_where_planners_do(played: Run, tmp_path: Path) -> None:
     policies = with_mappers(["random", "trajectory:sweep"], ["default", "splatam"])
     assert policies == ["random", "trajectory:sweep?mapper=default", "trajectory:sweep?mapper=splatam"]
-    result = compare(["box"], policies, tmp_path / "runs", config=CONFIG, **USUAL)
+    result = compare(["box"], policies, tmp_path / "runs", **USUAL)
     random, ours, splatam = result.runs
     assert ours.trajectory["world_from_camera"].tobytes() == splatam.trajectory["world_from_camera"].tobytes()
     assert (ours.trajectory["world_from_camera"][0] == random.trajectory["world_from_camera"][0]).all()
@@ -157,19 +168,19 @@ def test_mappers_are_for_trajectories() -> None:
 def test_the_sequence_that_was_recorded_with_a_scene_is_the_passive_one(shared: Path, tmp_path: Path) -> None:
     fixture = shared / "scenes" / "replica_fixture"
     scene = f"{fixture / 'room_fix'}?sequence={fixture / 'seq' / 'room_fix'}"
-    (run,) = compare([scene], ["trajectory:passive"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    (run,) = compare([scene], ["trajectory:passive"], tmp_path / "runs", **USUAL).runs
     recorded = read_poses(fixture / "seq" / "room_fix", "nice_slam")
     assert run.trajectory["world_from_camera"].tobytes() == recorded.tobytes()
     assert run.metrics["metrics"]["frames"] == 12 and run.metrics["metrics"]["steps_too_long"] > 0
     known = replace(PROTOCOL, view_source="recorded")
     with pytest.raises(InputError, match="would be measured by the views that it maps"):
-        Comparison([scene], ["trajectory:passive"], preset="fast", protocol=known).prepare()
-    Comparison([scene], ["trajectory:sweep"], preset="fast", protocol=known).prepare()
+        Comparison([scene], ["trajectory:passive"], conditions=Conditions(preset="fast", protocol=known)).prepare()
+    Comparison([scene], ["trajectory:sweep"], conditions=Conditions(preset="fast", protocol=known)).prepare()
 
 
 def test_a_single_pose_is_a_whole_trajectory(played: Run, tmp_path: Path) -> None:
     file = write(tmp_path / "poses.txt", flown(played.trajectory["world_from_camera"][0])[:1])
-    (run,) = compare(["box"], [f"trajectory:{file}"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    (run,) = compare(["box"], [f"trajectory:{file}"], tmp_path / "runs", **USUAL).runs
     numbers = run.metrics["metrics"]
     assert (numbers["frames"], numbers["keyframes"], numbers["metres"]) == (1, 1, 0.0)
     assert (numbers["largest_step_m"], numbers["steps_too_long"]) == (0.0, 0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from activestructure_gym.evaluation import StandardProtocol, compare
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay import Recording, play_again
 
@@ -18,11 +19,13 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
         ["box"],
         ["hole_area", "random"],
         tmp_path_factory.mktemp("replay") / "runs",
-        preset="fast",
-        frame_budget=40,
-        config={"mapper.iterations": 2, "keyframe_every": 5},
+        conditions=Conditions(
+            preset="fast",
+            frame_budget=40,
+            overrides={"mapper.iterations": 2, "keyframe_every": 5},
+            protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
+        ),
         engine="inline",
-        protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
     )
     return list(result.runs)
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.references.trajectory import named_trajectory
 from activestructure_gym.evaluation.replay import Recording, play_again, write_video
@@ -83,8 +84,8 @@ def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run])
     other = "tests.policies.test_schedule:Bringer"
     for told, what in (
         (with_job(scene="pathlib:Path"), "scene"),
-        (with_job(policy=other, terms="native"), "policy"),
-        (with_job(overrides=(("views.stages", (("pathlib:Path",),)),)), "candidate source"),
+        (with_job(policy=other, conditions=replace(run.job.conditions, terms="native")), "policy"),
+        (with_job(conditions=Conditions(overrides={"views.stages": (("pathlib:Path",),)})), "candidate source"),
     ):
         with pytest.raises(InputError, match=f"config.json' names the {what} .* add --trust-code"):
             play_again(told)

@@ -4,6 +4,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.report.page.document import html_page
@@ -80,7 +81,7 @@ def test_the_baseline_is_named_or_the_usual_one(make_run):
 
 def test_like_is_compared_with_like(make_run):
     one, other = make_run(), make_run(policy="b")
-    changed = dataclasses.replace(other, job=dataclasses.replace(other.job, frame_budget=50))
+    changed = dataclasses.replace(other, job=dataclasses.replace(other.job, conditions=Conditions(frame_budget=50)))
     with pytest.raises(InputError, match="frame_budget: None, 50"):
         Results([one, changed], [])
     with pytest.raises(InputError, match="at least one finished run"):
@@ -89,7 +90,7 @@ def test_like_is_compared_with_like(make_run):
 
 def test_what_only_some_runs_were_told_is_another_condition(make_run):
     one, other = make_run(), make_run(policy="b")
-    told = dataclasses.replace(other.job, overrides=(("mapper.iterations", 8),))
+    told = dataclasses.replace(other.job, conditions=Conditions(overrides={"mapper.iterations": 8}))
     with pytest.raises(InputError, match="set mapper.iterations: not given, 8"):
         Results([one, dataclasses.replace(other, job=told)], [])
 
@@ -114,7 +115,7 @@ def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
 def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):
     new = make_run(policy="b", tsdf_completion_ratio=85.0, observed=91.25)
     other = make_run()
-    other.__dict__["job"] = dataclasses.replace(other.job, protocol=StandardProtocol(views=3))
+    other.__dict__["job"] = dataclasses.replace(other.job, conditions=Conditions(protocol=StandardProtocol(views=3)))
     with pytest.raises(InputError, match="protocol views: 64, 3"):
         Results([new, other], [])
     assert ratios_text(new) == "C.R. 80.0 %, of the surface 85.0 %, observed 91.2 %"

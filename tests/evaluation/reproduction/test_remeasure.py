@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -22,7 +23,12 @@ def test_measuring_a_run_again_runs_no_code_that_its_files_name(tmp_path):
 
 
 def test_measuring_a_run_again_asks_no_trust_for_a_policy_that_nobody_calls(tmp_path):
-    job = Job("there is no such scene", "some_policy:Mine", 0, overrides=(("gains", ("some_feature:mine",)),))
+    job = Job(
+        "there is no such scene",
+        "some_policy:Mine",
+        0,
+        conditions=Conditions(overrides=(("gains", ("some_feature:mine",)),)),
+    )
     with pytest.raises(InputError, match="trajectory.npz' is missing"):  # which is read after who is trusted
         measure_again(Run(tmp_path, "scene", job, {}, {}, {}), StandardProtocol())
 

@@ -15,6 +15,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare, read_run
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.machine.hardware import code_checksum, hardware, versions
@@ -34,11 +35,13 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
         ["box"],
         ["random", "pixel_only"],
         tmp_path_factory.mktemp("made") / "runs",
-        preset="fast",
-        frame_budget=12,
-        config={"mapper.iterations": 1, "sensor": {"width": 64, "height": 36}},
+        conditions=Conditions(
+            preset="fast",
+            frame_budget=12,
+            overrides={"mapper.iterations": 1, "sensor": {"width": 64, "height": 36}},
+            protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
+        ),
         engine="inline",
-        protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
     )
     first, second = result.runs
     return first, second
@@ -169,7 +172,7 @@ def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(r
         ({"lpips": 0.5, "lpips_weights": "sums", "views": [{"psnr": 20.0, "lpips": 0.5}], "notes": {}}, []),
         ({"f_score": 99.0}, ["evaluations/standard.json has another f_score than metrics.json"]),
     ):
-        write_evaluation(run.directory, run.job.protocol.parameters(), "", numbers | changed)
+        write_evaluation(run.directory, run.job.conditions.protocol.parameters(), "", numbers | changed)
         assert untrue_evaluations(replace(one)) == said
     found = verify(run)
     assert found.verdict == "damaged" and found.why[0].startswith("evaluations/standard.json has another psnr, ")
@@ -190,7 +193,7 @@ def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
     def later(value: float) -> None:
         content = json.loads(json.dumps({"metrics": run.metrics["metrics"]}))
         with_lpips(value)(content)
-        write_evaluation(run.directory, run.job.protocol.parameters(), "", content["metrics"])
+        write_evaluation(run.directory, run.job.conditions.protocol.parameters(), "", content["metrics"])
 
     unmeasured = ("its LPIPS cannot be measured here, as the weights are missing",)
     whole = (run.directory / "metrics.json").read_bytes()

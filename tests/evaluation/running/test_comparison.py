@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison as module
 from activestructure_gym.evaluation.running.comparison import Comparison, check_output
@@ -87,15 +88,17 @@ def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, m
 
         request.getfixturevalue("monkeypatch").setattr(module, "warming_up", lambda *_: nullcontext())
     with pytest.raises(InputError) as error:
-        Comparison(**({"scenes": ["box"], "policies": ["random"], "preset": "fast"} | change)).prepare()
+        shared = {name: change.pop(name) for name in ("preset", *vars(Conditions())) if name in change}
+        grid = {"scenes": ["box"], "policies": ["random"]} | change
+        Comparison(**grid, conditions=Conditions(**({"preset": "fast"} | shared))).prepare()
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_the_warm_up_is_the_policy_with_most_gains_on_a_few_frames():
     job = smallest_job(["random", "pixel_only"], {"sensor.depth_noise": "kinect"})
-    assert (job.scene, job.policy, job.frame_budget) == ("box", "pixel_only", 12)
-    assert dict(job.overrides) == {"sensor.depth_noise": "kinect"}
+    assert (job.scene, job.policy, job.conditions.frame_budget) == ("box", "pixel_only", 12)
+    assert dict(job.conditions.overrides) == {"sensor.depth_noise": "kinect"}
 
 
 def test_an_output_that_is_not_ours_is_left_alone(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli.evaluate import Evaluate
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -27,7 +28,13 @@ CLOCKS = ("timing.json", store.DONE)  # which holds the checksum of the other
 def job() -> Job:
     protocol = StandardProtocol(views=2, view_width=64, view_height=36, surface_samples=1000, tsdf_voxel_m=0.06)
     scene_hash = load_scene("box").content_hash
-    return Job("box", "random", 0, scene_hash=scene_hash, preset="fast", frame_budget=12, protocol=protocol)
+    return Job(
+        "box",
+        "random",
+        0,
+        scene_hash=scene_hash,
+        conditions=Conditions(preset="fast", frame_budget=12, protocol=protocol),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.comparison import open_comparison
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.report.page.method_text import terms_text
 from activestructure_gym.evaluation.report.results import gather
-from activestructure_gym.evaluation.running.resuming import conditions
 
 BRINGER = "tests.policies.test_schedule:Bringer"
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
-USUAL: dict[str, Any] = {"preset": "fast", "frame_budget": 25, "engine": "inline", "protocol": PROTOCOL}
+SHARED = Conditions(preset="fast", frame_budget=25, protocol=PROTOCOL)
+NATIVE = replace(SHARED, terms="native")
 
 
 @pytest.mark.slow
 def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path) -> None:
-    result = compare(["box"], [BRINGER, "random"], tmp_path / "runs", terms="native", **USUAL)
+    result = compare(["box"], [BRINGER, "random"], tmp_path / "runs", conditions=NATIVE, engine="inline")
     assert not result.failed
     stages = {run.policy: run.config["configuration"]["views"]["stages"] for run in open_comparison(tmp_path / "runs")}
     assert stages == {BRINGER: [["turns?count=5"]], "random": [["pool"]]}
@@ -31,8 +31,8 @@ def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path)
     assert f"`{BRINGER}` up to 64 views of `turns?count=5`, {free}, {mapper} at the end of a way;" in told
     assert f"`random` up to 64 views of `pool`, {free}, {mapper} every 20 frames." in told
     with pytest.raises(InputError, match="terms was native, asked for is shared"):
-        compare(["box"], ["random"], tmp_path / "runs", **USUAL, resume=True)
-    compare(["box"], ["random"], tmp_path / "shared", **USUAL)
+        compare(["box"], ["random"], tmp_path / "runs", conditions=SHARED, engine="inline", resume=True)
+    compare(["box"], ["random"], tmp_path / "shared", conditions=SHARED, engine="inline")
     with pytest.raises(InputError, match="terms"):
         gather([tmp_path / "runs", tmp_path / "shared"])
-    assert conditions(result.runs[0].job)["terms"] == "native"
+    assert result.runs[0].job.conditions == NATIVE

@@ -7,19 +7,28 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison, engines
 from activestructure_gym.evaluation.running.comparison import Comparison, check_output, jobs_to_resume, run_comparison
 from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome
-from activestructure_gym.evaluation.running.resuming import conditions, recorded_jobs
+from activestructure_gym.evaluation.running.resuming import recorded_jobs
 from tests.evaluation.written_runs import write_comparison, write_run
 
-JOB = Job("box", "random", 0, scene_hash="a" * 64, preset="fast", frame_budget=9, overrides=(("sensor.width", 64),))
+JOB = Job(
+    "box",
+    "random",
+    0,
+    scene_hash="a" * 64,
+    conditions=Conditions(preset="fast", frame_budget=9, overrides=(("sensor.width", 64),)),
+)
 
 
 def variant(**changes) -> Job:
-    return dataclasses.replace(JOB, **changes)
+    """The job with other fields, its own or those of its conditions."""
+    cell = {name: changes.pop(name) for name in jobs.CELL if name in changes}
+    return dataclasses.replace(JOB, **cell, conditions=dataclasses.replace(JOB.conditions, **changes))
 
 
 class Silent:
@@ -102,7 +111,7 @@ def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
         ({"overrides": ()}, "overrides.sensor.width was 64, asked for is not given"),
         ({"overrides": (("sensor.width", 64), ("a.b", 3))}, "overrides.a.b was not given, asked for is 3"),
         ({"start_pose": (1.0, 2.0, 3.0, 4.0)}, "start_pose was not given, asked for is [1.0, 2.0, 3.0, 4.0]"),
-        ({"protocol": StandardProtocol(views=3)}, f"protocol.views was {JOB.protocol.views}, asked for is 3"),
+        ({"protocol": StandardProtocol(views=3)}, "protocol.views was 64, asked for is 3"),
         ({"also": ("activegamer",)}, "also was none, asked for is activegamer"),
         ({"scene_hash": "b" * 64}, "scene 'box' has changed since"),
     ],
@@ -147,9 +156,10 @@ def test_a_record_with_two_paths_of_one_scene_is_gone_on_with_and_labelled_as_on
 
 
 def test_every_option_that_decides_a_result_is_compared():
-    # A new field of a job is a condition, unless it is said to differ within one comparison.
-    may_differ = {"scene", "scene_hash", "policy", "seed"}
-    assert set(conditions(JOB)) == {field.name for field in dataclasses.fields(Job)} - may_differ
+    # A new field of a job is a condition, unless it may differ within one comparison.
+    assert {field.name for field in dataclasses.fields(Job)} == {*jobs.CELL, "conditions"}
+    native = dataclasses.replace(JOB.conditions, terms="native")
+    assert native.as_dict().keys() == {field.name for field in dataclasses.fields(Conditions)}
 
 
 def test_results_of_another_version_are_not_mixed(ran, tmp_path, monkeypatch):
@@ -184,8 +194,7 @@ def test_the_grid_of_a_record_is_checked_like_a_new_one(ran, tmp_path, monkeypat
     assert jobs_to_resume(tmp_path) == grid  # and not the fourth one of the product
     assert prepared == [
         Comparison(
-            ["box"], ["random", "bad"], [0, 3], "fast", 9, {"sensor.width": 64}, None, JOB.protocol,
-            recorded={"box": JOB.scene_hash},
+            ["box"], ["random", "bad"], [0, 3], conditions=JOB.conditions, recorded={"box": JOB.scene_hash},
         )
     ]  # fmt: skip
     now = "b" * 64

@@ -101,7 +101,7 @@ def test_csv_has_an_lpips_that_was_measured_later(tmp_path):
     place = write_run(tmp_path / "run")
     run = read_run(place)
     numbers = {**run.metrics["metrics"], "lpips": 0.25, "lpips_weights": "sums", "notes": {}}
-    write_evaluation(place, run.job.protocol.parameters(), "", numbers)
+    write_evaluation(place, run.job.conditions.protocol.parameters(), "", numbers)
     (row,) = csv.DictReader(io.StringIO(runs_csv([read_run(place)])))
     assert row["lpips"] == "0.25" and float(row["psnr"]) == run.metrics["metrics"]["psnr"]
 

@@ -12,6 +12,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import is_done
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -214,7 +215,7 @@ def test_a_job_outlives_the_ray_worker_that_ran_it(cluster, tmp_path):
 def test_a_real_job_gives_the_bits_of_engine_inline(cluster, tmp_path, monkeypatch):
     monkeypatch.setenv("ASG_CACHE_DIR", str(tmp_path / "cache"))
     protocol = StandardProtocol(views=1, view_width=64, view_height=36, surface_samples=2000)
-    job = Job("box", "pixel_only", 0, preset="fast", frame_budget=12, protocol=protocol)
+    job = Job("box", "pixel_only", 0, conditions=Conditions(preset="fast", frame_budget=12, protocol=protocol))
     (outcome,) = get_engine("ray").run([job], tmp_path / "out", Recorder(), Limits())
     assert outcome.finished, outcome.error
     again = episode.run_job(job, tmp_path / "again")

@@ -1,0 +1,106 @@
+"""The conditions that all runs of a comparison share."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
+from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms, schedule_of
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+    from activestructure_gym.policies import Policy
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The conditions of an episode and its measurement: everything except scene, policy and seed.
+
+    Parameters
+    ----------
+    preset
+        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. If not given: ``"default"``, on native terms ``"full"``.
+    frame_budget
+        Frames of every episode, the first one included; the preset's if not given.
+    overrides
+        Changes of the preset by field, ``{"sensor.depth_noise": "kinect"}``.
+    start_pose
+        Start of every episode: x, y, z in metres and yaw in degrees (0 = +x), world; drawn from the seed if not given.
+    protocol
+        The protocol that every map is measured by.
+    also
+        Names of further protocols, ``("activegamer",)``, with their default constants.
+    terms
+        ``"shared"`` (equal candidates, keyframes and mapper) or ``"native"`` (each policy's own).
+
+    Examples
+    --------
+    >>> from activestructure_gym.evaluation import Conditions
+    >>> Conditions(terms="native", frame_budget=100).preset
+    'full'
+    """
+
+    preset: Preset = None  # type: ignore[assignment]
+    frame_budget: int | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    start_pose: tuple[float, float, float, float] | None = None
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)
+    also: tuple[str, ...] = ()
+    terms: Terms = "shared"
+
+    def __post_init__(self) -> None:
+        if self.frame_budget is not None and self.frame_budget < 1:
+            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
+        if isinstance(self.also, str):
+            raise InputError(f"also is a list of names, as ['{self.also}'], got the text {shown(self.also)}")
+        if self.protocol.name in self.also:
+            raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
+        schedule_of(None, self.terms)
+        if self.preset is None:
+            object.__setattr__(self, "preset", NATIVE_PRESET if self.terms == "native" else "default")
+        object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
+        object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON. Shared terms are left out."""
+        content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        content["overrides"] = dict(self.overrides)
+        content["protocol"] = self.protocol.parameters()
+        content["also"] = [get_protocol(name).parameters() for name in self.also]
+        if self.terms == "shared":
+            del content["terms"]
+        return content
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Conditions:
+        """Return the conditions that `as_dict` described."""
+        values = dict(content)
+        protocol = protocol_from(values.pop("protocol"))
+        if not isinstance(protocol, StandardProtocol):
+            raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
+        also = tuple(protocol_from(parameters).name for parameters in values.pop("also"))
+        start_pose = values.pop("start_pose")
+        overrides = {k: tuple(v) if isinstance(v, list) else v for k, v in values.pop("overrides").items()}
+        start_pose = None if start_pose is None else tuple(start_pose)
+        return cls(**values, overrides=overrides, start_pose=start_pose, protocol=protocol, also=also)
+
+    def changes(self, policy: Policy | type[Policy] | None) -> dict[str, Any]:
+        """Return all changes of the preset: the policy's own settings on these terms, then the overrides."""
+        return schedule_of(policy, self.terms).overrides() | dict(self.overrides)
+
+    def env_options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return keyword arguments of `ReconstructionEnv`, all but scene and features, for these changes of the preset.
+
+        The env never ends an episode by the observed surface: that is ground truth, and no policy may profit from it.
+        """
+        return {
+            "preset": self.preset,
+            "frame_budget": self.frame_budget,
+            "config": dict(changes),
+            "coverage_target": None,
+            "start_pose": self.start_pose,
+        }

@@ -1,0 +1,78 @@
+"""Options of `asg compare` and `asg score` for the conditions of runs, and for the way they are run."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, Switch, ViewSource, Words, option
+from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.conditions import Conditions
+
+
+@dataclass(frozen=True)
+class ConditionOptions:
+    """`Conditions` as they are typed. An option that was not typed is None or empty."""
+
+    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
+    """Start from this configuration; `asg config PRESET` prints it."""
+    frames: Count = None
+    """Set the frame budget of every episode; by default the preset's, or all poses of a trajectory."""
+    set: Changes = ()
+    """Change the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
+    views: Annotated[int | None, option("N", "(default: 64)")] = None
+    """Measure PSNR and SSIM on this number of held-out views."""
+    view_source: Annotated[ViewSource | None, option("{free_space,recorded}", "(default: free_space)")] = None
+    """Draw held-out views in the scene's free space, or take those recorded with the scene."""
+    samples: Annotated[int | None, option("N", "(default: 200000)")] = None
+    """Measure geometry on this number of points of the true surface, observed or not."""
+    protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
+    """Measure finished maps by these protocols: always by standard, by activegamer as well."""
+    lpips_weights: PathName = None
+    """Read AlexNet's and LPIPS's weights from this folder; by default ASG_LPIPS_WEIGHTS or torch's hub cache."""
+
+    def typed(self, begun: Conditions) -> dict[str, Any]:
+        """Return the fields of `Conditions` that were typed; other constants of the protocol are those of ``begun``."""
+        from activestructure_gym.config import known_preset
+
+        overrides = parse_overrides(self.set)
+        if self.frames is not None and "frame_budget" in overrides:
+            budget = overrides["frame_budget"]
+            raise InputError(f"--frames {self.frames} and --set frame_budget={budget}: leave one out")
+        constants = {"views": self.views, "surface_samples": self.samples, "view_source": self.view_source}
+        measured: dict[str, Any] = {name: value for name, value in constants.items() if value is not None}
+        typed: dict[str, Any] = {
+            "preset": None if self.preset is None else known_preset(self.preset),
+            "frame_budget": self.frames,
+            "overrides": overrides or None,
+            "protocol": dataclasses.replace(begun.protocol, **measured) if measured else None,
+        }
+        if self.protocols is not None:
+            typed["also"] = [name for name in split_list(self.protocols) if name != begun.protocol.name]
+        return {name: value for name, value in typed.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options for the place and the engine of runs."""
+
+    out: PathName = None
+    """Write the results into this directory; by default runs/<date>-<time>."""
+    resume: Switch = False
+    (
+        "Resume the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given as "
+        "well are added to it; everything else stays as it was."
+    )
+    engine: Annotated[str, option("local|inline|ray")] = "local"
+    (
+        "Run by local (one process per run, several at a time), inline (one after the other in this process) or ray "
+        "(on a Ray cluster)."
+    )
+    workers: int = 0
+    """Run this number of jobs at a time; 0 is one per core."""
+    trust_code: Switch = False
+    """Run code that files name as package.module:Name (the record of --resume, a checkpoint, a run)."""

@@ -5,7 +5,7 @@ cache directory where the package cannot be written, or where ``NUMBA_CACHE_DIR`
 function with ``cache=True`` is done here in four other ways; all of it comes into play only where a kernel is not in
 memory yet.
 
-- `stamps`: machine code is used as long as no file has changed that the kernel depends on, in whatever file it is.
+- `stamps`: machine code is used as long as no file has changed that the kernel depends on.
 - `files`: it is kept with a checksum, so that a damaged file is compiled again and not run.
 - `locks`: of processes that start together, one compiles a kernel and the others load what it wrote.
 - `progress` says on standard error what is going on; `ahead` lets other processes compile ahead.

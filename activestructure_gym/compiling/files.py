@@ -22,12 +22,12 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
-from activestructure_gym.compiling.stamps import identity_of, stamp_of
+from activestructure_gym.compiling.stamps import stamp_of
 from activestructure_gym.files import replaced
 from activestructure_gym.owners import folder_of_others, guard, open_own
 
 SUFFIX = ".kernel"
-_HEAD = b"activestructure_gym kernel 1\n"
+_HEAD = b"activestructure_gym kernel 2\n"
 _STAMP = 32  # bytes; so many has the checksum, too
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
 
@@ -90,8 +90,8 @@ class KernelFiles:
         return stamp_of(self._function) if self._enabled and not one_process_only else None
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        """The file of a signature: one per signature, processor, versions, and function that a factory makes."""
-        fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS, identity_of(self._function))
+        """Return the file of a signature: one per signature, processor and versions."""
+        fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS)
         name = hashlib.sha256(repr(fits).encode()).hexdigest()[:12]
         return Path(self.cache_path) / f"{self._form.filename_base}.{name}{SUFFIX}"
 

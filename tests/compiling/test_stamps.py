@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import re
 import shutil
 import sys
 import time
 from collections import namedtuple
-from enum import IntEnum
-from functools import partial
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numba import njit, typeof
 
 from activestructure_gym.compiling import files, kernel, stamps, told_to
-from activestructure_gym.compiling.stamps import files_of, identity_of, stamp_of
+from activestructure_gym.compiling.files import package_folders
+from activestructure_gym.compiling.stamps import files_of, stamp_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,6 +43,17 @@ from synthetic.numbers import FACTOR
 @kernel
 def topmost(x):
     return FACTOR * middle.scaled(x)
+""",
+    "order.py": """
+from activestructure_gym.compiling import kernel
+
+@kernel
+def first(x):
+    return later(x)
+
+@kernel
+def later(x):
+    return x + 1
 """,
     "apart.py": "UNUSED = 1\n",
 }
@@ -66,15 +80,28 @@ def loaded(synthetic, monkeypatch):
             del sys.modules[name]
         shutil.rmtree(synthetic / "__pycache__", ignore_errors=True)
         importlib.invalidate_caches()
-        stamps._digest_of_file.cache_clear()
+        forget()
         return importlib.import_module("synthetic.top").topmost.py_func
 
     yield load
-    stamps._digest_of_file.cache_clear()
+    forget()
+
+
+def forget() -> None:
+    """Let stamps be those of the files as they are now."""
+    stamps._read.cache_clear()
+    stamps._files_of.cache_clear()
 
 
 def test_the_files_of_a_kernel(loaded):
-    assert {Path(file).name for file in files_of(loaded())} == {"top.py", "middle.py", "deep.py"}
+    assert {Path(file).name for file in files_of(loaded())} == {
+        "top.py",
+        "middle.py",
+        "deep.py",
+        "numbers.py",
+        "__init__.py",
+        "decorator.py",
+    }
 
 
 EDITS = [
@@ -83,8 +110,7 @@ EDITS = [
     ("middle.py", '"numpy"', '"python"', True),
     ("deep.py", "+ 1.0", "+ 2.0", True),
     ("numbers.py", "2.0", "3.0", True),
-    ("numbers.py", "(1, 2, 3)", "(4,)", False),
-    ("numbers.py", "FACTOR = 2.0", "FACTOR = 1.0 + 1.0  # the same", False),
+    ("numbers.py", "(1, 2, 3)", "(4,)", True),  # a file counts as a whole
     ("apart.py", "1", "2", False),
 ]
 
@@ -104,47 +130,21 @@ def test_a_process_whose_sources_have_changed_keeps_nothing(synthetic, loaded, m
     monkeypatch.setattr(stamps, "_BEGAN", time.time() + 1)
     assert stamp_of(function) is not None
     monkeypatch.setattr(stamps, "_BEGAN", 0.0)
-    stamps._digest_of_file.cache_clear()
+    stamps._read.cache_clear()
     assert stamp_of(function) is None
 
 
-class Colour(IntEnum):
-    RED = 1
+def test_a_kernel_that_reads_variables_around_it_is_not_kept(kept):
+    def made(factor):
+        @kernel
+        def scaled(x):
+            return factor * x
 
+        return scaled
 
-@njit
-def helper(x):
-    return x
-
-
-@njit
-def other_helper(x):
-    return -x
-
-
-def reads(value):
-    def function(x):
-        return value if x else None
-
-    return function
-
-
-VALUES = [
-    (1, 2), (1, 1.0), (1, True), (0.0, -0.0), (np.float32(1), np.float64(1)), ((1, 2), (1, 3)), ("a", "b"),
-    (np.arange(3), np.arange(3.0)), (np.zeros(4), np.zeros((2, 2))), (np.zeros(2), np.array([0.0, 1.0])),
-    (helper, other_helper), ((helper, 1), (helper, 2)), (Colour.RED, 1), (partial(helper, 1), partial(helper, 2)),
-    (np.float32, np.float64),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("first, second", VALUES)
-def test_constants_count_by_their_value(first, second):
-    assert stamp_of(reads(first)) == stamp_of(reads(first)) != stamp_of(reads(second))
-
-
-def test_what_a_factory_makes_has_files_of_its_own():
-    assert identity_of(reads(1)) == identity_of(reads(1)) != identity_of(reads(2))
-    assert identity_of(reads(helper)) != identity_of(reads(other_helper))
+    with told_to(lambda name: None):
+        assert [made(factor)(3) for factor in (2, 5)] == [6, 15]
+    assert not list(kept.rglob("*.kernel")) and stamp_of(made(2).py_func) is None
 
 
 def test_named_tuples_with_other_fields_are_other_arguments():
@@ -155,28 +155,82 @@ def test_named_tuples_with_other_fields_are_other_arguments():
     assert files._fields((typeof(np.zeros(3)), typeof(1))) == ""
 
 
+@njit
+def unchanged(x):
+    return x
+
+
 def test_a_function_as_an_argument_is_not_kept(kept):
     @kernel
     def applied(function, x):
         return function(x)
 
     with told_to(lambda name: None):
-        assert applied(helper, 3) == 3
+        assert applied(unchanged, 3) == 3
     assert not list(kept.rglob("*.kernel"))
 
 
-def test_kernels_call_what_is_defined_after_them(kept):
-    @kernel
-    def first(x):
-        return later(x)
-
-    @kernel
-    def later(x):
-        return x + 1
-
+def test_kernels_call_what_is_defined_after_them(synthetic, loaded, kept):
+    loaded()
     with told_to(lambda name: None):
-        assert first(1) == 2
-    assert len(list(kept.rglob("*.kernel"))) == 2
+        assert importlib.import_module("synthetic.order").first(1) == 2
+    assert len(list(kept.rglob("order.*.kernel"))) == 2
+
+
+COMPILED = re.compile(r"\b(kernel|njit|inline|_inline|intrinsic)\b")
+
+
+def defined_in(tree: ast.Module) -> dict[str, ast.stmt]:
+    """What a file defines, by name."""
+    found: dict[str, ast.stmt] = {}
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found[node.name] = node
+        for target in getattr(node, "targets", [getattr(node, "target", None)]):
+            found |= {part.id: node for part in ast.walk(target) if isinstance(part, ast.Name)} if target else {}
+    return found
+
+
+def imported_in(tree: ast.Module) -> set[str]:
+    """The names that a file has from this package, compiling apart."""
+    froms = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    ours = [node for node in froms if (node.module or "").startswith("activestructure_gym")]
+    return {a.asname or a.name for n in ours for a in n.names if n.module != "activestructure_gym.compiling"}
+
+
+def names_in(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def test_stamps_cover_every_file_from_which_a_compiled_function_has_something():
+    """What such a function names is defined in a file of the stamp, and not from a file further away."""
+    parse = cache(lambda file: ast.parse(Path(file).read_text(encoding="utf-8")))
+    checked = 0
+    for folder in package_folders():
+        for path in folder.rglob("*.py"):
+            if "@kernel" not in path.read_text(encoding="utf-8"):
+                continue
+            parts = path.relative_to(folder).with_suffix("").parts
+            room = () if folder.name == "activestructure_gym" else (folder.name,)
+            module = importlib.import_module(".".join(("activestructure_gym", *room, *parts)))
+            some = SimpleNamespace(__code__=SimpleNamespace(co_filename=module.__file__), __module__=module.__name__)
+            covered = {file: parse(file) for file in files_of(some)}
+            modules = {Path(file).stem for file in covered}
+            for file, tree in covered.items():
+                of_package = imported_in(tree)
+                if not stamps._read(file)[2]:  # what it imports is not covered: nothing that is read may depend on it
+                    continue
+                for name, node in defined_in(tree).items():
+                    decorators = " ".join(map(ast.unparse, getattr(node, "decorator_list", [])))
+                    for used in names_in(node) & of_package if COMPILED.search(decorators) else ():
+                        places = {f: defined_in(t)[used] for f, t in covered.items() if used in defined_in(t)}
+                        assert places or used in modules, (file, name, used)
+                        for place, found in places.items():  # a constant may be made of another
+                            if isinstance(found, ast.Assign) and not stamps._read(place)[2]:
+                                for more in names_in(found.value) & imported_in(parse(place)):
+                                    assert any(more in defined_in(t) for t in covered.values()), (place, used, more)
+                        checked += 1
+    assert checked > 300
 
 
 CHAIN = "from synthetic.top import topmost; print(topmost(1.0))"

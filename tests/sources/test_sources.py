@@ -15,15 +15,10 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
-from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT
-from activestructure_gym.motion import planar_graph
-from activestructure_gym.policies.active_gs import sources as roi
-from activestructure_gym.policies.active_gs.sources import RegionsOfInterest
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, facing, make_source
 from activestructure_gym.sources.facing import (
-    FrontierFacing,
     UnsureFacing,
     _rank_within,
     frontier_cells,
@@ -304,28 +299,6 @@ def test_the_worst_rendered_surface_is_faced_first() -> None:
     assert ways[target] @ poses[0, :3, 2] > 1.0 - 1e-9 and ways[target] @ seen["normals"][target] <= -0.5 + 1e-9
 
 
-def test_regions_of_interest_are_the_frontier_and_known_surface_that_is_doubtful(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    run = look_round((TURNS, "roi"))
-    gaussians, volume = run.mapper.map, run.volume
-    frontier = frontier_cells(volume)
-    cells = volume.voxel_of(gaussians.means) // 2
-    known = [cell for cell in np.unique(cells, axis=0) if (cell < frontier.shape).all() and not frontier[tuple(cell)]]
-    doubted, few = known[len(known) // 2], known[0]
-    rows = np.flatnonzero((cells != few).any(axis=1))[:11]
-    places = volume.origin + (np.array([doubted] * 6 + [few] * 5) + 0.5) * 2 * volume.voxel_size
-    gaussians.parameters[:3, rows] = places.T
-    gaussians.parameters[OPACITY_LOGIT, rows] = 3.0  # a logit: .95
-    confidence = np.ones(gaussians.count)
-    confidence[rows] = 0.29
-    monkeypatch.setattr(roi, "gaussian_confidence", lambda seen: confidence)
-    context = SimpleNamespace(volume=volume, mapper=run.mapper)
-    more = RegionsOfInterest().regions(context) & ~FrontierFacing().regions(context)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(np.argwhere(more), [doubted])  # of five Gaussians alone nothing is made
-    assert (RegionsOfInterest().regions(context) >= frontier).all()  # type: ignore[arg-type]
-
-
 def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:
     spec = "floor?yaws=4&spacing_m=0.5&rows=80"
     run = begin((spec, TURNS), scene="room")
@@ -343,29 +316,3 @@ def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:
     np.testing.assert_allclose(run.pose, chosen, atol=1e-6)
     near = np.linalg.norm(views()[:, :3, 3] - chosen[:3, 3], axis=1) < 1e-6
     assert near.sum() == 3  # without the view where it has been
-
-
-def test_nodes_are_those_of_the_floor_plan_and_are_come_back_to() -> None:
-    spec = "nodes?yaws=6&rows=60"
-    run = look_round((TURNS, spec))
-    nodes = planar_graph(run.volume, run.trajectory[0][:3, 3]).nodes
-    poses = run.candidates.world_from_camera[rows_of(run, spec)]
-    assert len(poses) and len(poses) % 6 == 0
-    assert np.linalg.norm(poses[:, None, :2, 3] - nodes, axis=2).min(axis=1).max() < 1e-9
-    seen: dict[str, SourceContext] = {}
-
-    @dataclass(frozen=True)
-    class Look(Source):
-        rows: int = 60
-
-        def propose(self, context):
-            seen["context"] = context
-            return Proposals(poses)
-
-    run._sources = {TURNS: make_source(TURNS), spec: Look()}
-    run._offer()
-    context, nodes_source = seen["context"], make_source(spec)
-    been = replace(context, agent=replace(context.agent, stops=poses[:1]))
-    np.testing.assert_allclose(nodes_source.propose(been).world_from_camera, poses, atol=1e-9)
-    there = replace(context, agent=replace(context.agent, pose=poses[0]))
-    np.testing.assert_allclose(nodes_source.propose(there).world_from_camera, poses[1:], atol=1e-9)

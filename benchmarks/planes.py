@@ -28,7 +28,7 @@ from activestructure_gym.evaluation.cli.bench import print_rows
 from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.depth_noise import CLOSEST, GROWTH, LEAST, axial_sigma
+from activestructure_gym.geometry.depth_noise import GROWTH, MIN_DEPTH_M, MIN_SIGMA_M, axial_sigma
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.detection import PlaneDetectionConfig, depth_noise_scale, segment_planes
 from activestructure_gym.planes.graph import PlaneSceneGraph
@@ -203,7 +203,7 @@ def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
     finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, method)  # type: ignore[attr-defined]
     block = max(4, camera.width // 40)
     # `axial_sigma` as a z^2 + b z + c
-    error = (GROWTH, -2.0 * GROWTH * CLOSEST, LEAST + GROWTH * CLOSEST**2) if noisy else (0.0, 0.0, 0.0)
+    error = (GROWTH, -2.0 * GROWTH * MIN_DEPTH_M, MIN_SIGMA_M + GROWTH * MIN_DEPTH_M**2) if noisy else (0.0, 0.0, 0.0)
 
     def detect(frame: Frame) -> tuple[Labels, np.ndarray]:
         points = cv2.depthTo3d(np.where(frame.depth > 0, frame.depth, np.nan).astype(np.float32), matrix)

@@ -11,7 +11,7 @@ from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.camera import Lens
 
-LARGEST = 1e9  # of a weight: sums of rewards stay far from the end of the numbers
+MAX_WEIGHT = 1e9  # of a weight: sums of rewards stay far from the end of the numbers
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class RewardConfig:
             if name == "noise_free":
                 continue
             is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-            if not (is_number and abs(value) < LARGEST):
+            if not (is_number and abs(value) < MAX_WEIGHT):
                 raise InputError(f"reward {name} must be a number between -1e9 and 1e9, got {shown(value)}")
             if name.startswith("tolerance_") and value < 0:
                 raise InputError(f"reward {name} must be at least 0, got {value}")

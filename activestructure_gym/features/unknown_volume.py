@@ -20,7 +20,7 @@ REACH = 6.0  # metres along a ray
 SHORTLIST = 24  # views whose ways are looked along
 _COLUMNS = 40  # of rays in a view, about
 _SHELL = 2  # voxels around anything occupied that further looks do not clear
-_LEAST_CHANCE = 0.02  # of a ray to have come so far: it is not followed any longer
+_MIN_CHANCE = 0.02  # of a ray to have come so far: it is not followed any longer
 _HALF_TIME = 5.0  # frames after which a view counts half for the shortlist, as in the shared travel term
 
 
@@ -158,6 +158,6 @@ def _open(
                             total += here - known
                             own[i, j, k], stamp[i, j, k] = here, g + 1
                         chance *= keep
-                        if chance < _LEAST_CHANCE:
+                        if chance < _MIN_CHANCE:
                             break
         result[g] = total

@@ -8,9 +8,9 @@ import numpy as np
 
 Depth = TypeVar("Depth", float, np.ndarray)
 
-LEAST = 0.0012  # metres
+MIN_SIGMA_M = 0.0012  # metres
 GROWTH = 0.0019  # metres per square metre
-CLOSEST = 0.4  # metres
+MIN_DEPTH_M = 0.4  # metres
 
 
 def axial_sigma(depth: Depth) -> Depth:
@@ -19,4 +19,4 @@ def axial_sigma(depth: Depth) -> Depth:
     The part of the error that does not depend on the angle ([nguyen2012]). Kernels call what
     `kernel` makes of it.
     """
-    return LEAST + GROWTH * (depth - CLOSEST) ** 2
+    return MIN_SIGMA_M + GROWTH * (depth - MIN_DEPTH_M) ** 2

@@ -17,7 +17,7 @@ from activestructure_gym.mapping.density import joined
 # A neighbour that lies deeper than the plane of the pixels before it by more than this share bends away: there the
 # surface ends for who looks from the other side. Half of what still counts as one surface.
 _BENT = 0.01
-_FARTHEST = 64  # pixels that are looked at in each direction
+_MAX_REACH_PX = 64  # pixels that are looked at in each direction
 
 
 class Borders(NamedTuple):
@@ -35,7 +35,7 @@ def nearest_borders(
     """Borders by where the rows and the columns through each pixel leave its surface."""
     focal = 0.5 * (frame.camera.fx + frame.camera.fy)
     steps = np.ceil(reach * focal / np.maximum(frame.depth.ravel()[pixels], 1e-3) + 0.5)
-    ends = _ends(frame.depth, pixels, np.minimum(steps, _FARTHEST).astype(np.int64))
+    ends = _ends(frame.depth, pixels, np.minimum(steps, _MAX_REACH_PX).astype(np.int64))
     # The line through (h, 0) and (0, v) has the normal (1 / h, 1 / v), whose length is 1 / distance.
     with np.errstate(divide="ignore", invalid="ignore"):
         normal = 1.0 / ends

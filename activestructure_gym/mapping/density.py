@@ -20,8 +20,8 @@ from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_i
 # the second by less than the first share of its depth (8 cm at 4 m, about three sigmas of a Kinect's noise there), and
 # two if such a plane misses by more than the second. In between, where walls meet floors, one plane will do (measured).
 _SAME_SURFACE, _OTHER_SURFACE = 0.02, 0.04
-_LONGEST_GAP = 0.5  # metres between neighbouring pixels that are filled
-_MOST_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
+_MAX_GAP_M = 0.5  # metres between neighbouring pixels that are filled
+_MAX_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
 _LEVELS = 255.0
 
 
@@ -194,9 +194,9 @@ def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
         step = points[i, j, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
-    if gap > _LONGEST_GAP:
+    if gap > _MAX_GAP_M:
         return 1
-    parts = max(1, min(_MOST_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
+    parts = max(1, min(_MAX_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
     # Of parts within the spacing every other end is spared, so of an odd number two neighbours would be.
     return parts + 1 if parts % 2 == 1 and parts > 1 and gap <= parts * spacing else parts
 

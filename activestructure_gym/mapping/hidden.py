@@ -18,7 +18,7 @@ MARGIN = 0.5  # metres behind the measured surface: more than noise and the fit 
 _TILE = 8  # pixels
 _REACH = 3.35  # sigma (the rasteriser stops at 3.34)
 _BORDER = 2.0  # pixels by which the rasteriser's blur widens everything
-_NEAREST = 0.05  # metres; a box that comes nearer to the camera's plane is never called hidden
+_MIN_DEPTH_M = 0.05  # metres; a box that comes nearer to the camera's plane is never called hidden
 
 
 class DepthTiles(NamedTuple):
@@ -73,13 +73,13 @@ def behind_the_measured(
             z = boxes[block, 5] + wider if corner & 4 else boxes[block, 2] - wider
             depth = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
             nearest = min(nearest, depth)
-            if not depth > _NEAREST:
+            if not depth > _MIN_DEPTH_M:
                 continue
             u = intrinsics[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / depth + intrinsics[2]
             v = intrinsics[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / depth + intrinsics[3]
             left, right = min(left, u), max(right, u)
             top, bottom = min(top, v), max(bottom, v)
-        if not nearest > _NEAREST:
+        if not nearest > _MIN_DEPTH_M:
             continue
         first_column = int(max(0.0, min(left - _BORDER, width - 1.0))) // _TILE
         last_column = int(max(0.0, min(right + _BORDER, width - 1.0))) // _TILE

@@ -15,8 +15,8 @@ from activestructure_gym.geometry.depth_noise import axial_sigma
 _REACHES = (1, 2, 2)  # pixels to each side, round by round (measured: 3 or 4 win nothing and blur what is small)
 _GATE = 3.0  # sigmas from the plane of the round before beyond which a neighbour shows something else (measured: 4)
 _IN_LINE = 6.0  # sigmas by which three pixels in a row may miss one line and still show one surface (measured)
-_LEAST_WEIGHT = 2.5  # of all neighbours, of 1 each: below it there is no plane (own choice)
-_LEAST_SPREAD = 1e-2  # of their places, pixels^4: below it they are in one line, and no slope is known (own choice)
+_MIN_WEIGHT = 2.5  # of all neighbours, of 1 each: below it there is no plane (own choice)
+_MIN_SPREAD = 1e-2  # of their places, pixels^4: below it they are in one line, and no slope is known (own choice)
 
 
 def on_local_planes(
@@ -60,14 +60,14 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
                         n, u, v, d = n + k, u + k * x, v + k * y, d + k * value
                         uu, uv, vv = uu + k * x * x, uv + k * x * y, vv + k * y * y
                         ud, vd = ud + k * x * value, vd + k * y * value
-                if n < _LEAST_WEIGHT:
+                if n < _MIN_WEIGHT:
                     here = inverse[row, column]
                     break
                 u, v, d = u / n, v / n, d / n
                 uu, uv, vv, ud, vd = uu - n * u * u, uv - n * u * v, vv - n * v * v, ud - n * u * d, vd - n * v * d
                 spread = uu * vv - uv * uv
                 across, down = 0.0, 0.0
-                if spread > _LEAST_SPREAD:
+                if spread > _MIN_SPREAD:
                     across, down = (vv * ud - uv * vd) / spread, (uu * vd - uv * ud) / spread
                 here = d - across * u - down * v
                 if not here > 0.0:

@@ -21,7 +21,7 @@ from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 
 _WORTHWHILE = 64  # blocks; a smaller map is rendered whole
-_MOST = 0.5  # of the blocks; if more are in view, copying them costs more than it saves
+_MAX_SHARE = 0.5  # of the blocks; if more are in view, copying them costs more than it saves
 _LANES = 16  # of which the capacity of a map is a multiple
 _REACH = 3.35  # sigma (the rasteriser stops at 3.34)
 _BLUR_PIXELS = 2.0  # by which its blur of .3 px^2 widens everything: 3.34 sqrt(.3) = 1.83
@@ -80,7 +80,7 @@ class MapParts:
         seen = np.zeros(len(self._boxes), dtype=bool)
         for pose in np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4):
             seen |= may_be_seen(self._boxes, camera, pose)
-            if seen.mean() > _MOST:
+            if seen.mean() > _MAX_SHARE:
                 return rows, self._map.count
         edges = np.flatnonzero(np.diff(seen.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
         runs = np.minimum(edges * BLOCK, self._map.count)

@@ -15,7 +15,7 @@ from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
 _ROLL_TOLERANCE = 1e-5
-_NEAREST_M = 1e-3  # of a point that is looked at
+_MIN_DISTANCE_M = 1e-3  # of a point that is looked at
 
 _RANGES = {
     "max_step_m": "[0.001, 100]",
@@ -207,9 +207,9 @@ def _fixating(
     towards = np.asarray(point, dtype=np.float64) - places
     level = np.hypot(towards[:, 0], towards[:, 1])
     wanted = np.stack([np.arctan2(towards[:, 1], towards[:, 0]), np.arctan2(towards[:, 2], level)], axis=-1)
-    for n in np.nonzero(np.linalg.norm(towards, axis=1) < _NEAREST_M)[0].tolist():  # there is no direction to it
+    for n in np.nonzero(np.linalg.norm(towards, axis=1) < _MIN_DISTANCE_M)[0].tolist():  # there is no direction to it
         wanted[n] = wanted[n - 1] if n else start
-    wanted[level < _NEAREST_M, 0] = start[0]  # right above or below it every yaw looks at it
+    wanted[level < _MIN_DISTANCE_M, 0] = start[0]  # right above or below it every yaw looks at it
     moves, angles, here = list[np.ndarray](), list[np.ndarray](), start
 
     def turn(aim: np.ndarray, before: int, after: int) -> None:

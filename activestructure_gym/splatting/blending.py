@@ -16,12 +16,12 @@ from activestructure_gym.splatting.layout import (
     L00,
     L01,
     L11,
-    LEAST_DEPTH,
-    LEAST_LEFT,
-    LEAST_POWER,
     LOG_OPACITY,
     MARGIN,
     MAX_ALPHA,
+    MIN_DEPTH,
+    MIN_LEFT,
+    MIN_POWER,
     ONE,
     RECORD,
     RED,
@@ -126,14 +126,14 @@ def alpha_at(records, base, t, s, view):
     """Alpha (0 below 1/255) at 16 pixels."""
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
     alpha = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
-    return sel(power >= peek(view, LEAST_POWER), alpha, F(0.0))
+    return sel(power >= peek(view, MIN_POWER), alpha, F(0.0))
 
 
 @inline
 def depth_at(records, base, z, t, s, view):
     """Depth at which the rays of 16 pixels meet a Gaussian, to the first order; not before the near plane."""
     depth = fma(spread(peek(records, base + SLOPE_T)), t, fma(spread(peek(records, base + SLOPE_S)), s, z))
-    return larger(depth, spread(peek(view, LEAST_DEPTH)))
+    return larger(depth, spread(peek(view, MIN_DEPTH)))
 
 
 # State of a block while blending, in floats: transmittance, depth (, red, green, blue), and room for the backward pass:
@@ -189,7 +189,7 @@ def _make_forward(with_color):
                 opaque = alpha_at(records, base, t, s, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
-                goes_on = after > peek(view, LEAST_LEFT)
+                goes_on = after > peek(view, MIN_LEFT)
                 opaque = sel(goes_on, opaque, F(0.0))
                 weight = opaque * before
                 # With colour a branch hides the latency of this test from the next Gaussian on the block; without
@@ -226,7 +226,7 @@ def _find_again(reach, records, base, along, across, view, state, kept):
         reach &= reach - 1
         opaque = alpha_of(records, base, block, along, across, view)
         before = load(state, COLORED_STATE * block)
-        goes_on = fma(neg(opaque), before, before) > peek(view, LEAST_LEFT)
+        goes_on = fma(neg(opaque), before, before) > peek(view, MIN_LEFT)
         store(kept, at_kept, sel(goes_on, opaque, F(0.0)))
         at_kept += LANES
         before = before + F(0.0)
@@ -281,7 +281,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             rest = load(state, at + 16) - term
             store(state, at + 16, rest)
             w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
-            by_depth = sel(here > peek(view, LEAST_DEPTH), weight * g_z, F(0.0))
+            by_depth = sel(here > peek(view, MIN_DEPTH), weight * g_z, F(0.0))
             w_z, w_all = w_z + by_depth, w_all + weight
             w_zt, w_zs = fma(by_depth, t, w_zt), fma(by_depth, s, w_zs)
             v = term - opaque / (peek(view, ONE) - opaque) * rest

@@ -51,7 +51,7 @@ from activestructure_gym.splatting.simd import (
     spread_value,
 )
 from activestructure_gym.splatting.tile_losses import (
-    LEAST_ALPHA,
+    MIN_ALPHA,
     NORMALISED,
     OF_ALPHA,
     OF_COLOR,
@@ -322,7 +322,7 @@ def compare_depth(first, end, pictures, comparison, by_pictures):
     for at in range(first, end, LANES):
         measured, opaque = _load_up_to(target_depth, at, end), _load_up_to(alpha, at, end)
         has_depth = measured > F(0.0)
-        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        counts = has_depth & (opaque > factors[MIN_ALPHA])
         of_sum = one / sel(counts & normalised, opaque, F(1.0))
         expected = _load_up_to(depth, at, end) * of_sum
         error, sign = absolute_difference(expected, measured, spread(factors[OF_DEPTH]))

@@ -45,7 +45,7 @@ V_, VT, VS, VTT, VTS, VSS, W_RED, W_GREEN, W_BLUE, W_DEPTH, W_ALL, W_DEPTH_T, W_
 
 # Constants of the hot loops, as memory operands after every view. LLVM would hoist literals out of the loop and spill
 # them to a stack not aligned to 64 bytes, where every reload takes two cache lines.
-MAGIC, EXP_5, EXP_4, EXP_3, EXP_2, EXP_1, ONE, LEAST_POWER, LEAST_LEFT, LEAST_DEPTH = range(CONSTANTS, CONSTANTS + 10)
+MAGIC, EXP_5, EXP_4, EXP_3, EXP_2, EXP_1, ONE, MIN_POWER, MIN_LEFT, MIN_DEPTH = range(CONSTANTS, CONSTANTS + 10)
 CONSTANT_VALUES = np.array(
     [
         12582912.0, 1.3264725e-3, 9.6715127e-3, 5.5507337e-2, 0.24022242, 0.69314698, 1.0, -LOG2_255, MIN_TRANSMITTANCE,

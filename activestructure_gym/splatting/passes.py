@@ -88,7 +88,7 @@ def _median(tickets, lists, sorts, picture):
                 opaque = blending.alpha_of(records, base, block, along, across, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
-                goes_on = after > peek(view, layout.LEAST_LEFT)  # else this Gaussian is not part of the pixel
+                goes_on = after > peek(view, layout.MIN_LEFT)  # else this Gaussian is not part of the pixel
                 crosses = goes_on & (after <= half)
                 found = sel(crosses, spread(np.float32(column_of)), load(state, at + LANES))
                 store(state, at + LANES, found)

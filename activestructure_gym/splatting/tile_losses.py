@@ -14,7 +14,7 @@ from activestructure_gym.splatting.simd import LANES, F, fma, inline, inner, neg
 # Factors of the losses: of |colour difference|, of SSIM, of |depth error|, twice that of (1 - alpha)^2; the alpha from
 # which the depth of a pixel is compared, 1 for depth / alpha or 0 for depth itself, and 1 to compare colour everywhere
 # or 0 for only where depth is compared.
-OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, LEAST_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
+OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, MIN_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
 # terms of a tile, 16 lanes each: sums of |colour difference| and of |depth error|, how many pixels were compared
 TILE_COLOR, TILE_DEPTH, TILE_COMPARED, TILE_TERMS = 0, LANES, 2 * LANES, 3 * LANES
 
@@ -62,7 +62,7 @@ def compare_tile(tile, grid, state, comparison, edge):
         left_over = larger(rest, neg(rest))
         opaque = one - left_over
         has_depth = measured > F(0.0)
-        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        counts = has_depth & (opaque > factors[MIN_ALPHA])
         # Outside the image colours and targets are 0, and so is everything that follows from them.
         colored = sel(counts, one, spread(factors[EVERYWHERE]))
         of_color = colored * factors[OF_COLOR]

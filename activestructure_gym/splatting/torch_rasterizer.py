@@ -18,7 +18,7 @@ from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
 from activestructure_gym.splatting.layout import CHUNK
 from activestructure_gym.splatting.torch_losses import Adam, mapping_loss
 
-_MOST_PAIRS = 30_000_000  # pixel-Gaussian pairs in a step of the reference, which stores 130 bytes of each: 4 GB
+_MAX_PAIRS = 30_000_000  # pixel-Gaussian pairs in a step of the reference, which stores 130 bytes of each: 4 GB
 _AT_ONCE = 4_000_000  # camera-Gaussian pairs that are projected together: about 2 GB
 
 
@@ -101,9 +101,9 @@ class TorchRasterizer:
         check_map(parameters, count)
         check_step(*state, learning_rates, isotropic=isotropic)
         pairs = count * camera.width * camera.height
-        if self.backend == "reference" and pairs > _MOST_PAIRS:
+        if self.backend == "reference" and pairs > _MAX_PAIRS:
             raise InputError(
-                f"splatting backend 'reference' compares every pixel with every Gaussian, at most {_MOST_PAIRS:,} "
+                f"splatting backend 'reference' compares every pixel with every Gaussian, at most {_MAX_PAIRS:,} "
                 f"pairs in a step, and {camera.width} x {camera.height} pixels with {count:,} Gaussians make "
                 f"{pairs:,}; use mapper.backend=cpu or a smaller image."
             )

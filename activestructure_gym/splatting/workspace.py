@@ -15,7 +15,7 @@ from activestructure_gym.splatting.simd import LANES
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)
 _STRIP = 30  # vectors, approximately: a third of a megabyte in the second-level cache
-_MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a typical Gaussian reaches about 5 blocks of a tile
+_MAX_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a typical Gaussian reaches about 5 blocks of a tile
 
 
 def make_view(
@@ -199,7 +199,7 @@ class Workspace:
     def blend(self, *, keep: bool = True) -> None:
         """Blend the tiles of `render` into ``color``, ``depth`` and ``alpha``; may be repeated with other colours."""
         tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
-        most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * LANES * self.total)
+        most = min(_MAX_KEPT, _BLOCKS_PER_ENTRY * LANES * self.total)
         places = self._buffer("kept at", 2 * tiles, np.int64)
         self.kept = Kept(self._buffer("kept", most)[:most] if keep else _NO_FLOATS, places)
         self.tickets[:] = 0
@@ -287,7 +287,7 @@ class Workspace:
         factors[tile_losses.OF_COLOR], factors[tile_losses.EVERYWHERE] = of_color / (3 * pixels), 1.0
         factors[tile_losses.OF_SSIM], factors[tile_losses.OF_DEPTH] = -of_ssim / (3 * pixels), of_depth / measured
         factors[tile_losses.OF_ALPHA] = 2.0 * of_alpha / pixels
-        factors[tile_losses.LEAST_ALPHA] = 0.5 if normalised_depth else -1.0
+        factors[tile_losses.MIN_ALPHA] = 0.5 if normalised_depth else -1.0
         factors[tile_losses.NORMALISED] = 1.0 if normalised_depth else 0.0
         return factors
 
@@ -326,7 +326,7 @@ class Workspace:
         """
         factors = np.zeros(tile_losses.FACTORS, np.float32)
         factors[tile_losses.OF_COLOR], factors[tile_losses.OF_DEPTH] = of_color, of_depth
-        factors[tile_losses.LEAST_ALPHA], factors[tile_losses.NORMALISED] = least_alpha, 1.0
+        factors[tile_losses.MIN_ALPHA], factors[tile_losses.NORMALISED] = least_alpha, 1.0
         rates = np.zeros(layout.RATES, np.float32)
         rates[layout.MODE] = layout.POSE_ONLY
         arrays = (rates, self.parameters, self.parameters)

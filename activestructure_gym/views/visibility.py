@@ -15,10 +15,10 @@ from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
-NEAREST_M = 0.2  # closer than this a depth sensor returns nothing
-FARTHEST_M = 5.0  # distance gate of the paper (Sec. 3.4), which names no number: own choice
-STEEPEST_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, likewise
-LEAST_SHARE = 0.1  # of a plane's points that must pass for the plane to count as visible
+MIN_DISTANCE_M = 0.2  # closer than this a depth sensor returns nothing
+MAX_DISTANCE_M = 5.0  # distance gate of the paper (Sec. 3.4), which names no number: own choice
+MIN_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, likewise
+MIN_SHARE = 0.1  # of a plane's points that must pass for the plane to count as visible
 _WORTH_A_THREAD = 2000  # pairs of view and plane: less is done before a second thread has woken up
 SAMPLES = 16  # points tested per plane, spread evenly over its stored points
 
@@ -37,7 +37,7 @@ def visible_planes(
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
     points = np.array([plane.spread(SAMPLES) for plane in planes])  # [P, S, 3]
     normals = np.array([plane.normal for plane in planes])  # [P, 3]
-    enough = int(np.ceil(LEAST_SHARE * SAMPLES))
+    enough = int(np.ceil(MIN_SHARE * SAMPLES))
     return cosines_in_sight(points, normals, camera, world_from_camera, volume, enough=enough)[1] == enough
 
 
@@ -122,10 +122,10 @@ def _cosines_in_sight(
                 if height <= 0.0:  # its back
                     continue
                 distance = np.sqrt(x * x + y * y + z * z)
-                if distance < NEAREST_M or distance > FARTHEST_M:
+                if distance < MIN_DISTANCE_M or distance > MAX_DISTANCE_M:
                     continue
                 cosine = height / distance
-                if cosine < STEEPEST_COSINE:
+                if cosine < MIN_COSINE:
                     continue
                 u = lens[0] * (right_x * x + right_y * y + right_z * z) / depth + lens[2]
                 v = lens[1] * (down_x * x + down_y * y + down_z * z) / depth + lens[3]

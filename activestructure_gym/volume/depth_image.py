@@ -11,7 +11,7 @@ READS_PER_SIDE = 6
 # Lost pixels come singly or in bands a few pixels wide; what is without return on this many squared is truly empty.
 _EMPTY_BLOCK = 5
 # A lost pixel is taken to be like its neighbours if at least so many of the 8 have a return.
-_FEWEST_NEIGHBOURS = 2
+_MIN_NEIGHBOURS = 2
 
 
 def fill_gaps(
@@ -36,7 +36,7 @@ def fill_gaps(
     height, width = depth.shape
     padded = np.pad(np.where(known > 0, known, np.float32(np.inf)), 1, constant_values=np.inf)
     around = np.stack([padded[r : r + height, c : c + width] for r in range(3) for c in range(3)])
-    enough = np.isfinite(around).sum(axis=0) >= _FEWEST_NEIGHBOURS
+    enough = np.isfinite(around).sum(axis=0) >= _MIN_NEIGHBOURS
     return np.where(gaps & enough & (known <= 0), around.min(axis=0), known)
 
 

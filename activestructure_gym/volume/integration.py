@@ -28,7 +28,7 @@ FREE = 1
 OCCUPIED = 2
 
 # Closer than this the footprint of a voxel is larger than the image; also keeps the projection away from z = 0.
-_NEAREST = 0.05
+_MIN_DEPTH_M = 0.05
 PARTS_PER_SIDE = 4
 ALL_PARTS = np.uint64(2**64 - 1)
 _ONE = np.uint64(1)
@@ -156,7 +156,7 @@ def frustum_planes(
     planes = np.array([
         [c.fx, 0.0, c.cx - 0.5, 0.0], [-c.fx, 0.0, c.width - 0.5 - c.cx, 0.0],
         [0.0, c.fy, c.cy - 0.5, 0.0], [0.0, -c.fy, c.height - 0.5 - c.cy, 0.0],
-        [0.0, 0.0, 1.0, _NEAREST], [0.0, 0.0, -1.0, -max_range],
+        [0.0, 0.0, 1.0, _MIN_DEPTH_M], [0.0, 0.0, -1.0, -max_range],
     ])  # fmt: skip
     rotation = camera_from_world[:3, :3]
     normals = planes[:, :3] @ rotation  # [6, 3] along the world's axes
@@ -228,7 +228,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                 if last_hit[i, j, k] == image_number or (miss_chance[i, j, k] == 0.0 and solidity[i, j, k] == 0):
                     continue
                 near, far = z - extent_z, z + extent_z
-                if near < _NEAREST:
+                if near < _MIN_DEPTH_M:
                     continue
                 enough = far + margin + margin_growth * far * far
                 if pyramid[v * width + u] <= enough:

@@ -8,7 +8,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.evaluation.metrics.windows import window_means
 
 # Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
-_SMALLEST_MSE = 1e-10
+_MIN_MSE = 1e-10
 
 # [ms_ssim], section 3.2: the exponent of each of the five scales.
 _SCALE_WEIGHTS = np.array([0.0448, 0.2856, 0.3001, 0.2363, 0.1333])
@@ -36,7 +36,7 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     100.0
     """
     error = np.mean((np.asarray(rendered, np.float64) - np.asarray(true, np.float64)) ** 2)
-    return float(-10.0 * np.log10(max(float(error), _SMALLEST_MSE)))
+    return float(-10.0 * np.log10(max(float(error), _MIN_MSE)))
 
 
 def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
@@ -48,7 +48,7 @@ def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     sums = np.zeros(x.shape[2])
     _squared_errors(x.reshape(-1, x.shape[2]), y.reshape(-1, x.shape[2]), sums)
     errors = sums / (x.shape[0] * x.shape[1])
-    return float(np.mean(-10.0 * np.log10(np.maximum(errors, _SMALLEST_MSE))))
+    return float(np.mean(-10.0 * np.log10(np.maximum(errors, _MIN_MSE))))
 
 
 def ssim(rendered: np.ndarray, true: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from activestructure_gym.geometry.curve import curve_order
 
 _LEAF = 8  # points
 _CHUNK = 8192  # queries that one thread takes at a time
-_DEEPEST = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
+_MAX_DEPTH = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
 
 
 class _Tree(NamedTuple):

@@ -48,7 +48,7 @@ CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
 }
 _GENERATED = 180  # poses on the circle, of which
 _EVERY = 5  # this one is looked at; the first frame of the sequence is the start pose and is not
-_TOO_NEAR, _MOST_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
+_TOO_NEAR, _MAX_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
 _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 
@@ -127,7 +127,7 @@ class ActiveGamerProtocol:
         poses = circle_poses(centre, radius)
         views = posed_views(scene, poses, camera=self.camera, supersample=self.view_supersample)
         near = float(np.mean((views.depth > 0) & (views.depth < _TOO_NEAR)))
-        if near > _MOST_TOO_NEAR:
+        if near > _MAX_TOO_NEAR:
             raise InputError(
                 f"scene '{scene.name}': {100 * near:.0f} % of the pixels of the views on the circle around {centre} "
                 f"with radius {radius} m are nearer than {_TOO_NEAR} m; choose another center and radius"

@@ -17,7 +17,7 @@ from activestructure_gym.volume import VoxelVolume
 
 KAPPA = 2.0  # concentration of what a look tells about other directions (own choice)
 VIRTUAL_SHARE = 0.1  # virtual Gaussians per Gaussian of the map, at most ...
-VIRTUAL_LEAST = 1000  # ... or so many, where the map is small (own choice)
+MIN_VIRTUAL = 1000  # ... or so many, where the map is small (own choice)
 VIRTUAL_OPACITY_LOGIT = 0.0  # of one half (own choice)
 VIRTUAL_SIGMA = 0.35  # of the distance between them (own choice)
 KNOWN_VARIANCE = 0.05**2  # of the brightness of what was seen (own choice)
@@ -69,7 +69,7 @@ def excess_entropy(
 def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianMap, int]:
     """A copy of the map with the virtual Gaussians behind its own, and how many are its own."""
     real = gaussians.count
-    added = virtual_gaussians(volume, max(VIRTUAL_LEAST, int(VIRTUAL_SHARE * real)))
+    added = virtual_gaussians(volume, max(MIN_VIRTUAL, int(VIRTUAL_SHARE * real)))
     everything = GaussianMap(real + added.shape[1] + 1)
     everything.append(gaussians.parameters[:, :real])
     everything.append(added)

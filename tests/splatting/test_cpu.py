@@ -148,7 +148,7 @@ def test_the_fused_path_is_the_one_through_pictures(kind, splats_of, monkeypatch
     # With a trace of SSIM in it the loss is no longer pixelwise.
     for l1_share, kept in ((1.0, None), (1.0 - 1e-9, None), (1.0 - 1e-9, 0), (1.0 - 1e-9, 20_000)):
         if kept is not None:
-            monkeypatch.setattr(workspace, "_MOST_KEPT", kept)
+            monkeypatch.setattr(workspace, "_MAX_KEPT", kept)
         state = [before.copy(), np.zeros_like(before), np.zeros_like(before)]
         weights = LossWeights(l1_share=l1_share, depth=0.3, alpha=0.2)
         losses = mapping_step(

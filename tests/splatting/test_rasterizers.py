@@ -202,6 +202,6 @@ def test_what_does_not_fit_is_refused(splats_of, monkeypatch):
         reference.mapping_step(*state[:2], state[2][:, 1:], *arguments, weights=LossWeights(), learning_rates=RATES)
     with pytest.raises(ValueError, match="count must lie in"):
         reference.render(state[0], 999, *arguments[1:3])
-    monkeypatch.setattr("activestructure_gym.splatting.torch_rasterizer._MOST_PAIRS", 1000)
+    monkeypatch.setattr("activestructure_gym.splatting.torch_rasterizer._MAX_PAIRS", 1000)
     with pytest.raises(InputError, match="70 x 50 pixels with 200 Gaussians make 700,000; use mapper.backend=cpu"):
         reference.mapping_step(*state, *arguments, weights=LossWeights(), learning_rates=RATES)

@@ -28,13 +28,13 @@ def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> Non
         whole, many, optional = kinds[name]
         if optional and value is None:
             continue
-        interval = _interval(text)
+        interval, called = _interval(text), label + (name.replace("_", "-") if label == "--" else name)
         if many and (not isinstance(value, tuple) or not value):
-            raise InputError(f"{label}{name} must be a tuple of at least one number, got {shown(value)}")
+            raise InputError(f"{called} must be a tuple of at least one number, got {shown(value)}")
         for entry in value if many else (value,):
             if not interval.holds(entry, whole=whole):
                 kind = "a whole number" if whole else "a number"
-                each = f"every entry of {label}{name}" if many else f"{label}{name}"
+                each = f"every entry of {called}" if many else f"{called}"
                 raise InputError(f"{each} must be {kind} {interval.words}, got {shown(entry)}")
 
 

@@ -103,7 +103,7 @@ class Env:
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
 @dataclass(frozen=True)
 class Bench:
-    """Measure the speed of the sensor, the rasteriser or the environment."""
+    """Measure the speed of sensor, rasteriser or environment."""
 
     part: (
         Annotated[Sensor, tyro.conf.subcommand("sensor")]

@@ -16,7 +16,7 @@ GROUPS = {
         "compare": "compare:Compare",
         "watch": "watch:Watch",
         "train": "train:Train",
-        "score": "score:Score",
+        "replay-trajectory": "replay_trajectory:ReplayTrajectory",
     },
     "Look": {
         "report": "report:Report",

@@ -40,11 +40,11 @@ class GridOptions:
     """The cells of a comparison. Without any of them, a resumed comparison has those of its record."""
 
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
-    """Explore these scenes, separated by commas or spaces: names (see `asg scenes`), files, folders."""
+    """Explore these scenes, separated by commas or spaces: names (see `asg list scenes`), files, folders."""
     policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
-        "Compare these policies: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A "
-        'to E), or `all`. Options follow a question mark: "active_gs?travel=shared" has the shared travel term.'
+        "Compare these policies: names (see `asg list policies`), package.module:Class, `ladder` (the paper's ablation, "
+        'A to E), or `all`. Options follow a question mark: "active_gs?travel=shared" has the shared travel term.'
     )
     mappers: NoNames = ()
     (
@@ -68,20 +68,22 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
     Without any option: `random` against `activestructure` in a furnished room, in about a minute.
     """
 
-    terms: Annotated[Terms | None, option("{shared,native}", "(default: shared)")] = None
+    setup: Annotated[Terms | None, option("{shared,native}", "(default: shared)")] = None
     (
-        "shared: equal candidates, keyframes and mapper for all policies; native: each policy's own, by default at "
+        "Give all policies equal candidates, keyframes and mapper (shared), or each its own (native), by default at "
         "2000 frames of 320 x 180 (preset full)."
     )
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
-    """Start every episode at x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or `published`: at the pose
-    of papers in a scene of Replica or Matterport3D."""
+    (
+        "Start every episode at x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or where papers start in "
+        "that scene of Replica or Matterport3D (published)."
+    )
     shard: Annotated[str | None, option("I/N", "")] = None
     (
         "Run every N-th job, from the I-th one on: N programs with the same options, one for each I, run the whole "
         "comparison into --out. `asg compare --resume --out` then runs what is missing and writes the report."
     )
-    timeout: float = 0.0
+    timeout_min: float = 0.0
     """Stop a run after this number of minutes and try it again; 0 is no limit."""
     retries: int = 1
     """Try a run again this many times if it was killed or timed out."""
@@ -122,7 +124,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
     from activestructure_gym.evaluation.running.sharding import Shard
 
-    limits = Limits(options.workers, options.timeout, options.retries)
+    limits = Limits(options.workers, options.timeout_min, options.retries)
     get_engine(options.engine).check(limits)
     shard = None if options.shard is None else Shard.parse(options.shard)
     check_output(directory, resume=options.resume, shared=shard is not None)
@@ -137,6 +139,8 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         comparison.check_machine()
     if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
         options = _with_baseline(options, comparison.everybody())
+    if options.dry_run:
+        return _print_plan(console, comparison or _added_to(directory, options), directory, demo=demo)
     with working(console, "loading") as notify:
         jobs = jobs_to_resume(directory, comparison, notify) if as_recorded else comparison.prepare(notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
@@ -245,7 +249,7 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.running.comparison import Comparison
 
     usual = Comparison(
-        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(terms=options.terms or "shared")
+        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(terms=options.setup or "shared")
     )
     return dataclasses.replace(usual, **_typed_fields(options, usual))
 
@@ -267,13 +271,29 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
         typed["references"] = split_list(options.references)
     if options.seeds is not None:
         typed["seeds"] = parse_seeds(options.seeds)
-    if options.terms is not None:
-        changes["terms"] = options.terms
+    if options.setup is not None:
+        changes["terms"] = options.setup
     if options.start is not None:
         changes["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
     if changes:
         typed["conditions"] = dataclasses.replace(begun.conditions, **changes)
     return typed
+
+
+def _print_plan(console: Console, comparison: Comparison, directory: Path, *, demo: bool) -> int:
+    """Print the runs of a comparison, which loads no scene; return 0."""
+    from activestructure_gym.evaluation.archive.jobs import Job
+    from activestructure_gym.evaluation.archive.store import completion_markers
+
+    policies = comparison.everybody()
+    cells = [(scene, policy, seed) for seed in comparison.seeds for scene in comparison.scenes for policy in policies]
+    _announce(console, comparison, directory, len(cells), len(policies), demo=demo)
+    for scene, policy, seed in cells:
+        console.print(escape(Job(scene, policy, seed).title))
+    finished = len(completion_markers(directory)) if directory.is_dir() else 0
+    kept = f"; {counted(finished, 'run')} of the directory finished before and kept" if finished else ""
+    console.print(f"Nothing was run (--dry-run){kept}")
+    return 0
 
 
 def _announce(

@@ -1,4 +1,4 @@
-"""Options of `asg compare` and `asg score` for the conditions of runs, and for the way they are run."""
+"""Options of `asg compare` and `asg replay-trajectory` for the conditions of runs, and for the way they are run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, Switch, ViewSource, Words, option
+from activestructure_gym.evaluation.cli.fields import (
+    Changes,
+    Count,
+    DryRun,
+    Out,
+    PathName,
+    Switch,
+    ViewSource,
+    Words,
+    option,
+)
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
 
 if TYPE_CHECKING:
@@ -23,7 +33,7 @@ class ConditionOptions:
     frames: Count = None
     """Set the frame budget of every episode; by default the preset's, or all poses of a trajectory."""
     set: Changes = ()
-    """Change the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
+    """Change the configuration (see `asg list config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
     views: Annotated[int | None, option("N", "(default: 64)")] = None
     """Measure PSNR and SSIM on this number of held-out views."""
     view_source: Annotated[ViewSource | None, option("{free_space,recorded}", "(default: free_space)")] = None
@@ -60,8 +70,10 @@ class ConditionOptions:
 class RunOptions:
     """Options for the place and the engine of runs."""
 
-    out: PathName = None
+    out: Out = None
     """Write the results into this directory; by default runs/<date>-<time>."""
+    dry_run: DryRun = False
+    """Print the runs, their budget and their place, and write nothing."""
     resume: Switch = False
     (
         "Resume the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given as "

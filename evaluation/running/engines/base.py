@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.ranges import check_ranges
 
 LOGS = "logs"  # sub-directory of a comparison: what the workers wrote to standard error
-_RANGES = {"workers": "[0, 4096]", "timeout": "[0, 525600]", "retries": "[0, 1000]"}  # timeout: up to a year
+_RANGES = {"workers": "[0, 4096]", "timeout_min": "[0, 525600]", "retries": "[0, 1000]"}  # a timeout of up to a year
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Limits:
     """Limits of a comparison: jobs at a time, minutes per attempt, further attempts."""
 
     workers: int = 0  # jobs at a time; 0 = as many as there are cores
-    timeout: float = 0.0  # minutes per attempt at a job; 0 = any time
+    timeout_min: float = 0.0  # minutes per attempt at a job; 0 = any time
     retries: int = 1  # further attempts at a job that was killed or ran out of time
 
     def __post_init__(self) -> None:

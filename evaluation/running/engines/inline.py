@@ -36,8 +36,8 @@ def run_inline(
 
 
 def _check(limits: Limits) -> None:
-    if limits.timeout:
-        raise InputError("engine 'inline' cannot stop a run; give --timeout with engine 'local'")
+    if limits.timeout_min:
+        raise InputError("engine 'inline' cannot stop a run; give --timeout-min with engine 'local'")
 
 
 ENGINE = Engine(run_inline, slots=lambda jobs, limits: 1, check=_check)

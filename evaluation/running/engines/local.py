@@ -53,7 +53,7 @@ def run_local(
             while waiting and len(running) < slots:
                 job, attempt = waiting.pop()
                 worker = WorkerProcess(
-                    job, directory, messages, environment=environment, command=command, minutes=limits.timeout,
+                    job, directory, messages, environment=environment, command=command, minutes=limits.timeout_min,
                     attempt=attempt, keep_open=keep_open,
                 )  # fmt: skip
                 running[job.name] = worker, attempt

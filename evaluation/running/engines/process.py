@@ -134,7 +134,7 @@ class WorkerProcess:
                 log.unlink()
             return Ended()
         if self._overdue:
-            return Ended(f"stopped after {self._minutes:g} min (--timeout)", lost=True)
+            return Ended(f"stopped after {self._minutes:g} min (--timeout-min)", lost=True)
         # Above 128: it was asked to end by a signal, and did so in order.
         return Ended(words, lost=code < 0 or code > 128)
 

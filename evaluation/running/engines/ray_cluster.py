@@ -53,8 +53,8 @@ def run_ray(
     """Run all jobs, each in a process of its own on some machine of the cluster.
 
     The cluster is the one of ``RAY_ADDRESS``, else one that ``ray start`` has started on this machine, else this
-    machine alone. ``limits.timeout`` and ``limits.retries`` are those of engine ``local``; a lost Ray worker or machine
-    is Ray's to replace, and counts as no attempt. Raises `InputError` where the cluster cannot be reached.
+    machine alone. ``limits.timeout_min`` and ``limits.retries`` are those of engine ``local``; a lost Ray worker or
+    machine is Ray's to replace, and counts as no attempt. Raises `InputError` where the cluster cannot be reached.
     """
     (directory / LOGS).mkdir(parents=True, exist_ok=True)
     ours, ray = _connect()
@@ -72,7 +72,13 @@ def run_ray(
             while waiting and len(running) < (limits.workers or len(jobs)):
                 job, attempt = waiting.pop()
                 order = _Order(
-                    job.as_dict(), str(directory.resolve()), tuple(command), variables, threads, limits.timeout, attempt
+                    job.as_dict(),
+                    str(directory.resolve()),
+                    tuple(command),
+                    variables,
+                    threads,
+                    limits.timeout_min,
+                    attempt,
                 )
                 running[task.remote(order, board)] = job, attempt
             ready, _ = ray.wait(list(running), timeout=_TICK)

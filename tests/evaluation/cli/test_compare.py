@@ -62,7 +62,7 @@ def test_the_demo_can_be_changed_in_part():
     assert (changed.scenes, changed.frames, changed.policies) == (("room",), 20, ("random",))
     assert module._with_demo_defaults(Compare(preset="fast")).frames is None
     assert module._with_demo_defaults(Compare(set=("frame_budget=30",))).frames is None
-    native = module.comparison_of(module._with_demo_defaults(Compare(policies=("random",), terms="native")))
+    native = module.comparison_of(module._with_demo_defaults(Compare(policies=("random",), setup="native")))
     assert (native.conditions.preset, native.conditions.frame_budget) == ("full", None)
 
 
@@ -129,10 +129,10 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
     "words, message",
     [
         ("--engine lokal", "unknown engine 'lokal'; did you mean 'local'"),
-        ("--timeout -2", "--timeout must be a number from 0 to 525600, got -2"),
+        ("--timeout-min -2", "--timeout-min must be a number from 0 to 525600, got -2"),
         ("--retries -1", "--retries must be a whole number from 0 to 1000, got -1"),
         ("--workers -1", "--workers must be a whole number from 0 to 4096, got -1"),
-        ("--engine inline --timeout 3", "engine 'inline' cannot stop a run"),
+        ("--engine inline --timeout-min 3", "engine 'inline' cannot stop a run"),
         ("--set mapper.backend=foo", "unknown mapper backend 'foo'"),
         ("--set mapper.keyframe_reduction=0", "keyframe_reduction must be a whole number from 1 to 64, got 0"),
         ("--set mapper.keyframe_reduction=-1", "keyframe_reduction must be a whole number from 1 to 64, got -1"),
@@ -184,18 +184,18 @@ def test_where_no_cell_is_named_those_of_the_record_are_gone_on_with_and_no_othe
         Job("box", "pixel_only", 8, conditions=Conditions(preset="fast")),
     ]  # no product
     write_comparison(tmp_path / "here", recorded)
-    assert main(f"compare --out here --resume --workers 1 --retries 4 --timeout 9 {words}".split()) == 0
+    assert main(f"compare --out here --resume --workers 1 --retries 4 --timeout-min 9 {words}".split()) == 0
     place, checked, (jobs, _, options) = asked
     assert place == ("weights" if "weights" in words else None) and checked.conditions.preset == "fast"
     assert jobs == recorded and options["resume"]
-    assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)
+    assert options["limits"] == Limits(workers=1, timeout_min=9.0, retries=4)
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         ("--preset default", "preset was fast, asked for is default"),
-        ("--terms shared", "terms was native, asked for is shared"),
+        ("--setup shared", "terms was native, asked for is shared"),
         ("--protocols standard", "also was activegamer, asked for is none"),
         ("--view-source free_space", "view_source was recorded, asked for is free_space"),
     ],
@@ -254,12 +254,12 @@ def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, wo
 
 
 def test_what_is_compared_has_a_default_that_nobody_can_type():
-    manner = {"out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline"}
+    manner = {"out", "resume", "dry_run", "engine", "workers", "shard", "timeout_min", "retries", "replay", "baseline"}
     manner |= {"trust_code", "wide"}
     defaults = {name: value for name, value in vars(Compare()).items() if name not in manner}
     assert {name for name, value in defaults.items() if value not in (None, ())} == set()
     assert not module._typed(Compare(), *defaults)
-    for name, value in (("seeds", ("0",)), ("terms", "shared"), ("view_source", "free_space")):
+    for name, value in (("seeds", ("0",)), ("setup", "shared"), ("view_source", "free_space")):
         assert module._typed(Compare(**{name: value}), name)
 
 
@@ -271,7 +271,7 @@ def test_what_was_not_typed_is_as_usual_and_help_says_so(asked, capsys):
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
     for default in ("random activestructure", "0", "shared", "standard", "free_space", "room", "64"):
         assert f"(default: {default})" in shown
-    assert "--terms {shared,native}" in shown and "--view-source {free_space,recorded}" in shown
+    assert "--setup {shared,native}" in shown and "--view-source {free_space,recorded}" in shown
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_what_was_not_typed_is_as_usual_and_help_says_so(asked, capsys):
         ("--policies", "a comparison needs at least one of policies, got none"),  # of a variable that is empty, say
         ("--seeds", "a comparison needs at least one of seeds, got none"),
         ("--policies None", "unknown policy 'None'"),
-        ("--terms None", "invalid choice 'None' for argument '--terms'"),
+        ("--setup None", "invalid choice 'None' for argument '--setup'"),
     ],
 )
 def test_an_option_without_a_value_is_typed_and_none_is_no_word(asked, capsys, words, message):
@@ -384,3 +384,12 @@ def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatc
     assert "no replay of box · random · seed 0: its scene is not there" in capsys.readouterr().out
     assert main(["compare"]) == 0
     assert len(made) == 1
+
+
+def test_a_dry_run_lists_the_runs_and_writes_nothing(asked, tmp_path, capsys):
+    words = "--scenes box,room --policies hole_area --references oracle --seeds 0,1 --frames 40 -o here --dry-run"
+    assert main(["compare", *words.split()]) == 0 and not asked and not list(tmp_path.iterdir())
+    said = capsys.readouterr().out
+    assert "2 scenes x 2 policies x 2 seeds" in said and "40 frames per run, into here" in said
+    assert said.count("hole_area") == 4 and said.count("oracle") == 4 and "Nothing was run (--dry-run)" in said
+    assert main(["compare", "--policies", "nobody", "-n"]) == 2

@@ -138,7 +138,7 @@ def test_commands_that_read_runs(hostile: Path, said: Callable[..., str], tmp_pa
         ["evaluate", run],
         ["replay", run, "--out", str(tmp_path / "page.html")],
         ["compare", "--out", str(hostile), "--resume", "--policies", f"nobody{WORD}"],
-        ["score", "--trajectory", run, "--out", out],
+        ["replay-trajectory", run, "--out", out],
     ):
         said(*words)
 

@@ -203,7 +203,7 @@ def test_the_grid_of_a_record_is_checked_like_a_new_one(ran, tmp_path, monkeypat
 
 
 def test_unused_limits_are_the_usual_ones(ran, tmp_path):
-    assert Limits() == Limits(workers=0, timeout=0.0, retries=1)
+    assert Limits() == Limits(workers=0, timeout_min=0.0, retries=1)
     go([], tmp_path)
     assert ran == []
 

@@ -135,18 +135,20 @@ def test_without_retries_one_attempt_is_all(tmp_path):
 def test_a_job_that_takes_too_long_is_stopped_and_tried_again(tmp_path, monkeypatch):
     monkeypatch.setattr(process, "GRACE_SECONDS", 0.3)  # for the one that does not listen
     listener, seconds = Recorder(), 2.0
-    limits = Limits(workers=2, timeout=seconds / 60)
+    limits = Limits(workers=2, timeout_min=seconds / 60)
     outcomes = run_local(jobs("hanging", "deaf"), tmp_path, listener, limits, command=("-c", FRAGILE))
     assert [(outcome.finished, outcome.attempts) for outcome in outcomes] == [(True, 2)] * 2
-    reason = f"stopped after {seconds / 60:g} min (--timeout)"
+    reason = f"stopped after {seconds / 60:g} min (--timeout-min)"
     assert sorted(listener.lost) == [("deaf", reason), ("hanging", reason)]
 
 
-@pytest.mark.parametrize("wrong", [{"workers": -1}, {"timeout": -1}, {"timeout": float("nan")}, {"timeout": 1e300},
-                                   {"retries": -1}])  # fmt: skip
+@pytest.mark.parametrize(
+    "wrong",
+    [{"workers": -1}, {"timeout_min": -1}, {"timeout_min": float("nan")}, {"timeout_min": 1e300}, {"retries": -1}],
+)
 def test_wrong_limits_are_one_sentence(wrong):
     (name,) = wrong
-    with pytest.raises(InputError, match=f"^--{name} must be a .* from 0 to "):
+    with pytest.raises(InputError, match=f"^--{name.replace('_', '-')} must be a .* from 0 to "):
         Limits(**wrong)
 
 

@@ -84,9 +84,9 @@ def test_the_time_limit_holds_where_a_child_keeps_the_pipe_open(tmp_path, child,
     monkeypatch.setattr(process, "GRACE_SECONDS", 0.3)
     began = time.monotonic()
     (outcome,) = run_local(
-        [Job("box", "hangs", 0)], tmp_path, Recorder(), Limits(timeout=1 / 60, retries=0), command=("-c", FORKS)
+        [Job("box", "hangs", 0)], tmp_path, Recorder(), Limits(timeout_min=1 / 60, retries=0), command=("-c", FORKS)
     )
-    assert outcome.error == f"stopped after {1 / 60:g} min (--timeout)" and time.monotonic() - began < 20
+    assert outcome.error == f"stopped after {1 / 60:g} min (--timeout-min)" and time.monotonic() - began < 20
     assert not lives(child())
 
 

@@ -188,7 +188,7 @@ def test_a_cluster_gets_the_token_that_is_there(alone, tmp_path, asks):
 
 def test_results_logs_and_errors_are_those_of_engine_local(cluster, tmp_path):
     listener, todo = Recorder(), jobs("a", "wrong", "b", "hangs")
-    outcomes = run(todo, tmp_path, listener, Limits(timeout=10 / 60))
+    outcomes = run(todo, tmp_path, listener, Limits(timeout_min=10 / 60))
     ended = {outcome.job.policy: (outcome.error, outcome.attempts) for outcome in outcomes}
     assert ended == {
         "a": (None, 1),

@@ -1,4 +1,4 @@
-"""``asg score``: a trajectory of any system, through our sensor, map and protocols."""
+"""``asg replay-trajectory``: map and measure the trajectory of any system."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
+
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.compare import Compare, compare_with, comparison_of
 from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
-from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Switch, option
+from activestructure_gym.evaluation.cli.fields import NoNames, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_start, split_list, use_trust
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 class TrajectoryOptions:
     """A trajectory, its frame and its mapper."""
 
-    trajectory: PathName = None
+    trajectory: Annotated[str, tyro.conf.Positional, option("TRAJECTORY")]
     """Follow a file of poses, a folder with one (traj.txt, traj_w_c.txt, trajectory.npz, pose), or a finished run."""
     scene: Annotated[str | None, option("SCENE", "")] = None
     """Explore this scene; by default a run's own, with its seed and configuration."""
@@ -33,24 +35,22 @@ class TrajectoryOptions:
     """Read poses that map world to camera."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
     """Put the first pose here, for files in the frame of their first camera (write --start=-1,2,1.4,90)."""
-    mapper: NoNames = ()
+    mappers: NoNames = ()
     """Map by default, splatam, monogs, gaussian_slam or co_slam, one run for each."""
     seeds: Annotated[tuple[str, ...], option("N [N ...]", "")] = ()
     """Use these seeds for the sensor's noise and the mapper; by default 0, or the run's own."""
 
 
 @dataclass(frozen=True)
-class Score(RunOptions, ConditionOptions, TrajectoryOptions):
+class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
     """Map a recorded trajectory and measure the map.
 
-    A run's own trajectory gives the run's own map again, byte for byte: asg score --trajectory RUN.
+    A run's own trajectory gives the run's own map again, byte for byte: asg replay-trajectory RUN.
     """
 
     def run(self) -> int:
         """Check, follow, report; exit codes as of `asg compare`."""
         use_trust(self.trust_code)
-        if self.trajectory is None:
-            raise InputError("give a trajectory to follow with --trajectory: a file of poses, or a finished run")
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
             raise InputError(f"'{self.trajectory}' is no finished run, which would name its scene: give --scene")
@@ -65,11 +65,10 @@ def _run_of(place: str) -> Run | None:
     return read_run(directory) if (directory / DONE).is_file() else None
 
 
-def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
+def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Comparison]:
     """The same question in `asg compare`'s words, and the comparison."""
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
 
-    assert options.trajectory is not None
     given = TrajectorySpec(
         options.trajectory,
         kind=options.format,
@@ -77,7 +76,7 @@ def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
         inverted=options.inverted,
         start=parse_start(options.start),
     )
-    specs = [replace(given, mapper=name).spec for name in split_list(options.mapper) or ("",)]
+    specs = [replace(given, mapper=name).spec for name in split_list(options.mappers) or ("",)]
     same = {one.name: getattr(options, one.name) for kind in (RunOptions, ConditionOptions) for one in fields(kind)}
     asked = Compare(**same, scenes=(options.scene or "",), policies=tuple(specs), seeds=options.seeds or None)
     if run is None or options.scene is not None:

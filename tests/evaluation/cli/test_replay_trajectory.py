@@ -1,4 +1,4 @@
-"""``asg score``: what is asked of a comparison, for a file and for a run."""
+"""``asg replay-trajectory``: what is asked of a comparison, for a file and for a run."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.score import Score, _asked, _run_of
+from activestructure_gym.evaluation.cli.replay_trajectory import ReplayTrajectory, _asked, _run_of
 from tests.evaluation.written_runs import write_run
 
 
 def asked(*words: str, **options: Any) -> Any:
-    given = Score(*words, **options)
-    assert given.trajectory is not None
+    given = ReplayTrajectory(*words, **options)
     return _asked(given, _run_of(given.trajectory))[1]
 
 
 def test_a_file_costs_as_many_frames_as_it_has_poses(tmp_path: Path) -> None:
     (tmp_path / "way.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 7)
     place = str(tmp_path / "way.txt")
-    wanted = asked(place, scene="box", axes="opengl", mapper=("splatam,default",), seeds=("3",))
+    wanted = asked(place, scene="box", axes="opengl", mappers=("splatam,default",), seeds=("3",))
     assert (wanted.scenes, wanted.seeds, wanted.conditions.frame_budget) == (("box",), (3,), 7)
     assert [policy.partition("?")[2] for policy in wanted.policies] == [
         "axes=opengl&mapper=splatam",
@@ -54,8 +53,8 @@ def test_a_run_names_its_scene_seed_and_configuration(tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.savez(tmp_path / "poses.npz", world_from_camera=np.eye(4)[None])
-    assert main(["score"]) == 2 and "with --trajectory" in capsys.readouterr().err
-    assert main(["score", "--trajectory", str(tmp_path / "poses.npz")]) == 2
+    assert main(["replay-trajectory"]) == 2 and "TRAJECTORY" in capsys.readouterr().err
+    assert main(["replay-trajectory", str(tmp_path / "poses.npz")]) == 2
     assert "give --scene" in capsys.readouterr().err
     with pytest.raises(InputError, match="unknown convention of axes"):
         asked(str(tmp_path / "poses.npz"), scene="box", axes="unity").prepare()

@@ -43,7 +43,7 @@ class GridOptions:
     """Explore these scenes, separated by commas or spaces: names (see `asg list scenes`), files, folders."""
     policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
-        "Compare these policies: names (see `asg list policies`), package.module:Class, `ladder` (the paper's ablation, "
+        "Compare these policies: names (see `asg list policies`), package.module:Class, `ladder` (the paper's rungs "
         'A to E), or `all`. Options follow a question mark: "active_gs?travel=shared" has the shared travel term.'
     )
     mappers: NoNames = ()

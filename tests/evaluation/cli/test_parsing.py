@@ -23,7 +23,7 @@ from activestructure_gym.evaluation.cli.parsing import gathered, parse
         ("compare --timeout-min nan", "--timeout-min: expected a number, got 'nan'"),
         ("compare --timeout-min 1e400", "--timeout-min: expected a number"),
         ("compare --frmes 3", "Unrecognized options: --frmes, 3 .*Perhaps you meant: --frames N"),
-        ("compare --out", "Missing value for argument '--out'"),
+        ("compare --out", "Missing value for argument '-o/--out'"),
         ("compare stray", "Unrecognized options: stray"),
         ("compare --view-source ply", "invalid choice 'ply' for argument '--view-source'"),
         ("compare --nope " + "x" * 10_000, r"--nope, x{160}\.\.\."),

@@ -1,0 +1,175 @@
+"""A mapper with stored keyframes: what our mapper and the other systems share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.keyframes import KeyframeStore
+from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.splatting import Rendering
+from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
+
+# Keyframes rendered per decision to find the worst mapped ones: an eighth of the pixels that scoring 256 candidates at
+# half the size renders (own choice, docs/notebook/performance.md).
+PSNR_RENDERS = 8
+
+
+class KeyframeMapper(ABC):
+    """Keep the Gaussians and the keyframes of a map. Subclasses `observe` and `refine`.
+
+    Parameters
+    ----------
+    config
+        The mapper's constants.
+    rng
+        Draws keyframes and seeds.
+    border_share
+        Share of the image width at the border that does not count as seen when keyframes are tested for overlap.
+    """
+
+    map: GaussianMap
+
+    def __init__(self, config: BaseMapperConfig, rng: np.random.Generator, *, border_share: float = 0.0) -> None:
+        rasterizer(config.backend)  # raises if the backend cannot run here
+        self.config = config
+        self.map = GaussianMap()
+        self._rng = rng
+        self._store = KeyframeStore(border_share=border_share)
+        self._events = 0  # observations and refinements so far
+
+    @abstractmethod
+    def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
+        """Add a keyframe and optimise the map; ``iterations`` defaults to those of the configuration."""
+
+    @abstractmethod
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Optimise over all keyframes, or over the given ones, without adding any."""
+
+    @property
+    def rasterizer(self) -> Rasterizer:
+        """Return the functions that render and optimise the map."""
+        return rasterizer(self.config.backend)
+
+    @property
+    def keyframes(self) -> list[Frame]:
+        """Return every observed frame, in order, with fewer pixels by ``config.keyframe_reduction``."""
+        return self._store.frames
+
+    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
+        """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
+        unseen = MapParts(self.map, kept=True).unseen(camera, world_from_camera)
+        return self.rasterizer.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
+
+    def render_depth_alpha(
+        self,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [C, 4, 4]
+    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
+        """Render depth and alpha from many poses, for scoring candidate views."""
+        parameters, count = MapParts(self.map, kept=True).in_view(camera, world_from_camera)
+        return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
+
+    def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
+        """Return the last measured PSNR of every keyframe; ``renders`` of them are measured again first.
+
+        A quarter of these have the oldest values, so no value is older than ``ceil(T / ceil(renders / 4))`` calls; the
+        others have the lowest. The cost does not grow with the number of keyframes. All values are current with up to
+        ``renders`` keyframes, or with ``renders=None``.
+        """
+        count = len(self.keyframes) if renders is None else renders
+        self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
+        return np.array(self._store.psnr, dtype=np.float64)
+
+    def _rounds(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
+        """Return ``iterations`` of the given keyframes (None: all), in shuffled rounds."""
+        indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
+        if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
+            raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
+        views: list[int] = []
+        while len(indices) and len(views) < iterations:
+            views += self._rng.permutation(indices).tolist()
+        return views[:iterations]
+
+    def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
+        """Return the depth behind which Gaussians do not affect a keyframe; None where that is not known."""
+        return None
+
+    def _measure_psnr(self, indices: Sequence[int]) -> None:
+        parts = MapParts(self.map, kept=True) if len(indices) else None
+        for index in indices:
+            frame = self._store.frames[index]
+            camera, pose = frame.camera, frame.world_from_camera
+            unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
+            shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
+            self._store.record_psnr(index, psnr(np.clip(shown, 0.0, 1.0), unit_rgb(frame)))
+
+
+def checked_frame(frame: Frame) -> Frame:
+    """Return the frame with every depth that is not finite set to 0, no return (some cameras mark it by nan or inf).
+
+    Raises `ValueError` if image and camera differ in size.
+    """
+    shape = (frame.camera.height, frame.camera.width)
+    if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
+        raise ValueError(
+            f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
+        )
+    known = np.isfinite(frame.depth)
+    return frame if known.all() else replace(frame, depth=np.where(known, frame.depth, np.float32(0.0)))
+
+
+def summed_up(
+    count: int,
+    views: list[int],
+    losses: np.ndarray,
+    pruned: int,
+    *,
+    added: int = 0,
+    replaced: int = 0,
+    left_out: int = 0,
+    new_share: float = 0.0,
+    psnr: float = float("nan"),
+) -> MappingReport:
+    """Return the report of an event from the losses [steps, 3] (colour, depth, ssim) of its steps."""
+    means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
+    return MappingReport(
+        added=added,
+        replaced=replaced,
+        pruned=pruned,
+        left_out=left_out,
+        count=count,
+        new_share=new_share,
+        views=tuple(views),
+        color_loss=float(means[0]),
+        depth_loss=float(means[1]),
+        ssim=float(means[2]),
+        psnr=psnr,
+    )
+
+
+def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
+    """Return the colours of a frame in the range that the optimiser compares."""
+    return frame.rgb * np.float32(1.0 / 255.0)
+
+
+def psnr(shown: np.ndarray, true: np.ndarray) -> float:  # any equal shapes, 0..1
+    """Return the PSNR in decibel, at most 100."""
+    error = float(np.mean(np.square(shown - true), dtype=np.float64))
+    return float(-10.0 * np.log10(max(error, 1e-10)))
+
+
+def keyframe_psnr(mapper: MapperProtocol, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
+    """Return the PSNR of every keyframe; a mapper without `KeyframeMapper.keyframe_psnr` renders all of them."""
+    own = getattr(mapper, "keyframe_psnr", None)
+    if own is not None:
+        return np.asarray(own(renders=renders))
+    shown = [mapper.render(frame.camera, frame.world_from_camera).color for frame in mapper.keyframes]
+    return np.array([psnr(np.clip(image, 0.0, 1.0), unit_rgb(frame)) for image, frame in zip(shown, mapper.keyframes)])

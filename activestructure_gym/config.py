@@ -12,7 +12,8 @@ from typing import Any, Literal, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.features import column_names
-from activestructure_gym.mapping import MAPPERS, MapperConfig
+from activestructure_gym.mapping import BaseMapperConfig, MapperConfig
+from activestructure_gym.mapping.registry import mapper_config
 from activestructure_gym.motion import SAMPLING_DIP, MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.ranges import MAX_FRAMES, check_ranges
@@ -33,7 +34,7 @@ class ReconstructionConfig:
     revisit_rounds: int = 4  # factor on the mapper's iterations at a revisited keyframe (own choice)
     gains: tuple[str, ...] = ("pixel",)  # features computed for every candidate; stored as column names
     sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
-    mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
+    mapper: BaseMapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
     volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
     planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)  # the Plane Scene Graph
     motion: MotionConfig = field(default_factory=MotionConfig)  # the agent's body and its steps
@@ -124,8 +125,8 @@ def known_preset(name: str) -> Preset:
 def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
     """Return a preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
-    ``{"mapper.name": "splatam"}`` starts from that entry of `MAPPERS`. The preset's fields and then the given fields
-    override it.
+    ``{"mapper.name": "splatam"}`` starts from that entry of `MAPPERS`. The preset's fields, as far as this mapper has
+    them, and then the given fields override it.
 
     Parameters
     ----------
@@ -155,20 +156,19 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
         raise InputError(f"overrides must be a dictionary with field names as keys, got {shown(overrides)}")
     try:
         changes = _nested(overrides or {})
-        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)
-        return replaced(config, changes)
+        mapper = _recipe(changes.get("mapper"))
+        own = {name: value for name, value in overridden.get("mapper", {}).items() if hasattr(mapper, name)}
+        return replaced(replaced(ReconstructionConfig(mapper=mapper), {**overridden, "mapper": own}), changes)
     except InputError:
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"this configuration cannot be used: {error}") from error
 
 
-def _recipe(changes: Any) -> MapperConfig:
+def _recipe(changes: Any) -> BaseMapperConfig:
     """Return the mapper configuration that the fields of group ``mapper`` override."""
     name = changes.get("name", "default") if isinstance(changes, Mapping) else "default"
-    if not isinstance(name, str) or name not in MAPPERS:
-        raise unknown_name("mapper", str(name), MAPPERS)
-    return MAPPERS[name]
+    return mapper_config(name)
 
 
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:

@@ -22,9 +22,9 @@ from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
-from activestructure_gym.mapping import Mapper, track_pose
+from activestructure_gym.mapping import KeyframeMapper, track_pose
+from activestructure_gym.mapping.adapted import keyframe_mapper
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
-from activestructure_gym.mapping.make import make_mapper
 from activestructure_gym.motion import (
     Agent,
     DistanceMap,
@@ -74,7 +74,7 @@ class Reconstruction:
 
     scene: Scene
     sensor: RGBDSensor
-    mapper: Mapper
+    mapper: KeyframeMapper
     volume: VoxelVolume
     planes: PlaneSceneGraph
     pool: CandidatePool
@@ -114,9 +114,8 @@ class Reconstruction:
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
         # The mapper assumes at least the sensor's own noise scale, 0 for a sensor without noise.
         multiplier = config.sensor.noise_multiplier if config.sensor.depth_noise != "none" else 0.0
-        noise_scale = max(config.mapper.depth_noise_scale, multiplier)
-        told = replaced(config.mapper, {"depth_noise_scale": noise_scale})
-        self.mapper = make_mapper(told, np.random.default_rng(mapping), scene.bounds)
+        made = config.mapper.make(np.random.default_rng(mapping), scene.bounds, depth_noise_scale=multiplier)
+        self.mapper = keyframe_mapper(made, config.mapper)
         # The volume's margins are tuned for Kinect noise; a noisier sensor widens them.
         widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * max(1.0, multiplier)})
         self.volume = VoxelVolume(scene.bounds, widened)

@@ -52,7 +52,7 @@ class Recipe:
 
     def make(self, rng: np.random.Generator) -> Mapper:
         """An empty mapper of this recipe."""
-        config = replace(MAPPERS[self.mapper], iterations=self.iterations, seed_stride=self.stride)
+        config = replace(MAPPERS.get(self.mapper), iterations=self.iterations, seed_stride=self.stride)
         return Mapper(config, rng)
 
 

@@ -66,9 +66,9 @@ def test_mixed_overrides_keep_each_others_fields_and_leave_the_callers_alone() -
 def test_a_mapper_is_chosen_by_name_and_its_fields_replaced() -> None:
     nested = configure("fast", {"mapper": {"name": "splatam", "window": 5}})
     dotted = configure("fast", {"mapper.window": 5, "mapper.name": "splatam"})
-    expected = dataclasses.replace(MAPPERS["splatam"], window=5, **PRESETS["fast"]["mapper"])
+    expected = dataclasses.replace(MAPPERS.get("splatam"), window=5, **PRESETS["fast"]["mapper"])
     assert nested.mapper == dotted.mapper == expected
-    assert configure("default", {"mapper.name": "splatam"}).mapper == MAPPERS["splatam"]
+    assert configure("default", {"mapper.name": "splatam"}).mapper == MAPPERS.get("splatam")
     assert configure("default", {"mapper.name": "default"}) == configure()
 
 

@@ -20,7 +20,7 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.keyframe_information import COLUMNS, KeyframeInformation
 from activestructure_gym.features.registry import FEATURES, Compute, Feature
-from activestructure_gym.mapping import Mapper
+from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
@@ -46,7 +46,7 @@ class _Trained:
         )
         self._event, self._found = -1, np.empty((0, COLUMNS))
 
-    def of(self, mapper: Mapper) -> np.ndarray:  # [N, 24] float64, to be read only
+    def of(self, mapper: KeyframeMapper) -> np.ndarray:  # [N, 24] float64, to be read only
         if self._event != mapper.events:
             self._event, self._found = mapper.events, self._information.update(mapper.keyframes)
         return self._found

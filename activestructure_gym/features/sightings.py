@@ -16,9 +16,9 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import fibonacci_directions, invert_rigid
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.geometry.rotations import matrix_rows
+from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
-from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.mapping.parts import may_be_seen
 
 DIRECTIONS = 128  # bins of the sphere, two words of bits per Gaussian (COVER takes as many)
@@ -41,12 +41,12 @@ class Sightings:
     keyframes: int  # that there are
 
 
-def sightings(mapper: Mapper) -> Sightings:
+def sightings(mapper: KeyframeMapper) -> Sightings:
     """`Sightings` of all Gaussians by all keyframes. Balls have no normal: n v counts as 1.
 
     A keyframe sees a Gaussian whose mean projects into its image and does not lie behind the surface measured there.
     """
-    gaussians, isotropic = mapper.map, mapper.config.isotropic
+    gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
     normals = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
     boxes = block_boxes(gaussians.parameters, count)

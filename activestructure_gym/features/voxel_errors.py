@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping import Mapper
+from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.volume import VoxelVolume
 
@@ -26,7 +26,7 @@ def squared_depth_error(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W]
 
 
 def voxel_sums(
-    mapper: Mapper, volume: VoxelVolume, error: Error
+    mapper: KeyframeMapper, volume: VoxelVolume, error: Error
 ) -> tuple[np.ndarray, np.ndarray]:  # [X, Y, Z] sum of the errors, [X, Y, Z] pixels
     """Over the pixels whose measured surface lies in each voxel, of 16 keyframes: half of them the newest ones.
 
@@ -45,7 +45,7 @@ def voxel_sums(
     return sums.reshape(volume.shape), number.reshape(volume.shape)
 
 
-def voxel_colour_errors(mapper: Mapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
+def voxel_colour_errors(mapper: KeyframeMapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
     """Mean squared error of the rendered colours over what 16 keyframes saw in each voxel; 0 where they saw nothing."""
     sums, number = voxel_sums(mapper, volume, squared_colour_error)
     return (sums / np.maximum(number, 1.0)).astype(np.float32)

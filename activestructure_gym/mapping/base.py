@@ -16,7 +16,15 @@ import numpy as np
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS, GaussianMap
+from activestructure_gym.mapping.gaussian_map import (
+    COLOR,
+    LOG_SCALE,
+    MEAN,
+    OPACITY_LOGIT,
+    QUATERNION,
+    ROWS,
+    GaussianMap,
+)
 from activestructure_gym.mapping.tracking import TrackingConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import Rendering
@@ -84,9 +92,7 @@ class BaseMapperConfig(ABC):
         check_ranges(self, {"iterations": "[0, 100000]", "keyframe_reduction": "[1, 64]"})
 
     @abstractmethod
-    def make(
-        self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0
-    ) -> MapperProtocol:
+    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
         """Return an empty mapper.
 
         Parameters

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
+from activestructure_gym.mapping.base import BaseMapperConfig, MappingReport
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore
 from activestructure_gym.mapping.parts import MapParts
@@ -20,6 +21,17 @@ from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 # Keyframes rendered per decision to find the worst mapped ones: an eighth of the pixels that scoring 256 candidates at
 # half the size renders (own choice, docs/notebook/performance.md).
 PSNR_RENDERS = 8
+
+
+@runtime_checkable
+class StepFollower(Protocol):
+    """An object in `KeyframeMapper.memory` that is called around the steps of every mapping event."""
+
+    def before_steps(self) -> None:
+        """Run after the seeding of an event and before its steps."""
+
+    def after_steps(self) -> None:
+        """Run after the steps. Gaussians may have been removed, but none added."""
 
 
 class KeyframeMapper(ABC):
@@ -36,6 +48,7 @@ class KeyframeMapper(ABC):
     """
 
     map: GaussianMap
+    isotropic = False  # whether every Gaussian has one scale
 
     def __init__(self, config: BaseMapperConfig, rng: np.random.Generator, *, border_share: float = 0.0) -> None:
         rasterizer(config.backend)  # raises if the backend cannot run here
@@ -43,7 +56,8 @@ class KeyframeMapper(ABC):
         self.map = GaussianMap()
         self._rng = rng
         self._store = KeyframeStore(border_share=border_share)
-        self._events = 0  # observations and refinements so far
+        self.events = 0  # observations and refinements so far
+        self.memory: dict[Hashable, Any] = {}  # what features keep of this episode, see `FeatureContext.episode`
 
     @abstractmethod
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
@@ -57,6 +71,11 @@ class KeyframeMapper(ABC):
     def rasterizer(self) -> Rasterizer:
         """Return the functions that render and optimise the map."""
         return rasterizer(self.config.backend)
+
+    @property
+    def persistent_map(self) -> GaussianMap:
+        """Return the map, for features that follow its Gaussians by their ids from one event to the next."""
+        return self.map
 
     @property
     def keyframes(self) -> list[Frame]:
@@ -97,6 +116,18 @@ class KeyframeMapper(ABC):
         while len(indices) and len(views) < iterations:
             views += self._rng.permutation(indices).tolist()
         return views[:iterations]
+
+    def _before_steps(self) -> None:
+        """Notify the objects in `memory`: seeding is done, and the steps of an event begin."""
+        for kept in self.memory.values():
+            if isinstance(kept, StepFollower):
+                kept.before_steps()
+
+    def _after_steps(self) -> None:
+        """Notify the objects in `memory`: the steps of an event, and its pruning, are done."""
+        for kept in self.memory.values():
+            if isinstance(kept, StepFollower):
+                kept.after_steps()
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
         """Return the depth behind which Gaussians do not affect a keyframe; None where that is not known."""
@@ -164,12 +195,3 @@ def psnr(shown: np.ndarray, true: np.ndarray) -> float:  # any equal shapes, 0..
     """Return the PSNR in decibel, at most 100."""
     error = float(np.mean(np.square(shown - true), dtype=np.float64))
     return float(-10.0 * np.log10(max(error, 1e-10)))
-
-
-def keyframe_psnr(mapper: MapperProtocol, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
-    """Return the PSNR of every keyframe; a mapper without `KeyframeMapper.keyframe_psnr` renders all of them."""
-    own = getattr(mapper, "keyframe_psnr", None)
-    if own is not None:
-        return np.asarray(own(renders=renders))
-    shown = [mapper.render(frame.camera, frame.world_from_camera).color for frame in mapper.keyframes]
-    return np.array([psnr(np.clip(image, 0.0, 1.0), unit_rgb(frame)) for image, frame in zip(shown, mapper.keyframes)])

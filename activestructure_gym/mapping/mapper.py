@@ -7,15 +7,14 @@ numbers behind them: docs/notebook/groundwork.md. Rendering and the optimisation
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.curve import curve_order
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.density import (
     HELD,
@@ -27,19 +26,15 @@ from activestructure_gym.mapping.density import (
     surface_samples,
     wanted_spacing,
 )
-from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, GaussianMap
-from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframes import draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
-from activestructure_gym.splatting import LossWeights, Rendering
-from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
-
-# Keyframes that a decision renders to know which are mapped worst: an eighth of what scoring 256 candidates at half the
-# size draws in pixels (own choice, docs/notebook/performance.md).
-PSNR_RENDERS = 8
+from activestructure_gym.splatting import LossWeights
 
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
 # keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
@@ -48,35 +43,7 @@ _ORDERED_ABOVE = 200_000
 _ORDERED_AGAIN = 1.5
 
 
-@dataclass(frozen=True)
-class MappingReport:
-    """Counts and losses of one mapping event."""
-
-    added: int  # Gaussians seeded
-    replaced: int  # Gaussians removed because the frame shows their surface from much closer
-    pruned: int  # Gaussians removed: transparent, too large or not finite
-    left_out: int  # seeds that ``max_gaussians`` had no room for
-    count: int  # Gaussians afterwards
-    new_share: float  # share of the image's pixels that the map lacked, replaced Gaussians counted as lacking
-    views: tuple[int, ...]  # keyframe of every iteration
-    color_loss: float  # mean over the iterations; nan without any
-    depth_loss: float  # metres, as above
-    ssim: float  # as above
-    psnr: float  # decibel, of the observed frame afterwards; nan for a refinement
-
-
-@runtime_checkable
-class StepFollower(Protocol):
-    """What is kept in `Mapper.memory` and has to be called around the steps of every mapping event."""
-
-    def before_steps(self) -> None:
-        """Called after the seeding of an event and before its steps."""
-
-    def after_steps(self) -> None:
-        """Called after the steps. Gaussians may have been removed, but none added."""
-
-
-class Mapper:
+class Mapper(KeyframeMapper):
     """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
 
     The map grows with the surface that was seen (`activestructure_gym.mapping.density`). ``max_gaussians`` bounds it
@@ -91,14 +58,10 @@ class Mapper:
         Draws keyframes and seeds.
     """
 
+    config: MapperConfig
+
     def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:
-        rasterizer(config.backend)  # which refuses what cannot run here
-        self.config = config
-        self.map = GaussianMap()
-        self._rng = rng
-        self._store = KeyframeStore(border_share=config.overlap_border)
-        self.events = 0  # observations and refinements so far
-        self.memory: dict[Hashable, Any] = {}  # what features keep of this episode, see `FeatureContext.episode`
+        super().__init__(config, rng, border_share=config.overlap_border)
         self._ordered_above = _ORDERED_ABOVE  # Gaussians
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
@@ -112,19 +75,9 @@ class Mapper:
         )
 
     @property
-    def rasterizer(self) -> Rasterizer:
-        """Draws the map and steps it, for whoever needs other pictures than `render` and `render_depth_alpha` give."""
-        return rasterizer(self.config.backend)
-
-    @property
-    def persistent_map(self) -> GaussianMap:
-        """The map, for those who follow its Gaussians by their ids from one event to the next."""
-        return self.map
-
-    @property
-    def keyframes(self) -> list[Frame]:
-        """Every observed frame, in order; with fewer pixels by ``config.keyframe_reduction``."""
-        return self._store.frames
+    def isotropic(self) -> bool:  # type: ignore[override]
+        """Return whether every Gaussian has one scale."""
+        return self.config.isotropic
 
     @property
     def scene_radius(self) -> float:
@@ -171,41 +124,6 @@ class Mapper:
         self.events += 1
         losses, pruned = self._optimize(views, refining=True)
         return summed_up(self.map.count, views, losses, pruned)
-
-    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
-        unseen = MapParts(self.map, kept=True).unseen(camera, world_from_camera)
-        return self.rasterizer.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
-
-    def render_depth_alpha(
-        self,
-        camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [C, 4, 4]
-    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-        """Depth and alpha from many poses at once, for scoring candidate views."""
-        parameters, count = MapParts(self.map, kept=True).in_view(camera, world_from_camera)
-        return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
-
-    def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
-        """PSNR of every keyframe, as it was last measured; ``renders`` of them are measured anew first.
-
-        A quarter of these are the oldest values, so that none is older than ``ceil(T / ceil(renders / 4))`` calls; the
-        others are the worst, which are what is asked for. So the cost does not grow with the keyframes; all are of the
-        map as it is now up to ``renders`` keyframes, or with ``renders=None``.
-        """
-        count = len(self.keyframes) if renders is None else renders
-        self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
-        return np.array(self._store.psnr, dtype=np.float64)
-
-    def _rounds(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
-        """So many looks at the given keyframes (None: all), in shuffled rounds."""
-        indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
-        if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
-            raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
-        views: list[int] = []
-        while len(indices) and len(views) < iterations:
-            views += self._rng.permutation(indices).tolist()
-        return views[:iterations]
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them; what is coarser than they would be makes way.
@@ -390,18 +308,6 @@ class Mapper:
         self._after_steps()
         return losses, pruned
 
-    def _before_steps(self) -> None:
-        """Notify what is kept in `memory`: seeding is done, and the steps of an event begin."""
-        for kept in self.memory.values():
-            if isinstance(kept, StepFollower):
-                kept.before_steps()
-
-    def _after_steps(self) -> None:
-        """Notify what is kept in `memory`: the steps of an event, and its pruning, are done."""
-        for kept in self.memory.values():
-            if isinstance(kept, StepFollower):
-                kept.after_steps()
-
     def _prune(self, changed: np.ndarray) -> int:
         """Remove Gaussians that are transparent, too large, or were driven to values that are not finite.
 
@@ -414,30 +320,6 @@ class Mapper:
             least_logit = float(np.log(threshold) - np.log1p(-threshold))
         return self.map.remove(unfit(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed))
 
-    def _measure_psnr(self, indices: Sequence[int]) -> None:
-        parts = MapParts(self.map, kept=True) if len(indices) else None
-        for index in indices:
-            frame = self._store.frames[index]
-            camera, pose = frame.camera, frame.world_from_camera
-            unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
-            shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
-            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frame)), dtype=np.float64))
-            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
-
-
-def checked_frame(frame: Frame) -> Frame:
-    """The frame, with every depth that is not a finite number as a pixel without a return (as some cameras mark it).
-
-    Raises `ValueError` where pictures and camera have different sizes.
-    """
-    shape = (frame.camera.height, frame.camera.width)
-    if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
-        raise ValueError(
-            f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
-        )
-    known = np.isfinite(frame.depth)
-    return frame if known.all() else replace(frame, depth=np.where(known, frame.depth, np.float32(0.0)))
-
 
 def largest_adam_step(beta1: float, beta2: float) -> float:
     """Upper bound of |first moment| / sqrt(second moment), that is of a step in units of the rate.
@@ -446,37 +328,3 @@ def largest_adam_step(beta1: float, beta2: float) -> float:
     """
     rest = 1.0 - beta1**2 / beta2
     return (1.0 - beta1) / np.sqrt((1.0 - beta2) * rest) if rest > 0 else np.inf
-
-
-def summed_up(
-    count: int,
-    views: list[int],
-    losses: np.ndarray,
-    pruned: int,
-    *,
-    added: int = 0,
-    replaced: int = 0,
-    left_out: int = 0,
-    new_share: float = 0.0,
-    psnr: float = float("nan"),
-) -> MappingReport:
-    """The report of an event with the losses [steps, 3] (colour, depth, ssim) of its steps."""
-    means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
-    return MappingReport(
-        added=added,
-        replaced=replaced,
-        pruned=pruned,
-        left_out=left_out,
-        count=count,
-        new_share=new_share,
-        views=tuple(views),
-        color_loss=float(means[0]),
-        depth_loss=float(means[1]),
-        ssim=float(means[2]),
-        psnr=psnr,
-    )
-
-
-def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """The colours of a frame as the optimiser compares them."""
-    return frame.rgb * np.float32(1.0 / 255.0)

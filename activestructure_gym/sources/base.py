@@ -11,7 +11,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.mapping import Mapper
+from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.registry import Registry
@@ -29,7 +29,7 @@ class SourceContext:
     No scene is in here: no source can reach ground truth but where the agent stands.
     """
 
-    mapper: Mapper  # the Gaussian map and its keyframes
+    mapper: KeyframeMapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # known free, occupied and unknown space
     planes: PlaneSceneGraph  # as of the last keyframe
     camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`

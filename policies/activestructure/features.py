@@ -64,7 +64,7 @@ def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:
     Where there is texture; plain surface is as fine as it gets.
     """
     config, stored = context.mapper.config, context.mapper.keyframes[-1].camera
-    if config.coarse_ratio is None or config.seed_spacing is None:  # then nothing is ever replaced
+    if getattr(config, "coarse_ratio", None) is None or config.seed_spacing is None:  # no Gaussian is ever replaced
         return np.where(np.isinf(sizes), np.inf, 0.0)
     limit = config.coarse_ratio * config.seed_footprint * config.seed_pixels  # pixels
     focal = 0.5 * (stored.fx + stored.fy) * config.keyframe_reduction  # a frame is seeded before it is reduced

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voxel_errors import squared_depth_error, voxel_sums
-from activestructure_gym.mapping import Mapper
+from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
 INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # sigma of a place that no ray has taught anything
@@ -62,7 +62,7 @@ def find_targets(context: FeatureContext) -> Targets:
     return targets_from(context.mapper, context.volume, context.world_from_camera[:, :3, 3])
 
 
-def targets_from(mapper: Mapper, volume: VoxelVolume, standing: np.ndarray) -> Targets:  # [K, 3] metres
+def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, standing: np.ndarray) -> Targets:  # [K, 3] metres
     """T, and which of it is seen from each place."""
     voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))

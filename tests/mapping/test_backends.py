@@ -22,7 +22,7 @@ def rolled_frames(render_room, room_frames):
 def observed(frames, iterations, recipe="default", **changes):
     maps, reports = [], []
     for backend in ("cpu", "reference"):
-        config = MapperConfig(**{**vars(MAPPERS[recipe]), "backend": backend, **changes})
+        config = MapperConfig(**{**vars(MAPPERS.get(recipe)), "backend": backend, **changes})
         mapper = Mapper(config, np.random.default_rng(0))
         reports.append([mapper.observe(frame, iterations=iterations) for frame in frames])
         maps.append(mapper.map)

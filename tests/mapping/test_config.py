@@ -5,6 +5,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import MAPPERS, MapperConfig
+from activestructure_gym.mapping.registry import mapper_config
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,7 @@ def test_a_rate_stands_in_every_row_of_its_parameter():
 def test_refining_learns_colours_and_splatams_everything():
     config = MapperConfig()
     assert config.learning_rates(refining=True).tolist() == [0] * 11 + config.learning_rates()[11:].tolist()
-    splatam = MAPPERS["splatam"]
+    splatam = MAPPERS.get("splatam")
     assert np.array_equal(splatam.learning_rates(refining=True), splatam.learning_rates())
 
 
@@ -55,12 +56,12 @@ def test_the_default_does_not_learn_opacity():
 
 
 def test_recipes_carry_their_name_and_the_default_is_the_defaults():
-    assert MAPPERS["default"] == MapperConfig()
-    assert all(config.name == name for name, config in MAPPERS.items())
+    assert MAPPERS.get("default") == MapperConfig()
+    assert all(mapper_config(name).name == name for name in MAPPERS)
     with pytest.raises(InputError, match="unknown mapper 'splatem'; did you mean 'splatam'"):
-        MapperConfig(name="splatem")
+        mapper_config("splatem")
 
 
 def test_splatam_rates_are_the_original_ones():
-    rates = MAPPERS["splatam"].learning_rates()
+    rates = MAPPERS.get("splatam").learning_rates()
     assert rates == pytest.approx([1e-4] * 3 + [1e-3] * 4 + [1e-3] * 3 + [5e-2] + [2.5e-3] * 3)

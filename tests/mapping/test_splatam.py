@@ -16,7 +16,7 @@ from activestructure_gym.splatting.reference import rasterize_reference
 
 
 def _mapper(seed=0, **changes):
-    return Mapper(dataclasses.replace(MAPPERS["splatam"], **changes), np.random.default_rng(seed))
+    return Mapper(dataclasses.replace(MAPPERS.get("splatam"), **changes), np.random.default_rng(seed))
 
 
 def _frame(depth=2.0):

@@ -19,7 +19,7 @@ from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES, FeatureContext, column_names, evaluate_features
 from activestructure_gym.features.keyframe_information import KeyframeInformation
-from activestructure_gym.mapping.mapper import StepFollower
+from activestructure_gym.mapping.keyframe_mapper import StepFollower
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliability

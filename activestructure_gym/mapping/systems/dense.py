@@ -15,10 +15,11 @@ from scipy.spatial import cKDTree
 
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.config import MapperConfig
+from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
-from activestructure_gym.mapping.mapper import Mapper, MappingReport, checked_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
 from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.splatting import LossWeights
 from activestructure_gym.splatting.api import Rasterization, rasterize
 from activestructure_gym.splatting.torch_losses import MappingLoss, mapping_loss
@@ -31,8 +32,10 @@ _NEIGHBOURS = 3
 _REFINING = LossWeights(image=1.0, l1_share=0.8, depth=0.0, normalised_depth=False)
 
 
-class DenseMapper(Mapper):
+class DenseMapper(KeyframeMapper):
     """A mapper whose steps move every Gaussian by torch's Adam. Subclasses seed, and say what an event learns from."""
+
+    config: DenseConfig
 
     @abstractmethod
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
@@ -47,7 +50,6 @@ class DenseMapper(Mapper):
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
-        self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         with one_thread():
             block, new_share = self._seeds(frame)
             added, left_out = self._append(block)
@@ -55,7 +57,7 @@ class DenseMapper(Mapper):
             self._before_steps()
             views, losses, pruned = self._event(index, iterations)
             self._after_steps()
-        self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
+        self._measure_psnr(self._store.stalest(1))
         return summed_up(
             self.map.count,
             views,
@@ -78,7 +80,7 @@ class DenseMapper(Mapper):
             for step, view in enumerate(views):
                 rows = leaf(self.map.parameters[:, : self.map.count])
                 losses[step] = self._look(rows, view, _refining_loss)
-                self._step(rows, slice(0, self.map.count), self.config.learning_rates(refining=True), step + 1)
+                self._step(rows, slice(0, self.map.count), self.config.learning_rates(), step + 1)
             self._after_steps()
         return summed_up(self.map.count, views, losses, 0)
 
@@ -90,9 +92,6 @@ class DenseMapper(Mapper):
             block = block[:, np.linspace(0, count, room, endpoint=False, dtype=int)]
         self.map.append(block)
         return room, count - room
-
-    def _hiding(self, frame: Frame) -> np.ndarray | None:
-        return None
 
     def _look(self, rows: torch.Tensor, view: int, compare: LookLoss) -> tuple[float, float, float]:
         """Add to the gradient of ``rows`` what a keyframe says; its colour and depth error and SSIM."""
@@ -145,7 +144,7 @@ def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
     return torch.from_numpy(padded)[:, :count].requires_grad_()
 
 
-def drawn(rows: torch.Tensor, frame: Frame, config: MapperConfig) -> Rasterization:
+def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterization:
     """Gaussians [14, n] as the camera of a keyframe sees them."""
     pose = torch.from_numpy(invert_rigid(frame.world_from_camera)).to(rows)
     if config.backend == "gsplat":

@@ -20,13 +20,14 @@ import torch
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.config import CoSLAMConfig
-from activestructure_gym.mapping.dense import one_thread
+from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.joint_encoding import JointField, distance_losses, ray_weights
-from activestructure_gym.mapping.mapper import Mapper, MappingReport, checked_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, psnr, summed_up, unit_rgb
 from activestructure_gym.mapping.reduced import reduced
-from activestructure_gym.mapping.zero_level import VertexGrid, disks
+from activestructure_gym.mapping.systems.co_slam.config import CoSLAMConfig
+from activestructure_gym.mapping.systems.co_slam.joint_encoding import JointField, distance_losses, ray_weights
+from activestructure_gym.mapping.systems.co_slam.zero_level import VertexGrid, disks
+from activestructure_gym.mapping.systems.dense import one_thread
 from activestructure_gym.splatting import Rendering
 
 _AT_ONCE = 1 << 17  # points that the field is asked about in one go
@@ -47,7 +48,7 @@ class Rays(NamedTuple):
         return Rays(*(array[index] for array in self))
 
 
-class CoSLAMMapper(Mapper):
+class CoSLAMMapper(KeyframeMapper):
     """See the module; `CoSLAMConfig` has the constants. ``bounds`` [2, 3] is the box the field fills, in metres."""
 
     config: CoSLAMConfig
@@ -91,7 +92,6 @@ class CoSLAMMapper(Mapper):
         config = self.config
         iterations = config.iterations if iterations is None else iterations
         self.events += 1
-        self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         # What is new is counted in vertices, not in pixels.
         before = int(np.count_nonzero(self._vertices.seen))
         self._vertices.look(frame, config.truncation)
@@ -107,7 +107,7 @@ class CoSLAMMapper(Mapper):
         self._rays.append(all_rays.some(np.sort(kept)))
         with one_thread():
             losses = self._learn(all_rays, iterations * (config.first_rounds if index == 0 else 1))
-            self._measure_psnr(self._store.stalest(1 + config.psnr_refresh))
+            self._measure_psnr(self._store.stalest(1))
         return summed_up(
             self._gaussians.count,  # of the last time that somebody asked for them
             [index] * len(losses),
@@ -243,7 +243,7 @@ class CoSLAMMapper(Mapper):
             chosen = np.linspace(0, len(colors), bound, endpoint=False, dtype=int)
             crossings, colors = type(crossings)(*(array[chosen] for array in crossings)), colors[chosen]
         sigma = config.disk_share * config.surface_m
-        return disks(crossings, colors, sigma, thickness=config.seed_thickness, opacity=config.seed_opacity)
+        return disks(crossings, colors, sigma, thickness=config.disk_thickness, opacity=config.disk_opacity)
 
     def _values(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n], [n, 3]
         """Distances and colours, without their graph."""
@@ -263,8 +263,7 @@ class CoSLAMMapper(Mapper):
             true = unit_rgb(frame)[down, right].reshape(-1, 3)
             directions = (rays @ frame.world_from_camera[:3, :3].T).astype(np.float32)
             color, _, met = self._integrated(frame.world_from_camera[:3, 3], directions)
-            error = float(np.mean(np.square(color * met[:, None] - true), dtype=np.float64))
-            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+            self._store.record_psnr(index, psnr(color * met[:, None], true))
 
 
 def rays_of(frame: Frame, index: int) -> Rays:

@@ -10,8 +10,8 @@ import torch
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import MAPPERS
-from activestructure_gym.mapping.dense import roundness
-from activestructure_gym.mapping.monogs import (
+from activestructure_gym.mapping.systems.dense import roundness
+from activestructure_gym.mapping.systems.monogs.mapper import (
     MonoGSMapper,
     crowded,
     mean_rate,
@@ -24,7 +24,7 @@ from activestructure_gym.splatting.reference import rasterize_reference
 
 
 def _mapper(**changes):
-    return MonoGSMapper(dataclasses.replace(MAPPERS["monogs"], **changes), np.random.default_rng(0))
+    return MonoGSMapper(dataclasses.replace(MAPPERS.get("monogs"), **changes), np.random.default_rng(0))
 
 
 def test_the_loss_by_hand():
@@ -100,7 +100,7 @@ def test_a_step_renders_the_window_and_two_others(room_frames):
 
 
 def test_the_rate_falls_from_end_to_end():
-    config = MAPPERS["monogs"]
+    config = MAPPERS.get("monogs")
     assert mean_rate(config, 0) == pytest.approx(9.6e-4)
     assert mean_rate(config, 15_000) == pytest.approx(9.6e-5)
     assert mean_rate(config, 30_000) == mean_rate(config, 60_000) == pytest.approx(9.6e-6)
@@ -125,7 +125,7 @@ def test_two_steps_are_torch_s(render_room, room_frames):
         *[torch.tensor(seeds[p], requires_grad=True) for p, _ in parts],
     ]
     adam = torch.optim.Adam([{"params": [one]} for one in leaves], eps=1e-15)
-    config = MAPPERS["monogs"]
+    config = MAPPERS.get("monogs")
     for step in (1, 2):
         for group, rate in zip(adam.param_groups, [mean_rate(config, step), *[rate for _, rate in parts]]):
             group["lr"] = rate

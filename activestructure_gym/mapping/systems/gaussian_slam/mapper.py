@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 
 from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.config import GaussianSLAMConfig
-from activestructure_gym.mapping.dense import DenseMapper, leaf, roundness, spacing_squared
 from activestructure_gym.mapping.gaussian_map import COLOR, MEAN, ROWS
 from activestructure_gym.mapping.seeding import missing_pixels, pixel_samples, seed_balls
+from activestructure_gym.mapping.systems.dense import DenseMapper, leaf, roundness, spacing_squared
+from activestructure_gym.mapping.systems.gaussian_slam.config import GaussianSLAMConfig
 from activestructure_gym.splatting.api import Rasterization
 from activestructure_gym.splatting.torch_losses import MappingLoss, ssim
 

@@ -8,14 +8,14 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import MAPPERS
-from activestructure_gym.mapping.co_slam import CoSLAMMapper, rays_of
+from activestructure_gym.mapping.systems.co_slam.mapper import CoSLAMMapper, rays_of
 from tests.mapping.conftest import ROOM
 
 SMALL = {"levels": 4, "log2_entries": 12, "finest_m": 0.1, "rays": 128, "first_rounds": 5, "surface_m": 0.1}
 
 
 def _mapper(seed=0, **changes):
-    config = dataclasses.replace(MAPPERS["co_slam"], **{**SMALL, **changes})
+    config = dataclasses.replace(MAPPERS.get("co_slam"), **{**SMALL, **changes})
     return CoSLAMMapper(config, np.random.default_rng(seed), np.array([np.zeros(3) - 0.1, ROOM + 0.1]))
 
 

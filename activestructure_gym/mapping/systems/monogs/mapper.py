@@ -16,11 +16,11 @@ import torch
 
 from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.config import MonoGSConfig
-from activestructure_gym.mapping.dense import DenseMapper, leaf, roundness, spacing_squared
+from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, ROWS
-from activestructure_gym.mapping.mapper import MappingReport
 from activestructure_gym.mapping.seeding import pixel_samples, seed_balls
+from activestructure_gym.mapping.systems.dense import DenseMapper, leaf, roundness, spacing_squared
+from activestructure_gym.mapping.systems.monogs.config import MonoGSConfig
 from activestructure_gym.splatting.api import Rasterization
 from activestructure_gym.splatting.torch_losses import MappingLoss
 

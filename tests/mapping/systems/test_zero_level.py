@@ -6,7 +6,7 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import matrix_rows
-from activestructure_gym.mapping.zero_level import Crossings, VertexGrid, disks
+from activestructure_gym.mapping.systems.co_slam.zero_level import Crossings, VertexGrid, disks
 
 BOX = np.array([[-1.0, -1, -1], [1, 1, 1]])
 

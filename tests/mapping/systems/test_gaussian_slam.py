@@ -10,8 +10,8 @@ import torch
 from activestructure_gym.geometry import look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import MAPPERS
-from activestructure_gym.mapping.dense import adam_step, spacing_squared
-from activestructure_gym.mapping.gaussian_slam import (
+from activestructure_gym.mapping.systems.dense import adam_step, spacing_squared
+from activestructure_gym.mapping.systems.gaussian_slam.mapper import (
     GaussianSLAMMapper,
     exceeds,
     gradient_size,
@@ -22,7 +22,7 @@ from activestructure_gym.splatting.torch_losses import ssim
 
 
 def _mapper(**changes):
-    return GaussianSLAMMapper(dataclasses.replace(MAPPERS["gaussian_slam"], **changes), np.random.default_rng(0))
+    return GaussianSLAMMapper(dataclasses.replace(MAPPERS.get("gaussian_slam"), **changes), np.random.default_rng(0))
 
 
 def _turned(axis, degrees):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from activestructure_gym.mapping.joint_encoding import (
+from activestructure_gym.mapping.systems.co_slam.joint_encoding import (
     HashGrid,
     JointField,
     corners,

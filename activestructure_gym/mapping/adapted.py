@@ -1,0 +1,80 @@
+"""A mapper that has the six names of `MapperProtocol` alone, with what the features ask of a `KeyframeMapper`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, psnr, unit_rgb
+from activestructure_gym.splatting import Rendering
+
+_NAMES = ("observe", "refine", "render", "render_depth_alpha", "keyframes", "map")
+
+
+def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> KeyframeMapper:
+    """Return the mapper, adapted unless it is a `KeyframeMapper`; raise `InputError` if it lacks one of the names."""
+    if isinstance(mapper, KeyframeMapper):
+        return mapper
+    missing = [name for name in _NAMES if not hasattr(mapper, name)]
+    if missing:
+        raise InputError(f"the mapper {shown(config.name)} has no {', '.join(missing)}; a mapper needs all of {_NAMES}")
+    return AdaptedMapper(mapper, config)
+
+
+class AdaptedMapper(KeyframeMapper):
+    """Delegate to a mapper; count its events, and measure the PSNR of its keyframes by its own `render`."""
+
+    def __init__(self, mapper: MapperProtocol, config: BaseMapperConfig) -> None:
+        self.adapted = mapper
+        super().__init__(config, np.random.default_rng(0))  # draws nothing
+
+    @property
+    def map(self) -> GaussianMap:
+        """Return the adapted mapper's Gaussians."""
+        return self.adapted.map
+
+    @map.setter
+    def map(self, gaussians: GaussianMap) -> None:
+        pass
+
+    def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
+        """Observe by the adapted mapper, and measure the new keyframe."""
+        self.events += 1
+        self._before_steps()
+        report = self.adapted.observe(frame, iterations=iterations)
+        self._after_steps()
+        self._store.append(self.adapted.keyframes[-1], new_share=report.new_share)
+        self._measure_psnr(self._store.stalest(1))
+        return report
+
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Refine by the adapted mapper."""
+        self.events += 1
+        self._before_steps()
+        report = self.adapted.refine(iterations, keyframe_indices=keyframe_indices)
+        self._after_steps()
+        return report
+
+    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
+        """Render by the adapted mapper."""
+        return self.adapted.render(camera, world_from_camera)
+
+    def render_depth_alpha(
+        self,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [C, 4, 4]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Render depth [C, H, W] and alpha [C, H, W] by the adapted mapper."""
+        return self.adapted.render_depth_alpha(camera, world_from_camera)
+
+    def _measure_psnr(self, indices: Sequence[int]) -> None:
+        for index in indices:
+            frame = self._store.frames[index]
+            image = np.clip(self.render(frame.camera, frame.world_from_camera).color, 0.0, 1.0)
+            self._store.record_psnr(index, psnr(image, unit_rgb(frame)))

@@ -1,0 +1,30 @@
+"""The mappers by name: each entry is the configuration of a mapper, which makes it."""
+
+from __future__ import annotations
+
+from activestructure_gym.mapping.base import BaseMapperConfig
+from activestructure_gym.registry import Registry
+
+
+def _fits(entry: object) -> bool:
+    return isinstance(entry, BaseMapperConfig) or (isinstance(entry, type) and issubclass(entry, BaseMapperConfig))
+
+
+MAPPERS: Registry[BaseMapperConfig | type[BaseMapperConfig]] = Registry(
+    "mapper",
+    "mappers",
+    fits=_fits,
+    wanted="a BaseMapperConfig",
+    files=("mapping/config.py", "mapping/systems/*/config.py"),
+)
+
+
+def mapper_config(name: str) -> BaseMapperConfig:
+    """Return the configuration called ``name``; its field ``name`` is that name.
+
+    Raises `InputError` for an unknown name, or an entry that is no mapper's configuration.
+    """
+    from dataclasses import replace
+
+    entry = MAPPERS.get(name)
+    return replace(entry() if isinstance(entry, type) else entry, name=name)

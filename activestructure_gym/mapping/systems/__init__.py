@@ -1,0 +1,1 @@
+"""Published mapping systems on given poses, a folder each: constants in ``config.py``, mapper in ``mapper.py``."""

@@ -1,0 +1,1 @@
+"""Co-SLAM on given poses."""

@@ -1,0 +1,1 @@
+"""Gaussian-SLAM on given poses."""

@@ -1,0 +1,1 @@
+"""MonoGS on given poses."""

@@ -1,0 +1,66 @@
+"""The constants of MonoGS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from activestructure_gym.mapping.registry import MAPPERS
+from activestructure_gym.mapping.systems.dense_config import DenseConfig
+from activestructure_gym.ranges import check_ranges
+
+if TYPE_CHECKING:
+    from activestructure_gym.mapping.systems.monogs.mapper import MonoGSMapper
+
+_RANGES = {
+    "window": "[1, 100000]",
+    "mean_rate_end": "(0, 1000]",
+    "mean_rate_steps": "[1, 1e9]",
+    **dict.fromkeys(("color_share", "least_overlap"), "[0, 1]"),
+    "roundness_weight": "[0, 1e6]",
+    **dict.fromkeys(("seed_share", "first_seed_share"), "(0, 1]"),
+    **dict.fromkeys(("point_size", "prune_size"), "(0, 1000]"),
+    "first_rounds": "[1, 1000]",
+    "random_views": "[0, 1000]",
+    **dict.fromkeys(("prune_every", "prune_after"), "[1, 1e6]"),
+}
+
+
+@dataclass(frozen=True)
+class MonoGSConfig(DenseConfig):
+    """Configure MonoGS with depth, on given poses ([monogs, code], `configs/rgbd`)."""
+
+    name: str = "monogs"
+    iterations: int = 10  # per keyframe, each over the whole window (with a process of its own for mapping)
+    mean_rate: float = 9.6e-4  # metres per step: 1.6e-4 times the extent of 6 m
+    mean_rate_end: float = 9.6e-6  # metres per step, after ``mean_rate_steps``
+    mean_rate_steps: int = 30_000  # over which the rate of the means falls from one to the other
+    log_scale_rate: float = 6e-3  # per step
+    window: int = 10  # keyframes that every step renders
+    prune_opacity: float = 0.7  # Gaussians below go, when they are judged
+    color_share: float = 0.95  # of the colour term in the loss; the rest is depth, in metres
+    roundness_weight: float = 10.0  # of the mean deviation of an axis from a Gaussian's mean axis, metres
+    seed_share: float = 0.125  # of a keyframe's pixels (there 1/64 of 1200 x 680, more than a picture here has)
+    first_seed_share: float = 0.25  # of the first keyframe's pixels (there 1/32)
+    point_size: float = 0.05  # metres, at most; and times the median depth
+    first_rounds: int = 7  # times the iterations, for the first keyframe (1050 / 150)
+    random_views: int = 2  # keyframes outside of the window, in every step
+    least_overlap: float = 0.4  # of what two keyframes see: below, the older one leaves the window
+    prune_every: int = 150  # steps
+    prune_after: int = 50  # steps that a Gaussian took part in before it is judged, and of the first judgement
+    prune_size: float = 0.6  # metres, sigma: a tenth of the extent of 6 m
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, _RANGES)
+
+    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MonoGSMapper:
+        """Return an empty mapper, which loads torch."""
+        from activestructure_gym.mapping.systems.monogs.mapper import MonoGSMapper
+
+        return MonoGSMapper(self, rng)
+
+
+MAPPERS.register("monogs")(MonoGSConfig())

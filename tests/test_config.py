@@ -94,7 +94,7 @@ def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
         ("fast", {"mapper.iterations": 2.5}, "MapperConfig.iterations must be a whole number, got 2.5"),
         ("fast", {"sensor.max_range": True}, "SensorConfig.max_range must be a finite number, got True"),
         ("fast", {"mapper.name": "splatm"}, "unknown mapper 'splatm'; did you mean 'splatam'"),
-        ("fast", {"mapper.name": 3}, "unknown mapper '3'"),
+        ("fast", {"mapper.name": 3}, "a mapper is given by its name, as a text, got 3"),
         ("fast", {"mapper.trackin": 3}, "unknown field of MapperConfig 'trackin'; did you mean 'tracking'"),
         ("fast", {"sensor": 3}, "sensor must be a group of fields, got 3"),
         ("fast", {"motion": None}, "motion must be a group of fields, got None"),

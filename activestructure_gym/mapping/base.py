@@ -6,10 +6,10 @@ of `MapperProtocol` and nothing else.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from importlib import import_module
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -77,8 +77,13 @@ class MapperProtocol(Protocol):
 
 
 @dataclass(frozen=True)
-class BaseMapperConfig(ABC):
-    """Configure a mapper: the fields that every mapper has. A subclass adds its own constants and makes the mapper."""
+class BaseMapperConfig:
+    """Configure a mapper: the fields that every mapper has.
+
+    A subclass adds its own constants, and names its mapper by `made_by` or overrides `make`.
+    """
+
+    made_by: ClassVar[str] = ""  # package.module:Class, imported when the mapper is made: it may load torch
 
     name: str = ""  # registered name of the mapper, or package.module:Name
     backend: Backend = "cpu"  # renders and optimises: our kernels, or torch through gsplat (CUDA) or the reference
@@ -91,9 +96,8 @@ class BaseMapperConfig(ABC):
             raise unknown_name("mapper backend", self.backend, BACKENDS)
         check_ranges(self, {"iterations": "[0, 100000]", "keyframe_reduction": "[1, 64]"})
 
-    @abstractmethod
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
-        """Return an empty mapper.
+        """Return an empty mapper. The base calls the class `made_by` with this configuration, ``rng`` and ``bounds``.
 
         Parameters
         ----------
@@ -104,6 +108,8 @@ class BaseMapperConfig(ABC):
         depth_noise_scale
             Factor on a Kinect's axial depth noise that the sensor has; 0 without noise.
         """
+        module, _, name = self.made_by.partition(":")
+        return getattr(import_module(module), name)(self, rng, bounds)
 
 
 def learning_rates(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from activestructure_gym.mapping.base import BaseMapperConfig, learning_rates
+from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, learning_rates
 from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.ranges import check_ranges
-
-if TYPE_CHECKING:
-    from activestructure_gym.mapping.mapper import Mapper
 
 _RANGES = {
     "seed_stride": "[1, 1024]",
@@ -49,6 +46,8 @@ class MapperConfig(BaseMapperConfig):
     "Row B8" in a comment is a row of the table in docs/notebook/groundwork.md; "measured" is docs/notebook/map.md,
     where held-out views were the judge.
     """
+
+    made_by: ClassVar[str] = "activestructure_gym.mapping.mapper:Mapper"
 
     name: str = "default"  # of the recipe that these values start from
 
@@ -115,11 +114,10 @@ class MapperConfig(BaseMapperConfig):
         super().__post_init__()
         check_ranges(self, _RANGES)
 
-    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> Mapper:
+    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
         """Return an empty mapper whose seeds allow for at least this depth noise."""
-        from activestructure_gym.mapping.mapper import Mapper
-
-        return Mapper(replace(self, depth_noise_scale=max(self.depth_noise_scale, depth_noise_scale)), rng)
+        scale = max(self.depth_noise_scale, depth_noise_scale)
+        return super(MapperConfig, replace(self, depth_noise_scale=scale)).make(rng, bounds)
 
     def learning_rates(self, *, refining: bool = False) -> np.ndarray:  # [14] float32
         """Return the step size of every parameter row, in a mapping event or when only refining."""

@@ -56,11 +56,13 @@ class Mapper(KeyframeMapper):
         Which recipe, and its constants.
     rng
         Draws keyframes and seeds.
+    bounds
+        Unused: the map grows without a box.
     """
 
     config: MapperConfig
 
-    def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:
+    def __init__(self, config: MapperConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng, border_share=config.overlap_border)
         self._ordered_above = _ORDERED_ABOVE  # Gaussians
         self._largest_seed = 0.0  # metres, sigma

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import ClassVar
 
 from activestructure_gym.mapping.base import BaseMapperConfig
 from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.ranges import check_ranges
-
-if TYPE_CHECKING:
-    from activestructure_gym.mapping.systems.co_slam.mapper import CoSLAMMapper
 
 _RANGES = {
     "first_rounds": "[1, 1000]",
@@ -41,6 +36,8 @@ class CoSLAMConfig(BaseMapperConfig):
 
     The map is the zero level of the field as disks.
     """
+
+    made_by: ClassVar[str] = "activestructure_gym.mapping.systems.co_slam.mapper:CoSLAMMapper"
 
     name: str = "co_slam"
     iterations: int = 10  # per keyframe
@@ -71,12 +68,6 @@ class CoSLAMConfig(BaseMapperConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, _RANGES)
-
-    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> CoSLAMMapper:
-        """Return an empty mapper, which loads torch."""
-        from activestructure_gym.mapping.systems.co_slam.mapper import CoSLAMMapper
-
-        return CoSLAMMapper(self, rng, bounds)
 
 
 MAPPERS.register("co_slam")(CoSLAMConfig())

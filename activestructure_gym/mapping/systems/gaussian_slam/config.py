@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import ClassVar
 
 from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.ranges import check_ranges
-
-if TYPE_CHECKING:
-    from activestructure_gym.mapping.systems.gaussian_slam.mapper import GaussianSLAMMapper
 
 _RANGES = {
     **dict.fromkeys(("covered_alpha", "l1_share"), "[0, 1]"),
@@ -36,6 +31,8 @@ class GaussianSLAMConfig(DenseConfig):
     Colours are learnt in the second half of an event alone; pruning is in its middle and at its end.
     """
 
+    made_by: ClassVar[str] = "activestructure_gym.mapping.systems.gaussian_slam.mapper:GaussianSLAMMapper"
+
     name: str = "gaussian_slam"
     covered_alpha: float = 0.6  # accumulated alpha from which a pixel counts as mapped
     in_front_factor: float = 40.0  # times the median depth error: the map lies behind the measurement
@@ -57,14 +54,6 @@ class GaussianSLAMConfig(DenseConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, _RANGES)
-
-    def make(
-        self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0
-    ) -> GaussianSLAMMapper:
-        """Return an empty mapper, which loads torch."""
-        from activestructure_gym.mapping.systems.gaussian_slam.mapper import GaussianSLAMMapper
-
-        return GaussianSLAMMapper(self, rng)
 
 
 MAPPERS.register("gaussian_slam")(GaussianSLAMConfig())

@@ -28,7 +28,7 @@ class GaussianSLAMMapper(DenseMapper):
 
     config: GaussianSLAMConfig
 
-    def __init__(self, config: GaussianSLAMConfig, rng: np.random.Generator) -> None:
+    def __init__(self, config: GaussianSLAMConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
         self._origin: np.ndarray | None = None  # [4, 4] world_from_camera the newest sub-map began at
         self._start = 0  # column of the map where it begins

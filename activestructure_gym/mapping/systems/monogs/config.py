@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import ClassVar
 
 from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.ranges import check_ranges
-
-if TYPE_CHECKING:
-    from activestructure_gym.mapping.systems.monogs.mapper import MonoGSMapper
 
 _RANGES = {
     "window": "[1, 100000]",
@@ -31,6 +26,8 @@ _RANGES = {
 @dataclass(frozen=True)
 class MonoGSConfig(DenseConfig):
     """Configure MonoGS with depth, on given poses ([monogs, code], `configs/rgbd`)."""
+
+    made_by: ClassVar[str] = "activestructure_gym.mapping.systems.monogs.mapper:MonoGSMapper"
 
     name: str = "monogs"
     iterations: int = 10  # per keyframe, each over the whole window (with a process of its own for mapping)
@@ -55,12 +52,6 @@ class MonoGSConfig(DenseConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, _RANGES)
-
-    def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MonoGSMapper:
-        """Return an empty mapper, which loads torch."""
-        from activestructure_gym.mapping.systems.monogs.mapper import MonoGSMapper
-
-        return MonoGSMapper(self, rng)
 
 
 MAPPERS.register("monogs")(MonoGSConfig())

@@ -35,7 +35,7 @@ class MonoGSMapper(DenseMapper):
 
     config: MonoGSConfig
 
-    def __init__(self, config: MonoGSConfig, rng: np.random.Generator) -> None:
+    def __init__(self, config: MonoGSConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
         self._window: list[int] = []  # keyframes, newest first
         self._steps = 0

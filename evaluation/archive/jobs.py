@@ -112,8 +112,9 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
 
 
 def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
-    """Policy, features and candidate sources of a job by name, with options, and where they are looked up."""
+    """Yield policy, features, candidate sources and mapper of a job, each with the registry that has it."""
     from activestructure_gym.features import FEATURES
+    from activestructure_gym.mapping.registry import MAPPERS, mapper_names
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.sources import SOURCES, sources_in
 
@@ -125,6 +126,8 @@ def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
             yield FEATURES, name
     for name in sources_in(dict(job.conditions.overrides)):
         yield SOURCES, name
+    for name in mapper_names(dict(job.overrides)):
+        yield MAPPERS, name
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

@@ -35,14 +35,20 @@ def test_what_is_registered_here_a_checkpoint_a_reference_and_a_scene_have_none(
 
 
 def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
-    for name in ("mine_b", "mine_c", "mine_d"):
+    for name in ("mine_b", "mine_c", "mine_d", "mine_m"):
         (here / f"{name}.py").write_text(f"raise AssertionError('{name}')\n")
-    changes = {"gains": ("pixel", "mine_c:gain"), "views.stages": [["pool", "mine_d:views"]]}
+    stages = [["pool", "mine_d:views"]]
+    changes = {"gains": ("pixel", "mine_c:gain"), "views.stages": stages, "mapper.name": "mine_m:Config"}
     job = Job("box", "mine_b:Mine?depth=2", 0, conditions=Conditions(overrides=changes))
     found = plugin_code_of(job, checksum_of)
-    assert list(found) == ["policy mine_b:Mine?depth=2", "feature mine_c:gain", "candidate source mine_d:views"]
-    assert len(set(found.values())) == 3 and all(len(total) == 64 for total in found.values())
-    assert not {"mine_b", "mine_c", "mine_d"} & sys.modules.keys()
+    assert list(found) == [
+        "policy mine_b:Mine?depth=2",
+        "feature mine_c:gain",
+        "candidate source mine_d:views",
+        "mapper mine_m:Config",
+    ]
+    assert len(set(found.values())) == 4 and all(len(total) == 64 for total in found.values())
+    assert not {"mine_b", "mine_c", "mine_d", "mine_m"} & sys.modules.keys()
 
 
 def test_of_a_package_every_python_file_counts_with_its_name_and_nothing_else(here: Path):

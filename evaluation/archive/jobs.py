@@ -126,7 +126,7 @@ def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
             yield FEATURES, name
     for name in sources_in(dict(job.conditions.overrides)):
         yield SOURCES, name
-    for name in mapper_names(dict(job.overrides)):
+    for name in mapper_names(job.conditions.overrides):
         yield MAPPERS, name
 
 

@@ -8,11 +8,47 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from types import UnionType
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import parse_qsl
 
 from activestructure_gym.errors import InputError, unknown_name
+
+Kind = Literal["registered", "plug-in", "checkpoint", "trajectory", "reference"]
+_PREFIXES: dict[str, Kind] = {"learned": "checkpoint", "trajectory": "trajectory", "reference": "reference"}
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A name and its options: ``naruto?travel=shared``, ``trajectory:FILE?axes=opengl``, ``package.module:Mine``."""
+
+    name: str
+    query: str = ""  # options as given
+
+    @classmethod
+    def of(cls, text: str) -> Spec:
+        """Split a text at its first question mark; a value of another type is a name that no registry has."""
+        name, _, query = text.partition("?") if isinstance(text, str) else (text, "", "")
+        return cls(name, query)
+
+    def __str__(self) -> str:
+        return f"{self.name}?{self.query}" if self.query else self.name
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of a policy: its prefix, a class to import, or a registered name."""
+        prefix, colon, _ = self.name.partition(":")
+        return _PREFIXES.get(prefix, "plug-in") if colon else "registered"
+
+    @property
+    def place(self) -> str:
+        """The part of the name after the prefix: a file, or the name of a reference."""
+        return self.name.partition(":")[2]
+
+    def options(self, label: str) -> dict[str, str]:
+        """Return the options as texts; see `parse_options`."""
+        return parse_options(self.query, label)
 
 
 def parse_options(query: str, label: str) -> dict[str, str]:

@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.cli.bench import print_rows
 from activestructure_gym.evaluation.cli.options import split_policies, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
+from activestructure_gym.specs import Spec
 from activestructure_gym.streams import escape
 from benchmarks.command import run
 
@@ -126,7 +127,7 @@ def _decision(env: Any, name: str) -> dict[str, float]:
 def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
     offer, gains, policy, cpu = (np.array([t[key] for t in times]) for key in ("planning", "gains", "policy", "cpu"))
     decision = offer + gains + policy
-    limit = LIMITS_S.get(name.partition("?")[0], LIMIT_S)
+    limit = LIMITS_S.get(Spec.of(name).name, LIMIT_S)
     median = float(np.median(decision))
     return {
         "policy": name,

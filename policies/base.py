@@ -13,7 +13,7 @@ from activestructure_gym.errors import InputError, shown
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.policies.schedule import Schedule
 from activestructure_gym.registry import Registry
-from activestructure_gym.specs import parse_options, typed_options
+from activestructure_gym.specs import Spec, typed_options
 
 
 class Policy(ABC):
@@ -161,17 +161,17 @@ def canonical_policy(spec: str) -> str:
     """
     kind, options = _class_and_options(spec)
     usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
-    name, _, query = spec.partition("?")
-    name = vars(kind).get("spec", name)  # its own, and not that of a class it is derived from
-    texts = parse_options(query, f"policy '{spec}'")
+    parsed = Spec.of(spec)
+    name = vars(kind).get("spec", parsed.name)  # its own, and not that of a class it is derived from
+    texts = parsed.options(f"policy '{spec}'")
     kept = [f"{key}={texts[key]}" for key in sorted(texts) if options[key] != usual.get(key, inspect.Parameter.empty)]
-    return f"{name}?{'&'.join(kept)}" if kept else name
+    return str(Spec(name, "&".join(kept)))
 
 
 def _class_and_options(spec: str) -> tuple[type[Policy], dict[str, Any]]:
-    name, _, query = spec.partition("?") if isinstance(spec, str) else (spec, "", "")
-    kind = POLICIES.get(name)
-    return kind, typed_options(f"policy '{name}'", kind, parse_options(query, f"policy '{spec}'"))
+    parsed = Spec.of(spec)
+    kind = POLICIES.get(parsed.name)
+    return kind, typed_options(f"policy '{parsed.name}'", kind, parsed.options(f"policy '{spec}'"))
 
 
 def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.ndarray:  # [K] in (0, 1]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.specs import Spec
 
 Terms = Literal["shared", "native"]
 # What everybody gets on native terms where a planner does not say otherwise: the paper's budget, at a size that a CPU
@@ -35,7 +36,7 @@ class Schedule:
             raise InputError(
                 f"a Schedule has goal_keyframes or keyframe_every, got both (keyframe_every={self.keyframe_every})"
             )
-        if staying := [name for stage in self.stages or () for name in stage if name.partition("?")[0] == "stay"]:
+        if staying := [name for stage in self.stages or () for name in stage if Spec.of(name).name == "stay"]:
             raise InputError(
                 f"a round of '{staying[0]}' costs the frames between two keyframes, and goal_keyframes leave no "
                 "such number: set keyframe_every instead"

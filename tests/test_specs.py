@@ -1,7 +1,7 @@
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.specs import number_text, parse_options, typed_options
+from activestructure_gym.specs import Spec, number_text, parse_options, typed_options
 
 
 def make(path: str, *, depth: int = 3, wide: bool = False, size: tuple[float, float] = (1.0, 2.0), name: str = "a"):
@@ -58,3 +58,20 @@ def test_what_was_expected_and_what_came(kind, query, message):
     with pytest.raises(InputError) as error:
         typed_options("thing 'x'", kind, parse_options(query, "thing 'x'"), apart=("path",))
     assert str(error.value) == message
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "place", "query"),
+    [
+        ("naruto?travel=shared", "registered", "", "travel=shared"),
+        ("package.module:Mine?depth=3", "plug-in", "Mine", "depth=3"),
+        ("learned:runs/bc@01234567", "checkpoint", "runs/bc@01234567", ""),
+        ("trajectory:a/traj.txt?axes=opengl&mapper=splatam", "trajectory", "a/traj.txt", "axes=opengl&mapper=splatam"),
+        ("reference:oracle", "reference", "oracle", ""),
+        ("reference", "registered", "", ""),
+    ],
+)
+def test_a_spec_says_of_what_kind_it_is_and_is_its_text_again(text, kind, place, query):
+    spec = Spec.of(text)
+    assert (spec.kind, spec.place, spec.query, str(spec)) == (kind, place, query, text)
+    assert spec.options("it") == parse_options(query, "it")

@@ -15,7 +15,7 @@ from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.registry import Registry
-from activestructure_gym.specs import parse_options, typed_options
+from activestructure_gym.specs import Spec, typed_options
 from activestructure_gym.views import CandidatePool
 from activestructure_gym.volume import VoxelVolume
 
@@ -98,9 +98,9 @@ def make_source(spec: str) -> Source:
 
     Raises `InputError` for an unknown name or option, and for a value that the source refuses.
     """
-    name, _, query = spec.partition("?") if isinstance(spec, str) else (spec, "", "")
-    kind = SOURCES.get(name)
-    source = kind(**typed_options(f"source '{name}'", kind, parse_options(query, f"source '{spec}'")))
+    parsed = Spec.of(spec)
+    kind = SOURCES.get(parsed.name)
+    source = kind(**typed_options(f"source '{parsed.name}'", kind, parsed.options(f"source '{spec}'")))
     if isinstance(source.rows, bool) or not isinstance(source.rows, int) or not 1 <= source.rows <= MAX_ROWS:
         raise InputError(
             f"rows of the source '{spec}' must be a whole number from 1 to {MAX_ROWS}, got {shown(source.rows)}"
@@ -116,4 +116,4 @@ def sources_in(overrides: Mapping[str, Any]) -> Iterator[str]:
         for stage in stages if isinstance(stages, list | tuple) else ():
             for name in stage if isinstance(stage, list | tuple) else ():
                 if isinstance(name, str):
-                    yield name.partition("?")[0]
+                    yield Spec.of(name).name

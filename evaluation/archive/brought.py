@@ -32,7 +32,7 @@ def changed_schedule(directory: Path, job: Job) -> list[str]:
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.schedule import schedule_of
 
-    name = job.policy.partition("?")[0]
+    name = job.spec.name
     if job.conditions.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
     schedule = schedule_of(POLICIES.get(name), job.conditions.terms)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.registry import Registry
@@ -47,6 +48,11 @@ class Job:
             check_in_one_line(kind, name)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {shown(self.seed)}")
+
+    @cached_property
+    def spec(self) -> Spec:
+        """The policy's name and options."""
+        return Spec.of(self.policy)
 
     @cached_property
     def hash(self) -> str:
@@ -107,7 +113,7 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
     if imports_code(job.scene):
         yield "scene", job.scene
     for registry, name in named_in(job):
-        if registry.imports(name.partition("?")[0]):
+        if registry.imports(Spec.of(name).name):
             yield registry.kind, name
 
 
@@ -181,12 +187,12 @@ def _scene_of(job: Job) -> tuple[str, str]:
 
 def is_reference(policy: str) -> bool:
     """Whether a job's ``policy`` is none, but a reference that sees the ground truth."""
-    return policy.startswith(REFERENCE)
+    return Spec.of(policy).kind == "reference"
 
 
 def is_trajectory(policy: str) -> bool:
     """Whether a job's ``policy`` is none, but a trajectory that was given."""
-    return policy.startswith(TRAJECTORY)
+    return Spec.of(policy).kind == "trajectory"
 
 
 def ranked_among(policies: Collection[str]) -> set[str]:
@@ -207,14 +213,14 @@ def policy_label(spec: str) -> str:
     """
     if is_reference(spec):
         return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
-    family, colon, place = spec.partition(":")
-    path, at, digits = place.partition("?")[0].rpartition("@")
-    if is_trajectory(spec) and at:
-        file, options = PurePath(path), place.partition("?")[2]
+    parsed = Spec.of(spec)
+    path, at, digits = parsed.place.rpartition("@")
+    if parsed.kind == "trajectory" and at:
+        file = PurePath(path)
         name = file.parent.name if file.stem in _USUAL_STEMS and file.parent.name else file.stem
         name = "--".join(name.split("--")[1:3]) if _RUN.search(name) else name
-        return f"{TRAJECTORY}{name}@{digits}" + (f"?{options}" if options else "")
-    if family != "learned" or not colon or not at:
+        return str(Spec(f"{TRAJECTORY}{name}@{digits}", parsed.query))
+    if parsed.kind != "checkpoint" or not at:
         return spec
     file = PurePath(path)
     return f"learned:{file.parent.name if file.stem == 'best' and file.parent.name else file.stem}@{digits}"
@@ -246,9 +252,11 @@ def split_spec(spec: str) -> tuple[str, str, str]:
     """``kind:path?options`` taken apart; what is missing is empty."""
     if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
-    path, _, options = spec.partition("?")
-    kind, colon, rest = path.partition(":")
-    return (kind, rest, options) if colon and len(kind) > 1 else ("", path, options)  # one letter would be a drive
+    parsed = Spec.of(spec)
+    kind, colon, rest = parsed.name.partition(":")
+    return (
+        (kind, rest, parsed.query) if colon and len(kind) > 1 else ("", parsed.name, parsed.query)
+    )  # one letter would be a drive
 
 
 def slug(text: str) -> str:

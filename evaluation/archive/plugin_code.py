@@ -17,6 +17,7 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema, store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
+from activestructure_gym.specs import Spec
 
 KEY = "own_code"  # in a run's `store.CONFIG`, where there is any
 _CHECK = schema.table({}, {KEY: schema.table(others=schema.text)}, others=schema.anything)
@@ -50,7 +51,7 @@ def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str
     """Return the checksums of the plug-in code that a job names ("policy mine:Mine"); missing modules are left out."""
     found = {}
     for registry, name in named_in(job):
-        module = registry.module_of(name.partition("?")[0])
+        module = registry.module_of(Spec.of(name).name)
         total = None if module is None else checksums(module.partition(".")[0])
         if total is not None:
             found[f"{registry.kind} {name}"] = total

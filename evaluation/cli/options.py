@@ -12,6 +12,7 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import TRUST
+from activestructure_gym.specs import Spec
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -62,7 +63,7 @@ def split_policies(words: Sequence[str]) -> tuple[str, ...]:
 
     groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
     for word in split_list(words):
-        name = word.partition("?")[0]
+        name = Spec.of(word).name
         if is_reference(name):
             raise InputError(f"'{word}' is no policy: ask for it by --references {name.removeprefix(REFERENCE)}")
         if name not in groups and name not in POLICIES and ":" not in name:

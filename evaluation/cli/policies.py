@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed, print_text
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.specs import Spec
 from activestructure_gym.streams import escape, say
 
 _QUALIFIED = re.compile(r"^(by a digest of|by the text of|inspired by) ")
@@ -91,7 +92,7 @@ def gains_asked(name: str) -> tuple[str, ...]:
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import gains_of
 
-    kind: Any = POLICIES.get(name.partition("?")[0])
+    kind: Any = POLICIES.get(Spec.of(name).name)
     # Some ask for a gain more or less by their options; without those that must be given none can be made to be asked.
     return gains_of(kind if _required(kind) and "?" not in name else make_policy(name))
 
@@ -104,7 +105,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.schedule import schedule_of
 
-    kind: Any = POLICIES.get(name.partition("?")[0])
+    kind: Any = POLICIES.get(Spec.of(name).name)
     parameters = inspect.signature(kind).parameters.values()
     about = _own_words(kind)
     return {

@@ -35,7 +35,7 @@ from activestructure_gym.evaluation.trajectories.formats import (
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.motion import Leg, recorded_legs, regular_legs
-from activestructure_gym.specs import number_text, parse_options, typed_options
+from activestructure_gym.specs import Spec, number_text, typed_options
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
@@ -60,11 +60,12 @@ class TrajectorySpec:
     @classmethod
     def of(cls, spec: str) -> TrajectorySpec:
         """What ``trajectory:FILE?axes=opengl&mapper=splatam`` asks for; raises `InputError`."""
-        name, _, query = spec.removeprefix(TRAJECTORY).partition("?")
+        parsed = Spec.of(spec)
+        name = parsed.place
         place, at, digits = name.rpartition("@")
         if not at or len(digits) != _DIGITS or Path(os.path.expanduser(name)).exists():
             place, digits = name, ""
-        texts = parse_options(query, f"'{spec}'")
+        texts = parsed.options(f"'{spec}'")
         options = typed_options("a trajectory", _options, texts)
         given = cls(place, digits, **{"kind" if key == "format" else key: value for key, value in options.items()})
         if given.mapper and given.mapper not in MAPPERS:
@@ -94,7 +95,7 @@ class TrajectorySpec:
         Raises `InputError` where the file is not there or another one than is meant.
         """
         if not self.of_file:
-            return f"{TRAJECTORY}{self.place}" + (f"?mapper={self.mapper}" if self.mapper else "")
+            return str(Spec(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else ""))
         file, kind = self.file()
         usual = USUAL.get(kind, "opencv")
         options = {
@@ -105,7 +106,7 @@ class TrajectorySpec:
             "start": ",".join(map(number_text, self.start or ())),
         }
         query = "&".join(f"{key}={value}" for key, value in options.items() if value)
-        return f"{TRAJECTORY}{file}@{_digits(file)}" + (f"?{query}" if query else "")
+        return str(Spec(f"{TRAJECTORY}{file}@{_digits(file)}", query))
 
     def file(self) -> tuple[Path, str]:
         """The file and its format, checked against the digits."""

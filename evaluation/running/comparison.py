@@ -35,6 +35,7 @@ from activestructure_gym.evaluation.running.resuming import merged, recorded_job
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import schedule_of
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
@@ -132,7 +133,7 @@ class Comparison:
                 configure(self.conditions.preset, given.changes(changes))
                 named.append(given.spec)
                 continue
-            if module := POLICIES.module_of(spec.partition("?")[0]):
+            if module := POLICIES.module_of(Spec.of(spec).name):
                 first_checksum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)

@@ -10,6 +10,7 @@ from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import QUALITY, aspects, measured, reason_of, value_of
 from activestructure_gym.evaluation.statistics import resampling
+from activestructure_gym.specs import Spec
 
 
 def meanings(results: Results) -> dict[str, str]:
@@ -150,7 +151,7 @@ def _budget(name: str) -> str:
     """What the paper of a policy that ships spends, in brackets."""
     from activestructure_gym.policies import POLICIES
 
-    plain = name.partition("?")[0]
+    plain = Spec.of(name).name
     noted = POLICIES.get(plain).brings.budget if plain in POLICIES else ""
     return f" ({noted})" if noted else ""
 

@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.report.tables.columns import QUALITY, Aspect
 from activestructure_gym.evaluation.report.tables.layout import MISSING, Cell, Heading, Table, number, with_interval
 from activestructure_gym.evaluation.statistics import estimate
 from activestructure_gym.scenes.datasets import MATTERPORT3D, REPLICA, Dataset
+from activestructure_gym.specs import Spec
 
 _KEYS = {
     "Acc": "accuracy_cm",
@@ -297,13 +298,13 @@ def _name_here(run: Run) -> str:
     """Who is compared: of a trajectory that was followed the mapper, else the policy."""
     if is_trajectory(run.job.policy):
         return str(run.config["configuration"]["mapper"]["name"])
-    return run.job.policy.partition("?")[0]
+    return run.job.spec.name
 
 
 def _folder(run: Run, dataset: Dataset) -> str | None:
     """The folder of the dataset's scene that the run was on."""
     kind, colon, place = run.job.scene.partition(":")
-    name = (place if colon and kind == dataset.kind else run.job.scene).partition("?")[0].rstrip("/")
+    name = Spec.of(place if colon and kind == dataset.kind else run.job.scene).name.rstrip("/")
     parts = [part for part in re.split(r"[/\\]", name) if part not in ("habitat", "mesh.ply", "mesh_semantic.ply")]
     last = parts[-1].removesuffix(".glb") if parts else ""
     return dataset.folder_of(last) if colon and kind == dataset.kind or last in dataset.scenes.values() else None

@@ -111,7 +111,7 @@ def _arguments(rng: np.random.Generator) -> list[str]:
 
 
 def _values(rng: np.random.Generator, name: str) -> list[str]:
-    if name in ("resume", "quick", "json", "noise", "trust_code"):
+    if name in ("resume", "quick", "json", "noise", "trust_code", "dry_run", "exit"):
         return _some(rng, ("true", "x"), 1) if rng.random() < 0.1 else []
     if name == "set":
         return [_override(rng) for _ in range(rng.integers(0, 4))]
@@ -119,9 +119,9 @@ def _values(rng: np.random.Generator, name: str) -> list[str]:
         return _some(rng, _TEXTS, 2)
     if name in ("scenes", "scene", "spec"):
         return _some(rng, _SCENES, 2)
-    if name in ("policies", "name", "baseline"):
+    if name in ("policies", "names", "baseline", "baselines"):
         return _some(rng, _POLICIES, 2)
-    if name in ("gains", "teacher"):
+    if name in ("features", "teacher"):
         return _some(rng, _GAINS, 2)
     if name in ("seeds", "rooms"):
         return _some(rng, _NUMBERS, 3)
@@ -131,7 +131,7 @@ def _values(rng: np.random.Generator, name: str) -> list[str]:
         return _some(rng, ("fast", "default", "full", "paper", "fats", "", "[red]"), 1)
     if name in ("out", "data", "map", "poses", "lpips_weights", "picture", "runs", "run_directory"):
         return _some(rng, _TEXTS, 1)
-    if name in ("engine", "protocols", "protocol", "format", "what", "shell", "part", "reward", "view_source", "up"):
+    if name in ("engine", "protocols", "setup", "format", "what", "shell", "part", "reward", "view_source", "up"):
         return _some(rng, ("local", "standard", "activegamer", "ply", "z", "env", "bash", "all", "x", "", "[/]"), 1)
     return _some(rng, _NUMBERS, 1)
 

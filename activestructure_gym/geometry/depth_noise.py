@@ -1,4 +1,4 @@
-"""Axial noise of a structured-light depth camera: added by the sensor, assumed by plane detection."""
+"""Model the axial noise of a structured-light depth camera; used by the sensor and by plane detection."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MIN_DEPTH_M = 0.4  # metres
 
 
 def axial_sigma(depth: Depth) -> Depth:
-    """Standard deviation of a Kinect v1's depth in metres, seen head-on: 0.0012 + 0.0019 (z - 0.4)^2.
+    """Return the standard deviation of a Kinect v1's depth in metres, seen head-on: 0.0012 + 0.0019 (z - 0.4)^2.
 
-    The part of the error that does not depend on the angle ([nguyen2012]). Kernels call what
-    `kernel` makes of it.
+    This is the part of the error that is independent of the incidence angle ([nguyen2012]). Kernels call the version
+    compiled by `kernel`.
     """
     return MIN_SIGMA_M + GROWTH * (depth - MIN_DEPTH_M) ** 2

@@ -1,6 +1,6 @@
-"""Rotations as matrices and as quaternions wxyz. Not imported with the room: it brings the compiler with it.
+"""Convert rotations between matrices and quaternions wxyz. Imported separately, since it loads the compiler.
 
-What is not needed often, or not to the last digit as it stands here, is `scipy.spatial.transform.Rotation`'s.
+Conversions that are rare, or need no exact result, use `scipy.spatial.transform.Rotation`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.compiling import kernel
 
-# Products of rotation matrices are orthonormal to this; what is not so by 1e-12, scipy makes orthonormal first.
+# Error bound of products of rotation matrices. scipy orthonormalises matrices that are off by 1e-12.
 _ORTHONORMAL = 1e-13
 
 
 def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:  # 3 rows of 3
-    """The rotation matrix of a unit quaternion, row by row; numbers, or arrays of one shape."""
+    """Return the rotation matrix of a unit quaternion row by row; arguments are numbers or arrays of one shape."""
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -26,14 +26,14 @@ def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], .
 
 
 def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
-    """``quaternions`` [N, 4] turned by another one [4]: the Hamilton product, rotation first."""
+    """Return the Hamilton products ``rotation * quaternions`` of [4] with [N, 4]."""
     w, x, y, z = rotation
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return quaternions @ matrix.T
 
 
 def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
-    """The unit quaternion of a rotation matrix [3, 3]."""
+    """Return the unit quaternion of a rotation matrix [3, 3]."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
 
@@ -41,11 +41,11 @@ def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
 def quaternions(
     rotations: np.ndarray,  # [N, 3, 3]
     *,
-    canonical: bool = False,  # of a rotation's two quaternions the one whose first number other than 0 is above it
+    canonical: bool = False,  # of q and -q return the one whose first nonzero component is positive
 ) -> np.ndarray:  # [N, 4] unit, wxyz
-    """Unit quaternions [N, 4] wxyz, equal to scipy's `Rotation.from_matrix` to the last digit, but faster.
+    """Return unit quaternions [N, 4] wxyz, bit-equal to scipy's `Rotation.from_matrix` but faster.
 
-    Raises `ValueError` for a matrix that no rotation is near to (one that mirrors), as scipy does.
+    Raises `ValueError` for a matrix without a nearest rotation (a reflection), as scipy does.
     """
     found, error = _quaternions(np.ascontiguousarray(rotations, dtype=np.float64), canonical)
     if not error < _ORTHONORMAL:
@@ -54,8 +54,8 @@ def quaternions(
 
 
 @kernel
-def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  # [N, 4], error of the worst matrix
-    """Quaternions by the largest of the four squares ([shepperd1978]), and the error of the matrices as rotations."""
+def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  # [N, 4], largest error of a matrix
+    """Compute quaternions by the largest of the four squares ([shepperd1978]), and the matrices' largest error."""
     result, error = np.empty((len(m), 4)), 0.0
     for n in range(len(m)):
         determinant = 0.0
@@ -65,7 +65,7 @@ def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  #
             for b in range(a + 1):
                 product = m[n, a, 0] * m[n, b, 0] + m[n, a, 1] * m[n, b, 1] + m[n, a, 2] * m[n, b, 2]
                 off = abs(product - (1.0 if a == b else 0.0))
-                if not off <= error:  # nan, too
+                if not off <= error:  # also true for nan
                     error = off
         if determinant < 0.0:
             error = np.inf

@@ -1,4 +1,4 @@
-"""The clearance check of every planned and executed edge, and the one exception to it."""
+"""Check the clearance of planned and executed path edges, with one exception for a start in a tight place."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import sample
 
-# A start with less clearance than asked for may move this far to where there is enough (metres).
+# Metres within which a start with too little clearance may move to a place with enough.
 ESCAPE_REACH = 0.5
-# On that way the start's own clearance is kept up to this, and never less than this: not inside an obstacle (metres).
+# Metres: clearance on that path may be this much below the start's own, but never below this value.
 TOUCHING = 1e-3
 # Distance between the samples of an edge, in voxels.
 _SAMPLING = 0.5
-# Between samples that far apart the interpolated field (slope at most sqrt 3) can be lower by this many voxels.
+# Voxels: largest dip of the interpolated field (slope at most sqrt 3) between two samples.
 SAMPLING_DIP = 0.25 * np.sqrt(3.0)
 
 
@@ -24,11 +24,11 @@ def first_blocked_edge(
     *,
     min_clearance: float,  # metres
 ) -> int | None:
-    """Index of the first edge of the path that does not keep the clearance; None if all do.
+    """Return the index of the first edge of the path with too little clearance; None if there is none.
 
-    A path that starts closer to an obstacle than that may, within its first half metre and until it has reached the
-    clearance once, be as close as its start: an agent that learns of an obstacle beside it must be able to leave.
-    Edges without length (turning on the spot) are never blocked.
+    A start closer to an obstacle is allowed: the path may have the start's clearance within its first 0.5 m, until it
+    first reaches ``min_clearance``. An agent next to a newly observed obstacle can thus leave. Edges of zero length
+    (turning in place) are never blocked.
     """
     points = np.ascontiguousarray((np.asarray(path, dtype=np.float64) - volume.origin) / volume.voxel_size - 0.5)
     if len(points) < 2:

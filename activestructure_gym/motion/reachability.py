@@ -1,4 +1,4 @@
-"""Path lengths from one place to everywhere, and the way to any of those places."""
+"""Compute path lengths from one position to all voxels, and the paths to them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import bounding_box, cut_out, segment_above
 
-HERE = 1e-6  # metres: a place so near is the same
-# Live buckets of the queue: steps are at most sqrt(3) voxels long, and so far apart are the seeds' lengths at most.
+HERE = 1e-6  # metres: closer positions count as equal
+# Active buckets of the queue: steps are at most sqrt(3) voxels long, and the seeds' lengths differ by no more buckets.
 _BUCKETS = 16
 
 
 def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The 26 steps as flat offsets in an array of this shape.
+    """Return the 26 steps as flat offsets in an array of this shape.
 
-    Returns the offset [26] int64 and the length [26] float32 (voxels) of each step, and the offsets [26, 6] int64 of
-    the other voxels in the block between its two ends, with how many [26] int64 of those there are.
+    Returns the offset [26] int64 and the length [26] float32 (voxels) of each step. Then the offsets [26, 6] int64 of
+    the other voxels in the block between its two ends, and their number [26] int64.
     """
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     move, cost, corners, count = _steps()
@@ -30,7 +30,7 @@ def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 @cache
 def _steps() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """`_moves` in voxels along the three axes instead of offsets: [26, 3], [26], [26, 6, 3], [26]."""
+    """Return `_moves` in voxels along the three axes instead of offsets: [26, 3], [26], [26, 6, 3], [26]."""
     moves = [move for move in itertools.product((-1, 0, 1), repeat=3) if any(move)]
     corners, count = np.zeros((26, 6, 3), np.int64), np.zeros(26, np.int64)
     for n, move in enumerate(moves):
@@ -43,22 +43,22 @@ def _steps() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 @kernel
 def _spread(
-    open_: np.ndarray,  # [X * Y * Z] bool, False all along the border of the box
+    open_: np.ndarray,  # [X * Y * Z] bool, False on the border of the box
     lengths: np.ndarray,  # [X * Y * Z] float32 voxels: inf, except at the seeds
-    parents: np.ndarray,  # [X * Y * Z] int32: index of the voxel before, -1 = none
+    parents: np.ndarray,  # [X * Y * Z] int32: index of the previous voxel, -1 = none
     seeds: np.ndarray,  # [S] indices
     jump: np.ndarray,  # from _moves
     cost: np.ndarray,
     corners: np.ndarray,
     corner_count: np.ndarray,
 ) -> None:
-    """Dijkstra's algorithm over the 26 neighbours; a diagonal step needs its whole 2 x 2 (x 2) block open.
+    """Run Dijkstra's algorithm over the 26 neighbours; a diagonal step needs its whole 2 x 2 (x 2) block open.
 
-    Every step is at least one voxel long, so the voxels of a bucket one voxel wide are final when it comes up, in any
-    order: no heap is needed. Chosen by measurement (10 x 8 x 2.7 m at 0.1 m, 107k open voxels, one core): this 5 ms;
-    the same with a binary heap 17 ms; scipy.sparse.csgraph.dijkstra 50 ms, plus 75 to 110 ms for its matrix.
+    Every step is at least one voxel long, so all voxels in the current bucket (one voxel wide) are final, in any order,
+    and no heap is needed. Measured on one core (10 x 8 x 2.7 m at 0.1 m, 107k open voxels): 5 ms; with a binary heap 17
+    ms; scipy.sparse.csgraph.dijkstra 50 ms plus 75 to 110 ms for its matrix.
     """
-    # A voxel enters a bucket only when its length moves to a lower one: at most once per bucket.
+    # A voxel enters a bucket only when its length decreases to it: at most once per bucket.
     capacity = 0
     for n in range(len(open_)):
         capacity += open_[n]
@@ -78,7 +78,7 @@ def _spread(
             here = queue[slot, n]
             length = lengths[here]
             if int(length) != bucket:
-                continue  # it has moved to a lower bucket since
+                continue  # it has moved to a lower bucket
             for m in range(26):
                 there = here + jump[m]
                 through = length + cost[m]
@@ -108,10 +108,10 @@ def _best_corner(
     field: np.ndarray,  # clearance, metres
     lengths: np.ndarray,  # [X, Y, Z] voxels, of the box that starts at ``corner``
     corner: np.ndarray,  # [3] int64
-    point: np.ndarray,  # [3] voxels, centre of voxel (0, 0, 0) of the field at 0
+    point: np.ndarray,  # [3] voxels, the centre of voxel (0, 0, 0) of the field is at 0
     bound: float,
 ) -> tuple[float, int]:  # (length in voxels, flat index in the box)
-    """The shortest way to ``point`` over one of the 8 voxel centres around it, -1 if there is none."""
+    """Return the shortest path to ``point`` over one of the 8 surrounding voxel centres, -1 if there is none."""
     best, best_index = np.inf, -1
     base = np.floor(point).astype(np.int64)
     center = np.empty(3)
@@ -143,7 +143,7 @@ def _lengths_at(
     result = np.empty(len(points), np.float32)
     for n in range(len(points)):
         result[n], index = _best_corner(field, lengths, corner, points[n], bound)
-        # The grid is up to 10 % too long off its own directions; the straight line, where it is free, is exact.
+        # Grid lengths are up to 10 % too long off the grid's directions; a free straight line is exact.
         if index >= 0 and segment_above(field, start, points[n], bound, 0.5):
             offset = points[n] - start
             result[n] = np.sqrt((offset * offset).sum())
@@ -151,7 +151,7 @@ def _lengths_at(
 
 
 class DistanceMap:
-    """Lengths of the shortest paths from one start through voxels that keep a clearance. Made by `path_lengths`."""
+    """Hold shortest path lengths from one start through voxels with enough clearance; made by `path_lengths`."""
 
     def __init__(
         self,
@@ -164,7 +164,8 @@ class DistanceMap:
     ) -> None:
         self.start = start
         self.min_clearance = min_clearance
-        self._field = volume.clearance  # replaced, never written to, when the volume changes: this map stays valid
+        # the volume replaces this array on changes and never writes to it: this map stays valid
+        self._field = volume.clearance
         self._origin = volume.origin
         self._voxel_size = volume.voxel_size
         self._corner = corner
@@ -176,23 +177,27 @@ class DistanceMap:
 
     @property
     def reachable(self) -> np.ndarray:  # [N, 3] metres
-        """Centres of all voxels that can be reached, in the order of the grid."""
+        """Return the centres of all reachable voxels, in grid order."""
         voxels = np.argwhere(np.isfinite(self._lengths)) + self._corner
         return self._origin + (voxels + 0.5) * self._voxel_size
 
     def at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres, world -> [N] float32 metres, inf = unreachable
-        """Length of the shortest path to each point: straight where that is free, else over the best voxel near it."""
+        """Return the shortest path length to each point in metres; inf if unreachable.
+
+        It is the straight line if that is free, else the path over the best voxel next to the point.
+        """
         points = self._coordinates(np.reshape(points, (-1, 3)))
         start = self._coordinates(self.start)
         voxels = _lengths_at(self._field, self._lengths, self._corner, start, points, self.min_clearance)
-        # Where somebody stands he is, however narrow it is there.
+        # The start is always reachable, whatever its clearance.
         voxels[np.linalg.norm(points - start, axis=1) * self._voxel_size < HERE] = 0.0
         return voxels * np.float32(self._voxel_size)
 
     def path_to(self, point: np.ndarray) -> np.ndarray | None:  # [3] -> [P, 3] metres, start and point included
-        """The way from the start to ``point`` along voxel centres; every edge keeps the clearance. None: unreachable.
+        """Return the path from the start to ``point`` along voxel centres; None if unreachable.
 
-        From a start with too little clearance the first edge leads straight out to where there is enough.
+        Every edge keeps the clearance. From a start with too little clearance, the first edge leads straight to a voxel
+        with enough.
         """
         point = np.asarray(point, dtype=np.float64)
         _, index = _best_corner(self._field, self._lengths, self._corner, self._coordinates(point), self.min_clearance)
@@ -218,11 +223,11 @@ def path_lengths(
     *,
     min_clearance: float,  # metres
 ) -> DistanceMap:
-    """Shortest paths from ``start`` to every voxel whose centre keeps ``min_clearance`` from all that is not free.
+    """Return shortest paths from ``start`` to every voxel centre with ``min_clearance`` to space that is not free.
 
-    Lengths on the grid are at most 10 % above the true ones; `DistanceMap.at` is exact where the straight line is free.
-    If the start itself lies closer to an obstacle, it first goes straight to a voxel nearby that does not, without
-    coming closer than it is; without such a voxel nothing is reachable.
+    Lengths on the grid are at most 10 % above the true ones; `DistanceMap.at` is exact for free straight lines. A start
+    closer to an obstacle first moves straight to a nearby voxel with enough clearance, without coming closer to
+    obstacles. Without such a voxel nothing is reachable.
     """
     start = np.asarray(start, dtype=np.float64)
     open_voxels = volume.clearance >= max(min_clearance, TOUCHING)
@@ -239,19 +244,19 @@ def path_lengths(
 
 
 def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The box around the true voxels with a false border (its first index may be -1), and that index."""
+    """Return the box around the true voxels with a false border, and its first index (may be -1)."""
     lower, upper = bounding_box(mask)
-    if not upper[0]:  # nothing is
+    if not upper[0]:  # the mask is empty
         return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
     border = np.ones(3, dtype=np.int64)
-    # Nothing true lies in the border, so what of the mask is cut out there stays false.
+    # The border contains no true voxel, so the padding stays false.
     return lower - border, cut_out(mask, lower - border, upper + border)
 
 
 def _seeds(
     volume: VoxelVolume, start: np.ndarray, min_clearance: float, corner: np.ndarray, open_: np.ndarray
 ) -> np.ndarray:  # [S, 3] indices into the box
-    """Open voxels that the start can go straight to: those around it, else the nearest ones within reach."""
+    """Return open voxels with a free straight line from the start: its neighbours, else the nearest within reach."""
     base = np.floor((start - volume.origin) / volume.voxel_size - 0.5).astype(np.int64)
     around = base + _cube(0, 2) - corner
     near = _only_open(around, open_)

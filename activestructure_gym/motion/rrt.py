@@ -1,4 +1,4 @@
-"""A collision-free path: rapidly-exploring random tree on the distance field, then shortcuts (paper, Sec. 3.4)."""
+"""Plan a collision-free path: rapidly-exploring random tree (RRT), then shortcuts (paper, Sec. 3.4)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
 _STEP = 0.4  # metres: longest edge of the tree (docs/notebook/groundwork.md, "Volume and paths")
-_GOAL_BIAS = 0.1  # share of samples that are the goal itself (the same)
+_GOAL_BIAS = 0.1  # fraction of samples that are the goal (same source)
 _SHORTCUTS = 100  # random pairs tried when smoothing
 
 
@@ -20,13 +20,14 @@ def _grow(
     field: np.ndarray,  # clearance, metres
     start: np.ndarray,  # [3] voxels
     goal: np.ndarray,  # [3] voxels
-    samples: np.ndarray,  # [K, 3] voxels: where each iteration grows to
+    samples: np.ndarray,  # [K, 3] voxels: target of each iteration
     bound: float,  # metres
     step: float,  # voxels
-) -> tuple[np.ndarray, np.ndarray, int]:  # (nodes [M, 3], parents [M], index of the node that sees the goal or -1)
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Grow a tree from the start; return nodes [M, 3], parents [M], and the node with a free line to the goal or -1."""
     nodes = np.empty((len(samples) + 1, 3))
     parents = np.empty(len(samples) + 1, np.int64)
-    for i in range(3):  # numba takes 3 s to compile the assignment of a row, for the text of an error
+    for i in range(3):  # numba takes 3 s longer to compile a row assignment (its shape check)
         nodes[0, i] = start[i]
     parents[0] = -1
     count = 1
@@ -47,7 +48,7 @@ def _grow(
             continue
         parents[count] = nearest
         count += 1
-        # The goal is tried from every new node: in rooms most of them see it (as ActiveGAMER does).
+        # The goal is tried from every new node; in rooms most nodes have a free line to it (as in ActiveGAMER).
         if segment_above(field, nodes[count - 1], goal, bound, 0.5):
             return nodes[:count], parents[:count], count - 1
     return nodes[:count], parents[:count], -1
@@ -61,13 +62,13 @@ def plan_path(
     min_clearance: float,  # metres, kept along every edge (sampled every half voxel)
     rng: np.random.Generator,
     max_iterations: int = 1000,
-    distances: DistanceMap | None = None,  # path_lengths(volume, start, ...) where it is known already
-) -> np.ndarray | None:  # [P, 3] metres, start and goal included; None = there is no way
-    """A short path that keeps the clearance: the straight line if it is free, else RRT and shortcuts.
+    distances: DistanceMap | None = None,  # path_lengths(volume, start, ...), if known already
+) -> np.ndarray | None:  # [P, 3] metres, start and goal included; None = no path
+    """Return a short path that keeps the clearance: the straight line if it is free, else RRT and shortcuts.
 
-    It succeeds exactly where `DistanceMap.at` is finite, and is never longer than `DistanceMap.path_to`: if the tree
-    does not find the goal in time, or wandered, that shortest path on the grid is taken and shortened the same way.
-    A start in too tight a place first moves straight out of it (`path_lengths`): the only edge with less clearance.
+    It succeeds exactly if `DistanceMap.at` is finite, and is never longer than `DistanceMap.path_to`. If the tree fails
+    or its path is longer, that grid path is shortened instead. A start with too little clearance first moves straight
+    out (`path_lengths`): the only edge with less clearance.
     """
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     away = np.linalg.norm(goal - start)
@@ -93,7 +94,7 @@ def _tree_path(
     volume: VoxelVolume,
     root: np.ndarray,
     goal: np.ndarray,
-    reachable: np.ndarray,  # [M, 3] voxel centres to draw from
+    reachable: np.ndarray,  # [M, 3] voxel centres to sample from
     min_clearance: float,
     rng: np.random.Generator,
     max_iterations: int,
@@ -120,7 +121,7 @@ def shorten(
     rng: np.random.Generator,
     tries: int = _SHORTCUTS,
 ) -> np.ndarray:  # [Q, 3] metres, the same ends
-    """Cut corners wherever the straight line keeps the clearance. Never longer than before."""
+    """Shorten the path by straight lines that keep the clearance; the result is never longer."""
     draws, path = rng.random((tries, 2)), np.ascontiguousarray(path, dtype=np.float64)
     return _shorten(volume.clearance, path, draws, volume.origin.astype(np.float64), volume.voxel_size, min_clearance)
 
@@ -129,7 +130,7 @@ def shorten(
 def _shorten(
     field: np.ndarray,  # clearance, metres
     path: np.ndarray,  # [P, 3] metres
-    draws: np.ndarray,  # [K, 2] shares of the length: where each shortcut begins and ends, in any order
+    draws: np.ndarray,  # [K, 2] fractions of the length: both ends of each shortcut, in any order
     origin: np.ndarray,  # [3] metres, corner of voxel (0, 0, 0)
     voxel: float,  # metres
     bound: float,  # metres
@@ -161,7 +162,7 @@ def _shorten(
                 ends[e, i] = vertices[edge, i] + (vertices[edge + 1, i] - vertices[edge, i]) * share
         if edges[0] == edges[1]:
             continue
-        # The pieces of old edges that stay are sampled anew: other sample points, so they are checked as well.
+        # The remaining pieces of the cut edges get new sample points, so they are checked as well.
         for i in range(3):
             coordinates[0, i] = (vertices[edges[0], i] - origin[i]) / voxel - 0.5
             coordinates[1, i] = (ends[0, i] - origin[i]) / voxel - 0.5
@@ -172,7 +173,7 @@ def _shorten(
             free = free and segment_above(field, coordinates[n], coordinates[n + 1], bound, 0.5)
         if not free:
             continue
-        # Between the two edges there were so many vertices, and now there are two.
+        # Two vertices replace all those between the two edges.
         gone = edges[1] - edges[0]
         if gone == 1:
             for n in range(count, edges[1] + 1, -1):
@@ -192,7 +193,7 @@ def _shorten(
 
 @kernel
 def _measure(vertices: np.ndarray, count: int, reached: np.ndarray) -> None:
-    """Write the metres from the start to every vertex into ``reached``."""
+    """Write the path length in metres up to every vertex into ``reached``."""
     reached[0] = 0.0
     for n in range(1, count):
         x, y = vertices[n, 0] - vertices[n - 1, 0], vertices[n, 1] - vertices[n - 1, 1]
@@ -208,7 +209,7 @@ def _skip_vertices(
     voxel: float,
     bound: float,
 ) -> np.ndarray:  # [Q, 3] metres
-    """The path without vertices it can skip: from each that is kept straight to the last one in sight."""
+    """Return the path without skippable vertices: each kept vertex connects to the last one with a free line."""
     coordinates, kept = np.empty((len(path), 3)), np.empty(len(path), np.int64)
     for n in range(len(path)):
         for i in range(3):

@@ -1,4 +1,4 @@
-"""Poses of single frames along a path: limited steps and turns, looking along the motion."""
+"""Interpolate paths to one pose per frame: limited steps and turns, camera along the motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
 _ROLL_TOLERANCE = 1e-5
-_MIN_DISTANCE_M = 1e-3  # of a point that is looked at
+_MIN_DISTANCE_M = 1e-3  # metres; a fixation point closer than this has no direction
 
 _RANGES = {
     "max_step_m": "[0.001, 100]",
@@ -28,25 +28,27 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """Constants of the agent's motion from one view to the next."""
+    """Configure the agent's motion between views."""
 
     max_step_m: float = 0.1
     """Metres per frame. [activegamer, code]"""
     max_turn_deg: float = 10.0
     """Degrees per frame, of the whole rotation. [activegamer, code]"""
     min_clearance: float = 0.2
-    """Metres that every path keeps from all that is not known to be free."""
+    """Metres between every path and space not known to be free."""
     candidate_clearance: float = 0.3
-    """Metres that a candidate view keeps. (own choice)"""
+    """Metres between a candidate view and space not known to be free. (own choice)"""
     body_radius: float = 0.3
     """Metres that must be free around a start pose."""
     start_free_radius: float = 0.6
-    """Metres around the start that are known to be free, as far as they are: the agent was put down there by someone
-    who looked. Less, and one view is not enough to leave the start (measured: 1 of 3 starts in hotel_room)."""
+    """Metres around the start that are marked as free, limited by the true clearance there.
+
+    With less, one view may not suffice to leave the start (measured: 1 of 3 starts in hotel_room).
+    """
     look_ahead_above: float = 1.0
-    """Metres: on longer paths the camera turns along the motion as far as that costs no frame."""
+    """Metres: on longer paths the camera turns along the motion, as far as this costs no frame."""
     look_ahead_pitch_deg: float = 30.0
-    """Degrees up or down that it looks at most while doing so."""
+    """Degrees: maximum pitch up or down while looking along the motion."""
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -63,16 +65,15 @@ def interpolate(
     goal_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
     config: MotionConfig | None = None,
     *,
-    look_at: np.ndarray | None = None,  # [3] metres, world: what the camera looks at on the way
-) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start, the last one is the goal
-    """One pose per frame, each at most a step and a turn from the one before; all positions lie on the path.
+    look_at: np.ndarray | None = None,  # [3] metres, world: point to look at along the path
+) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start, ending at the goal
+    """Return one pose per frame, each within the step and turn limits; all positions lie on the path.
 
-    The number of frames is the smallest one possible: that of the steps, or of the turns where those take longer (then
-    half of the waiting is done at the start, half at the end, as in ActiveGAMER). Within that number the camera looks
-    along the motion as much as it can on paths longer than ``look_ahead_above``; on short ones it turns evenly.
-
-    With a point to look at, the camera turns to it before the first step, keeps it in its axis, waiting where the point
-    passes by faster than it can turn, and turns to the goal's own direction at the goal: more frames than the least.
+    The number of frames is minimal: the larger of steps and turns. If turns take longer, half of the waiting is done at
+    the start and half at the end, as in ActiveGAMER. On paths longer than ``look_ahead_above`` the camera looks along
+    the motion as far as that number allows; on shorter ones it turns evenly. With ``look_at``, the camera turns to the
+    point before the first step and keeps it on the optical axis. It waits if the point moves faster than the camera can
+    turn, and turns to the goal's direction at the goal. This takes more frames.
     """
     config = config or MotionConfig()
     path = np.asarray(path, dtype=np.float64)
@@ -110,18 +111,16 @@ def interpolate(
 
 def first_blocked(
     volume: VoxelVolume,
-    poses: np.ndarray,  # [T, 4, 4] world_from_camera: what is still to be executed
+    poses: np.ndarray,  # [T, 4, 4] world_from_camera: poses still to be executed
     min_clearance: float,  # metres
     *,
-    start: np.ndarray,  # [4, 4] where the agent is now
+    start: np.ndarray,  # [4, 4] current pose of the agent
 ) -> int | None:
-    """Index of the first pose that can no longer be moved to, after the volume has learned more; None if all can.
+    """Return the index of the first pose that is blocked in the updated volume; None if all are free.
 
-    Execute ``poses[:index]`` and plan anew from there. Turning on the spot is never blocked, and an agent that finds
-    itself in a tight place may leave it (`first_blocked_edge`).
-
-    What a path may lose between its samples (0.43 voxels) is allowed for: frames sample it elsewhere, and a path that
-    was planned on this very volume is never blocked.
+    Execute ``poses[:index]`` and plan again from there. Turning in place is never blocked, and an agent in a tight
+    place may leave it (`first_blocked_edge`). The bound is lowered by the largest dip between samples (0.43 voxels),
+    since frames sample the path at other points. A path planned on this same volume is thus never blocked.
     """
     positions = np.vstack([start[None, :3, 3], np.asarray(poses)[:, :3, 3]])
     # Edge n of these positions leads to pose n.
@@ -131,7 +130,7 @@ def first_blocked(
 def is_level(
     poses: np.ndarray,  # [..., 4, 4] world_from_camera
 ) -> np.ndarray:  # [...] bool
-    """Which poses have no roll: the image's right is horizontal, and its up does not point down."""
+    """Return which poses have no roll: the image's right axis is horizontal, its up axis not below the horizon."""
     level: np.ndarray = (np.abs(poses[..., 2, 0]) <= _ROLL_TOLERANCE) & (poses[..., 2, 1] <= _ROLL_TOLERANCE)
     return level
 
@@ -139,9 +138,9 @@ def is_level(
 def unrounded_start(
     pose: np.ndarray,  # [4, 4] world_from_camera, nearly a rigid motion
 ) -> np.ndarray:  # [4, 4]
-    """The pose as it is, with a true rotation where its own was written with few digits: level where that one was.
+    """Return the pose with its rounded rotation made orthonormal; a level pose stays level.
 
-    The nearest rotation of a level pose that was rounded may roll by more than motion allows.
+    The nearest rotation of a rounded level pose may have more roll than motion allows.
     """
     nearest = unrounded(pose)
     if is_level(nearest) or not is_level(pose):
@@ -152,10 +151,10 @@ def unrounded_start(
 
 def yaw_pitch(
     pose: np.ndarray,  # [4, 4] world_from_camera, without roll
-) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (above 0 = up)
-    """Direction of the optical axis; also for a camera that looks straight up or down, whose yaw is in its right axis.
+) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (positive = up)
+    """Return yaw and pitch of the optical axis; for a vertical axis the yaw follows from the right axis.
 
-    Raises ValueError for a pose with roll: poses are made by `geometry.look_along`, and motion keeps them level.
+    Raises ValueError for a pose with roll. `geometry.look_along` makes level poses, and motion keeps them level.
     """
     right, forward = pose[:3, 0], pose[:3, 2]
     if not is_level(pose):
@@ -169,7 +168,10 @@ def poses_at(
     yaw: np.ndarray,  # [T] radians
     pitch: np.ndarray,  # [T] radians
 ) -> np.ndarray:  # [T, 4, 4] world_from_camera
-    """The inverse of `yaw_pitch`, exact for every pitch in [-90, 90] degrees (where `look_along` loses the yaw)."""
+    """Return the poses [T, 4, 4] of given positions, yaw and pitch: the inverse of `yaw_pitch`.
+
+    Unlike `look_along` it is exact for vertical pitch too.
+    """
     zero, one = np.zeros_like(yaw), np.ones_like(yaw)
     ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=-1)
     up = np.stack([zero, zero, one], axis=-1)
@@ -182,8 +184,10 @@ def poses_at(
 
 
 def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [M, 3] at most a step apart, without the first, through every corner (a corner cut is not a path that
-    was checked); and the direction [M, 3] of the edge that leads to each."""
+    """Return positions [M, 3] at most a step apart, without the first, and the direction [M, 3] of each one's edge.
+
+    All vertices are included, since a cut corner was not checked for collisions.
+    """
     positions, headings = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for first, second in zip(path[:-1], path[1:]):
         length = np.linalg.norm(second - first)
@@ -197,23 +201,23 @@ def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fixating(
-    places: np.ndarray,  # [M, 3] the start and then a step each
+    places: np.ndarray,  # [M, 3] the start, then one position per step
     start: np.ndarray,
     goal: np.ndarray,
     point: np.ndarray,  # [3]
     most: float,  # radians per frame
 ) -> tuple[np.ndarray, np.ndarray]:  # [T, 3], [T, 2]
-    """Places and angles of a walk that waits where the point passes by faster than the camera turns."""
+    """Return positions and angles that keep the point in view, waiting if it moves faster than the camera turns."""
     towards = np.asarray(point, dtype=np.float64) - places
     level = np.hypot(towards[:, 0], towards[:, 1])
     wanted = np.stack([np.arctan2(towards[:, 1], towards[:, 0]), np.arctan2(towards[:, 2], level)], axis=-1)
-    for n in np.nonzero(np.linalg.norm(towards, axis=1) < _MIN_DISTANCE_M)[0].tolist():  # there is no direction to it
+    for n in np.nonzero(np.linalg.norm(towards, axis=1) < _MIN_DISTANCE_M)[0].tolist():  # too close to have a direction
         wanted[n] = wanted[n - 1] if n else start
-    wanted[level < _MIN_DISTANCE_M, 0] = start[0]  # right above or below it every yaw looks at it
+    wanted[level < _MIN_DISTANCE_M, 0] = start[0]  # directly above or below the point every yaw is valid
     moves, angles, here = list[np.ndarray](), list[np.ndarray](), start
 
     def turn(aim: np.ndarray, before: int, after: int) -> None:
-        """Turn to ``aim`` at the place ``before``; the last of the turns is made with the step to ``after``."""
+        """Turn to ``aim`` at position ``before``; the last turn is made with the step to ``after``."""
         nonlocal here
         waiting = int(np.ceil(_length(_difference(aim.copy(), here)) / most - 1e-9))
         for left in range(max(waiting, after - before), 0, -1):
@@ -231,7 +235,7 @@ def _fixating(
 
 
 def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [M, 2]
-    """Yaw and pitch along each heading; a climb keeps the yaw, and the pitch stays where there is something to see."""
+    """Return yaw and pitch along each heading; vertical motion keeps the yaw, and the pitch is limited."""
     angles = np.empty((len(headings), 2))
     yaw = start_angles[0]
     for n, heading in enumerate(headings):
@@ -243,10 +247,10 @@ def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: floa
 
 
 def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
-    """``to - from_`` in (yaw, pitch), the short way around.
+    """Return ``to - from_`` in (yaw, pitch), with the yaw wrapped to [-pi, pi).
 
-    Its length bounds the rotation: yaw and pitch turn around perpendicular axes, so cos(angle / 2) =
-    cos(dyaw / 2) cos(dpitch / 2) >= cos(length / 2).
+    Its length bounds the rotation angle: yaw and pitch turn around perpendicular axes, so cos(angle / 2) = cos(dyaw /
+    2) cos(dpitch / 2) >= cos(length / 2).
     """
     difference = to - from_
     difference[..., 0] = (difference[..., 0] + np.pi) % (2 * np.pi) - np.pi
@@ -254,7 +258,7 @@ def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
 
 
 def _length(turn: np.ndarray) -> float:
-    """`numpy.linalg.norm` of one short vector, in a third of its time."""
+    """Return the length of a short vector, in a third of `numpy.linalg.norm`'s time."""
     return math.sqrt(turn.dot(turn))
 
 
@@ -268,9 +272,9 @@ def _limit_turns(
     wanted: np.ndarray,  # [T, 2]
     start: np.ndarray,
     goal: np.ndarray,
-    most: float,  # radians per frame; T of them must suffice from start to goal
-) -> np.ndarray:  # [T, 2], the last one is the goal
-    """Follow ``wanted`` as far as the turn per frame and the turns still needed to reach the goal allow."""
+    most: float,  # radians per frame; T frames must suffice from start to goal
+) -> np.ndarray:  # [T, 2], the last row is the goal
+    """Follow ``wanted`` within the turn limit while the goal stays reachable in the remaining frames."""
     angles = np.empty_like(wanted)
     yaw, pitch = start[0], start[1]
     for n in range(len(wanted)):
@@ -281,7 +285,7 @@ def _limit_turns(
         if length > most:
             turn, nod = turn * (most / length), nod * (most / length)
         if not _within(home_turn - turn, home_nod - nod, budget):
-            # Bend towards the goal just enough: the reachable set is convex and holds the straight way home.
+            # Bend towards the goal just enough: the reachable set is convex and contains the direct turn to the goal.
             straight_turn, straight_nod = home_turn, home_nod
             length = np.sqrt(home_turn * home_turn + home_nod * home_nod)
             if length > most:
@@ -303,7 +307,7 @@ def _limit_turns(
 
 @kernel
 def _short_way(turn: float) -> float:
-    """A turn of the yaw, the short way around."""
+    """Wrap a yaw difference to [-pi, pi)."""
     return (turn + np.pi) % (2.0 * np.pi) - np.pi
 
 

@@ -1,9 +1,8 @@
-"""The loops of plane detection over blocks and pixels, compiled.
+"""Compute plane detection's loops over blocks and pixels, compiled.
 
-Second-order moments of a set of points are kept as ten sums, in the order
-``[1, x, y, z, xx, xy, xz, yy, yz, zz]``: they add, so a block, a region and a merged plane are fitted the same way.
-All points are in the camera frame. ``lens`` [4] is fx, fy, cx, cy in pixels. What noise may do to a distance is
-``sigmas * noise(z, scale) + base`` metres.
+Second-order moments of a set of points are ten sums in the order ``[1, x, y, z, xx, xy, xz, yy, yz, zz]``. They are
+additive, so blocks, regions and merged planes are fitted in the same way. All points are in the camera frame. ``lens``
+[4] is fx, fy, cx, cy in pixels. The distance allowed for noise is ``sigmas * noise(z, scale) + base`` metres.
 """
 
 from __future__ import annotations
@@ -16,20 +15,20 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.depth_noise import axial_sigma
 
 MOMENTS = 10
-MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
+MAX_LINK_ANGLE = np.radians(40.0)  # independent of noise: a larger angle between two blocks is a room edge
 
 
 class Blocks(NamedTuple):
-    """The blocks of an image and their planes."""
+    """Hold the blocks of an image and their planes."""
 
     moments: np.ndarray  # [By, Bx, 10]
     planes: np.ndarray  # [By, Bx, 5]
-    accepted: np.ndarray  # [By, Bx] bool, planar ones
-    tilt: np.ndarray  # [By, Bx] radians: what noise does to the normal
+    accepted: np.ndarray  # [By, Bx] bool, planar blocks
+    tilt: np.ndarray  # [By, Bx] radians: normal deviation due to noise
 
 
 class Choice(NamedTuple):
-    """Between which planes the pixels of a block choose: its own and those of the blocks around it."""
+    """Hold the planes from which pixels choose: those of their own and the surrounding blocks."""
 
     size: int  # pixels, edge of a block
     labels: np.ndarray  # [By, Bx] int32 row of ``planes``, -1 = none
@@ -38,6 +37,7 @@ class Choice(NamedTuple):
 
 @kernel
 def add_point(moments, x, y, z):
+    """Add a point to the ten moments of its cell: count, sum and sums of products of the coordinates."""
     moments[0] += 1.0
     moments[1] += x
     moments[2] += y
@@ -52,11 +52,11 @@ def add_point(moments, x, y, z):
 
 @kernel
 def refit(moments, plane):
-    """Move ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of the moments, from where it is.
+    """Move ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of the moments, starting from its current value.
 
-    The normal is the direction of least scatter: inverse iteration, with the adjugate in place of the inverse so that
-    exactly flat points need no care. Two steps suffice, for the old normal is near and the scatter much smaller
-    across the plane than along it. (LAPACK from compiled code would cost seconds of compile time.)
+    The normal is the direction of least scatter, found by inverse iteration with the adjugate, which is defined for
+    exactly flat points too. Two iterations suffice: the old normal is close, and the scatter across the plane is much
+    smaller than along it. LAPACK calls would take seconds to compile.
     """
     count = moments[0]
     mx, my, mz = moments[1] / count, moments[2] / count, moments[3] / count
@@ -81,10 +81,10 @@ def refit(moments, plane):
 
 @kernel
 def fit_planes(moments):
-    """Least-squares planes [S, 5] (unit normal, d > 0, rms) and centroids [S, 3] of moments [S, 10].
+    """Return least-squares planes [S, 5] (unit normal, d > 0, rms) and centroids [S, 3] of moments [S, 10].
 
-    Normals point towards the camera. Eigenvectors by Jacobi's rotations: a fiftieth of what a call of LAPACK costs for
-    a matrix of this size.
+    Normals point towards the camera. Eigenvectors are found by Jacobi rotations, in a fiftieth of a LAPACK call's time
+    for 3 x 3 matrices.
     """
     count = len(moments)
     planes, means = np.empty((count, 5)), np.empty((count, 3))
@@ -135,7 +135,7 @@ def fit_planes(moments):
 
 @kernel
 def block_moments(depth, lens, size, max_depth):
-    """Moments [By, Bx, 10] of the valid pixels of every full block."""
+    """Return moments [By, Bx, 10] of the valid pixels of every full block."""
     fx, fy, cx, cy = lens
     rows, columns = depth.shape[0] // size, depth.shape[1] // size
     moments = np.zeros((rows, columns, MOMENTS))
@@ -156,21 +156,18 @@ _axial_sigma = kernel(axial_sigma)
 
 @kernel
 def noise(z, scale):
-    """Standard deviation of the depth in metres, times ``scale``."""
+    """Return the standard deviation of the depth in metres, times ``scale``."""
     return scale * _axial_sigma(z)
 
 
 @kernel
 def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels, regions):
-    """Join neighbouring planar blocks into regions, flattest block first.
+    """Join neighbouring planar blocks into regions, flattest block first; return the number of regions.
 
-    A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
-    region, which is refitted as the region grows: chaining along a curved surface stops where the plane stops.
-
-    Normals may differ by ``link_angle`` radians plus what noise does to them.
-
-    Writes ``labels`` [By, Bx] int32 (-1 = none, given so) and the moments of the regions into ``regions``
-    [By * Bx, 10] (given as 0), and returns how many there are.
+    A block joins if it is coplanar with the neighbour it is reached from and with the plane of the whole region. The
+    region is refitted as it grows, so chaining along a curved surface stops where the plane ends. Normals may differ by
+    ``link_angle`` radians plus the deviation due to noise. Writes ``labels`` [By, Bx] int32 (initially -1 = none) and
+    the regions' moments into ``regions`` [By * Bx, 10] (initially 0).
     """
     moments, planes, accepted, tilt = blocks
     rows, columns = accepted.shape
@@ -190,7 +187,7 @@ def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels
         for k in range(4):
             plane[k] = planes[r0, c0, k]
         refit_at = 2.0 * region[0]
-        # First in, first out: the region stays compact, so that its plane is well supported before it travels.
+        # Breadth first: the region stays compact, so its plane is well supported as it grows.
         head, tail = 0, 1
         stack[0] = seed
         while head < tail:
@@ -235,9 +232,9 @@ def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels
 
 @kernel
 def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth, min_cosine):
-    """Give every pixel to the closest plane among those of its own and the eight surrounding blocks.
+    """Assign every pixel to the closest plane among those of its own and the eight surrounding blocks.
 
-    Pixels that see the plane at less than ``min_cosine`` between ray and normal stay without.
+    Pixels with less than ``min_cosine`` between ray and normal remain unassigned.
     """
     fx, fy, cx, cy = lens
     size, block_labels, planes = choice
@@ -271,7 +268,7 @@ def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth
 
 @kernel
 def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base):
-    """For every label the share of its pixels that some larger label's plane explains as well."""
+    """Return for every label the fraction of its pixels that a larger label's plane explains too."""
     fx, fy, cx, cy = lens
     count = len(planes)
     sizes = np.zeros(count, np.int64)
@@ -302,7 +299,7 @@ def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base
 
 @kernel
 def segment_moments(depth, lens, labels, count):
-    """Moments [S, 10] of the pixels of every label."""
+    """Return moments [S, 10] of the pixels of every label."""
     fx, fy, cx, cy = lens
     moments = np.zeros((count, MOMENTS))
     for v in range(depth.shape[0]):
@@ -317,7 +314,7 @@ def segment_moments(depth, lens, labels, count):
 
 @kernel
 def segment_areas(depth, lens, labels, planes, min_cosine):
-    """Square metres of every label: the sum of its pixels' footprints z^2 / (fx fy cos)."""
+    """Return the area of every label in m^2: the sum of its pixels' footprints z^2 / (fx fy cos)."""
     fx, fy, cx, cy = lens
     areas = np.zeros(len(planes))
     for v in range(depth.shape[0]):
@@ -327,7 +324,7 @@ def segment_areas(depth, lens, labels, planes, min_cosine):
             if label >= 0:
                 z = np.float64(depth[v, u])
                 p = planes[label]
-                # With the ray's z at 1 this is the cosine that turns an image area into an area on the plane.
+                # For a ray with z = 1, this cosine converts image area to area on the plane.
                 cosine = abs(p[0] * (u + 0.5 - cx) / fx + p[1] * y1 + p[2])
                 areas[label] += z * z / (fx * fy * max(cosine, min_cosine))
     return areas
@@ -335,7 +332,7 @@ def segment_areas(depth, lens, labels, planes, min_cosine):
 
 @kernel
 def _square_distance(second, count, mean, plane):
-    """Mean square distance of a set of points to a plane, from the points' moments."""
+    """Return the mean square distance of a set of points to a plane, from the points' moments."""
     x, y, w, d = plane[0], plane[1], plane[2], plane[3]
     n = max(count, 1.0)
     form = x * x * second[4] + 2 * x * y * second[5] + 2 * x * w * second[6]
@@ -345,7 +342,7 @@ def _square_distance(second, count, mean, plane):
 
 @kernel
 def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
-    """Distance of the smaller one's centroid from the larger one's plane, metres; inf unless they are coplanar."""
+    """Return the distance in metres of the smaller one's centroid to the larger one's plane; inf if not coplanar."""
     sigma, tolerance, merge_back, cosine, wide_sigma, wide_tolerance, wide_cosine, reach = limits
     p, q, m, n = planes[i], planes[j], mean[i], mean[j]
     turn = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
@@ -359,7 +356,7 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
     gap = max(out, back / merge_back) if larger else max(back, out / merge_back)
     if turn > cosine and gap < tolerance + sigma * noise(max(m[2], n[2]), scale):
         return gap
-    # Root mean square distance of all points of the smaller one to the larger one's plane.
+    # Mean square distance of the smaller one's points to the larger one's plane.
     if larger:
         square, z = _square_distance(moments[j], moments[j, 0], n, p), n[2]
     else:
@@ -371,9 +368,9 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
 
 @kernel
 def merge_coplanar(moments, scale, limits):
-    """Add up the moments [S, 10] of segments of one plane, closest pair first, refitting after every join.
+    """Add up the moments [S, 10] of coplanar segments, closest pair first, refitting after every merge.
 
-    Returns which rows are left [S] bool, and the row that each one went to [S].
+    Returns the mask [S] of remaining rows, and for each row [S] the row that contains it.
     """
     count = len(moments)
     label, alive = np.arange(count), moments[:, 0] >= 3
@@ -406,9 +403,9 @@ def merge_coplanar(moments, scale, limits):
 
 @kernel
 def spread_points(depth, lens, labels, steps, ends):
-    """Every so many pixels (``steps`` [S]) of each label, in row order: their points, those of label k up to ends[k].
+    """Return every ``steps[k]``-th pixel of label k in row order as camera-frame points [ends[-1], 3] float64.
 
-    Camera frame [ends[-1], 3] float64.
+    The points of label k end at ``ends[k]``.
     """
     fx, fy, cx, cy = lens
     points = np.empty((ends[-1], 3))

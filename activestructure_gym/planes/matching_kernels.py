@@ -1,4 +1,4 @@
-"""Compiled loops of matching: which planes of the graph a segment may continue, and how far its points lie from one."""
+"""Compute matching's loops: the planes that a segment may continue, and its points' distances to one."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from activestructure_gym.planes.surface_kernels import cell_of
 
 @kernel
 def qualifying(planes, normal, offset, centroid, limits):
-    """Which planes [N, 7] a segment may continue: the larger of the two distances, the index, 1 = too far apart [M, 3].
+    """Return the planes that a segment may continue, as rows [M, 3]: distance, index, 1 if too far apart.
 
-    Planes are normal, offset and centroid, ``limits`` those of the coplanar and the near mode of
-    `matching.MatchingConfig`. Normals face the viewer, so the sign counts: the other face of a thin wall is another
-    plane. What is too far apart must touch.
+    The distance is the larger of both centroid-to-plane distances. ``planes`` [N, 7] are normal, offset and centroid,
+    ``limits`` those of both modes of `matching.MatchingConfig`. Normals face the viewer, so the sign counts: the other
+    face of a thin wall is another plane. Planes too far apart must touch the segment.
     """
     flat_cosine, flat_distance, lever, flat_reach, near_cosine, near_distance, near_reach = limits
     found, total = np.empty((len(planes), 3)), 0
@@ -37,17 +37,17 @@ def qualifying(planes, normal, offset, centroid, limits):
 
 @kernel
 def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
-    """Distances [M] of the points [P, 3] to a plane along their rays from ``eye``, times the rays' slant, metres.
+    """Return distances [M] in metres of points [P, 3] to a plane along their rays from ``eye``, times the rays' slant.
 
-    Only of rays that meet the plane in front of the eye, in a seen cell of its grid. Seen at a slant a plane's own
-    noise moves the meeting point along the ray, hence the slant; 0.2 = 78 degrees from the normal.
+    Only rays that meet the plane in front of the eye, in a seen cell of its grid, are included. At grazing incidence
+    the plane's noise moves the intersection along the ray, hence the slant factor; 0.2 = 78 degrees from the normal.
     """
     gaps, total = np.empty(len(points)), 0
     height = eye[0] * normal[0] + eye[1] * normal[1] + eye[2] * normal[2] + offset
     for n in range(len(points)):
         x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
         facing = x * normal[0] + y * normal[1] + z * normal[2]
-        along = -height / facing  # 1 where the plane meets the ray at the point's own depth
+        along = -height / facing  # 1 if the plane meets the ray at the point's depth
         if not 0.0 < along < np.inf:
             continue
         r, c = cell_of(eye[0] + along * x, eye[1] + along * y, eye[2] + along * z, grid, cell)

@@ -1,4 +1,4 @@
-"""Compiled loops of the quality: the holes in a plane's grid, and the open sides of its edge."""
+"""Compute quality's loops: the holes in a plane's grid, and the open sides of its edge."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from activestructure_gym.planes.surface_kernels import UNKNOWN
 
 @kernel
 def _may_touch(index, other, stack, cell, reach):
-    """Whether a grid's rectangle and a cell around it come within ``reach`` of the plane of another, over its cells.
+    """Return whether a grid's rectangle, grown by a cell, can be within ``reach`` of another plane's grid.
 
-    False only where one of the other grid's three axes separates the two.
+    False only if one of the other grid's three axes separates the two.
     """
     grids, lows, shapes = stack.frames, stack.lows, stack.shapes
     for axis in range(3):
@@ -39,9 +39,9 @@ def _may_touch(index, other, stack, cell, reach):
 
 @kernel
 def edge_sides(seen, beside):
-    """Sides of one grid's boundary cells: seen cells with an unseen neighbour in one of four directions.
+    """Find the sides of one grid's boundary cells: seen cells with an unseen neighbour in one of four directions.
 
-    Returns how many there are, and row, column and direction of those whose neighbour no image explains [M, 3].
+    Returns their number, and row, column and direction of those with an unexplained neighbour [M, 3].
     """
     rows, columns = seen.shape
     total, sides = 0, 0
@@ -60,7 +60,7 @@ def edge_sides(seen, beside):
                     continue
                 if total == len(found):
                     more = np.empty((2 * total, 3), np.int64)
-                    for i in range(total):  # assigning slices takes five seconds to compile
+                    for i in range(total):  # slice assignment takes five seconds to compile
                         for m in range(3):
                             more[i, m] = found[i, m]
                     found = more
@@ -71,13 +71,12 @@ def edge_sides(seen, beside):
 
 @kernel
 def open_sides(edges, ends, near, stack, cell, reach, step):
-    """Those sides of all nodes' boundary cells that no other plane closes.
+    """Return the sides of all nodes' boundary cells that no other plane closes.
 
-    ``edges`` [M, 3] are row, column and direction of the sides, those of node k end at ``ends[k]``. A side is closed
-    when another plane passes within ``reach`` metres of the centre of the cell beyond it (``near`` = seen, dilated by
-    the reach; the flat array holds all grids of ``stack``, a `surface.GridStack`).
-
-    Returns for every open side the world point ``step`` metres outwards of the cell's centre [K, 3] and its node [K].
+    ``edges`` [M, 3] are row, column and direction of the sides; those of node k end at ``ends[k]``. A side is closed if
+    another plane passes within ``reach`` metres of the centre of the cell beyond it. ``near`` holds the seen cells
+    dilated by the reach, flat over all grids of ``stack`` (a `surface.GridStack`). Returns for every open side the
+    world point ``step`` metres outwards from the cell's centre [K, 3], and its node [K].
     """
     grids, lows, shapes, starts = stack
     total = 0
@@ -127,13 +126,12 @@ def open_sides(edges, ends, near, stack, cell, reach, step):
 
 @kernel
 def tile_holes(labels, depth, count, min_radius, tile, min_cells):
-    """Cut holes into tiles, and of each take the cell nearest to the mean of the tile's cells.
+    """Cut holes into tiles, and select the cell nearest to the mean of each tile's cells.
 
-    ``labels`` [R, C] names the hole of every cell below ``count``, 0 = none; ``depth`` [R, C] is the distance to the
-    hole's edge in cells. Holes narrower than ``min_radius`` and tiles of fewer than ``min_cells`` cells are left out.
-    Tiles start at the hole's own corner: the same hole gives the same cells wherever the grid begins.
-
-    Returns the cells [D, 2] and the size of each one's tile [D], by hole, then by tile.
+    ``labels`` [R, C] is the hole of every cell below ``count``, 0 = none; ``depth`` [R, C] is the distance to the
+    hole's edge in cells. Holes narrower than ``min_radius`` and tiles of fewer than ``min_cells`` cells are skipped.
+    Tiles start at the hole's corner, so the result is independent of the grid's origin. Returns the cells [D, 2] and
+    each tile's size [D], sorted by hole, then tile.
     """
     rows, columns = labels.shape
     widest = np.zeros(count)
@@ -166,10 +164,10 @@ def tile_holes(labels, depth, count, min_radius, tile, min_cells):
                     sums[t, 1] += r
                     sums[t, 2] += c
                 else:
-                    # Six digits: of cells as near as each other the first one, whatever the rounding.
+                    # Rounded to six digits: of equally near cells the first is selected, whatever the rounding errors.
                     away = np.rint(((r - sums[t, 1] / sums[t, 0]) ** 2 + (c - sums[t, 2] / sums[t, 0]) ** 2) * 1e6)
                     if away < best[t]:
                         best[t] = away
                         chosen[t, 0], chosen[t, 1] = r, c
-    large = sums[:, 0] >= max(min_cells, 1)  # a tile of the box without a cell of the hole has none to name
+    large = sums[:, 0] >= max(min_cells, 1)  # a tile of the box may contain no cell of the hole
     return chosen[large], sums[large, 0].astype(np.int64)

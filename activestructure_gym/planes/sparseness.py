@@ -1,7 +1,7 @@
-"""Sparse patches: cells of a plane that were seen, where the map is coarser than the plane's own grid.
+"""Find sparse patches: seen cells of a plane where the map is coarser than the plane's grid.
 
-Eq. 6 asks which cells of a plane are occupied by reconstructed points. A wall seen from far away has depth in every
-cell and Gaussians in few of them; the pixels it fills look covered from wherever it was seen.
+Eq. 6 tests which cells of a plane contain reconstructed points. A wall seen from far away has depth in every cell but
+few Gaussians, and its pixels look covered from the poses from which it was seen.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import GridStack, stack_grids
 
-_VOXEL = 0.7  # of a cell: a point in the same or a neighbouring voxel lies within about one cell
-_CENTRES = 62  # voxels of a word of 64 bits; the other two are neighbours
-_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells, as shares of its edges
+_VOXEL = 0.7  # of a cell: points in the same or neighbouring voxels are within about one cell
+_CENTRES = 62  # voxels per word of 64 bits; the other two bits are neighbours
+_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells, as fractions of its edges
 
 
 @dataclass(frozen=True)
 class MapPoints:
-    """Centres and sizes of the map's Gaussians, as the Plane Scene Graph reads them."""
+    """Hold centres and sizes of the map's Gaussians for the Plane Scene Graph."""
 
     means: np.ndarray  # [M, 3] metres, world
-    sizes: np.ndarray  # [M] metres, middle one of the three standard deviations: the short one in the plane of a disk
+    sizes: np.ndarray  # [M] metres, middle of the three standard deviations: the smaller one within a disc's plane
 
     @classmethod
     def from_log_scales(cls, means: np.ndarray, log_scales: np.ndarray) -> MapPoints:
-        """`MapPoints` from the map's own arrays, each [3, M] (metres; logarithms of metres)."""
+        """Return `MapPoints` from the map's arrays, each [3, M] (metres; logarithms of metres)."""
         a, b, c = log_scales
-        # A copy: the patches may be sought when the map has gone on.
+        # A copy: the patches may be computed after the map has changed.
         return cls(means.copy().T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
 
 
 @dataclass(frozen=True)
 class SparsePatches:
-    """Square patches of planes that the map covers too coarsely."""
+    """Hold square patches of planes that the map covers too coarsely."""
 
     centres: np.ndarray  # [D, 3] metres, world
-    areas: np.ndarray  # [D] m^2 of the cells concerned
-    sizes: np.ndarray  # [D] metres, mean over the cells concerned of the finest Gaussian's size
+    areas: np.ndarray  # [D] m^2 of the coarse cells
+    sizes: np.ndarray  # [D] metres, mean over the coarse cells of the finest Gaussian's size
     planes: np.ndarray  # [D] int64 index of the plane
 
 
@@ -50,13 +50,13 @@ def sparse_patches(
     nodes: Sequence[PlaneNode],
     points: MapPoints,
     *,
-    tile: int,  # cells along the edge of a patch
-    least_cells: int,  # concerned, for a patch to count
-    largest: float,  # metres: a cell is fine where a Gaussian up to this size lies within about a cell
+    tile: int,  # cells along a patch's edge
+    least_cells: int,  # minimum coarse cells of a patch
+    largest: float,  # metres: a cell is fine if a Gaussian up to this size is within about a cell
 ) -> SparsePatches:
-    """Patches in which seen cells have no Gaussian near that is fine enough; in a map without any, all that was seen.
+    """Return patches whose seen cells have no fine Gaussian nearby; for an empty map, all seen patches.
 
-    A cell without a Gaussian near counts with twice the size ``largest``.
+    A cell without any Gaussian nearby counts with the size ``2 * largest``.
     """
     surfaces = [node.surface for node in nodes]
     if not surfaces:
@@ -74,7 +74,7 @@ def sparse_patches(
 
 
 class _Cells(NamedTuple):
-    """The cells of all planes; see `GridStack`."""
+    """Hold the cells of all planes; see `GridStack`."""
 
     seen: np.ndarray  # flat bool
     starts: np.ndarray
@@ -85,15 +85,15 @@ class _Cells(NamedTuple):
 
 
 class _Voxels(NamedTuple):
-    """Bits of voxels around the planes that hold Gaussians; [X + 4, Y + 4, W] uint64 unless said otherwise."""
+    """Hold bit masks of voxels with Gaussians around the planes; [X + 4, Y + 4, W] uint64 unless noted."""
 
-    low: np.ndarray  # [3] metres: the corner of voxel (0, 0, 0)
-    box: np.ndarray  # [2, 3] the first voxel and their number
-    held: np.ndarray  # the voxels that hold a Gaussian
-    close: np.ndarray  # those that do or have a neighbour that does
-    near: np.ndarray  # those with a fine one in them or in a neighbour
-    ranks: np.ndarray  # flat: the rank of every word's first bit among all that are set in ``held``
-    finest: np.ndarray  # by rank the size of the finest Gaussian in metres
+    low: np.ndarray  # [3] metres: corner of voxel (0, 0, 0)
+    box: np.ndarray  # [2, 3] first voxel and number of voxels
+    held: np.ndarray  # voxels that contain a Gaussian
+    close: np.ndarray  # voxels that contain one or have a neighbour that does
+    near: np.ndarray  # the same for fine Gaussians
+    ranks: np.ndarray  # flat: rank of every word's first bit among all bits set in ``held``
+    finest: np.ndarray  # by rank, the size of the finest Gaussian in metres
 
 
 def _voxels_around(
@@ -102,10 +102,10 @@ def _voxels_around(
     cell: float,
     largest: float,  # metres
 ) -> _Voxels:
-    """Voxels around the planes that hold Gaussians, as bits, so that all of them fit into a cache.
+    """Return the voxels around the planes that contain Gaussians, as bits, small enough for the cache.
 
-    Voxels are counted from the lowest Gaussian but stored only around the planes: one Gaussian that strayed far off
-    must not ask for a grid that reaches as far. A Gaussian is fine up to the size ``largest``.
+    Voxel indices start at the lowest Gaussian, but only those around the planes are stored, so distant outliers need no
+    memory. A Gaussian is fine up to the size ``largest``.
     """
     voxel = _VOXEL * cell
     means = np.ascontiguousarray(np.asarray(points.means).T, dtype=np.float32)  # [3, M]
@@ -121,7 +121,7 @@ def _voxels_around(
         last = np.clip(np.floor((corners.max(axis=(0, 1)) - low) / voxel).astype(np.int64) + 1, first, last)
         box = np.stack([first, last - first + 1])
     shape = (box[1, 0] + 4, box[1, 1] + 4, -(-box[1, 2] // _CENTRES))
-    held, fine, close, near, scratch = np.empty((5, *shape), np.uint64)  # one piece: the system keeps it at hand
+    held, fine, close, near, scratch = np.empty((5, *shape), np.uint64)  # one allocation, which the allocator reuses
     held[:], fine[:], scratch[:] = 0, 0, 0
     place = np.empty(means.shape[1], np.int64)
     sizes = np.ascontiguousarray(points.sizes, dtype=np.float32)
@@ -134,12 +134,12 @@ def _voxels_around(
 
 @kernel
 def _mark(means, sizes, lattice, largest, held, fine, place):
-    """Set the bits of the voxels that hold Gaussians; ``means`` is [3, M].
+    """Set the bits of the voxels that contain Gaussians; ``means`` is [3, M].
 
-    A word has the bits of 62 voxels in z between those of the voxel before and the voxel behind: the neighbours of a
-    voxel in z stand in the same word. In x and y there are two voxels more on either side, always empty. ``place`` [M]
-    is a Gaussian's word times 64 plus its bit, -1 for one that lies elsewhere. ``lattice`` is the corner of voxel
-    (0, 0, 0), the first voxel and their number, and a voxel's size.
+    A word has the bits of 62 voxels along z, with those of the previous and the next voxel at its ends. A voxel's z
+    neighbours are thus in the same word. In x and y there are two empty voxels on each side. ``place`` [M] is a
+    Gaussian's word times 64 plus its bit, -1 outside. ``lattice`` holds the corner of voxel (0, 0, 0), the first voxel
+    and number of voxels, and the voxel size.
     """
     low, box, voxel = lattice
     words = held.shape[2]
@@ -154,7 +154,7 @@ def _mark(means, sizes, lattice, largest, held, fine, place):
         part = min(max(k, 0) // _CENTRES, words - 1)
         word, bit = ((i + 2) * held.shape[1] + j + 2) * words + part, k - part * _CENTRES + 1
         place[n] = 64 * word + bit
-        # At the end of its word a voxel is a neighbour of the first in the next one, too.
+        # A voxel at the end of its word is also a neighbour in the adjacent word.
         for side in range(-1, 2):
             other = bit - side * _CENTRES
             if side == 0 or (0 <= other < 64 and 0 <= part + side < words):
@@ -166,10 +166,10 @@ def _mark(means, sizes, lattice, largest, held, fine, place):
 
 @kernel
 def _spread(bits, scratch, wide):
-    """Set the bits of all neighbours, too, in ``wide``; those of the outermost words mean nothing."""
+    """Set the bits of all neighbours too, into ``wide``; those of the outermost words are undefined."""
     words, row = bits.shape[2], bits.shape[1] * bits.shape[2]
     flat, across, result = bits.reshape(bits.size), scratch.reshape(bits.size), wide.reshape(bits.size)[row:]
-    # Slices that begin apart: an index that may be negative would keep the loops from being vectorised.
+    # Offset slices: possibly negative indices would prevent vectorisation.
     before, behind, middle = flat[words:], flat[2 * words :], across[words:]
     for q in range(len(behind)):
         middle[q] = flat[q] | before[q] | behind[q]
@@ -182,7 +182,7 @@ def _spread(bits, scratch, wide):
 
 @kernel
 def _rank(held, place, sizes):
-    """The number of bits set before each word (flat), and the finest size by rank."""
+    """Return the number of bits set before each word (flat), and the finest size by rank."""
     words = held.shape[2]
     flat = held.reshape(held.size)
     ranks = np.empty(len(flat), np.int32)
@@ -207,7 +207,7 @@ def _rank(held, place, sizes):
 
 @kernel
 def _bits(word):
-    """Number of set bits of a word."""
+    """Return the number of set bits of a word."""
     word -= word >> np.uint64(1) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -216,9 +216,9 @@ def _bits(word):
 
 @kernel
 def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
-    """Centre (world), number of coarse cells and mean size in them of every tile that counts; returns how many.
+    """Write centre (world), number of coarse cells and mean size of every coarse tile; return their number.
 
-    Written to ``found`` [T, 5], the index of the grid to ``planes`` [T].
+    They go to ``found`` [T, 5], the index of the grid to ``planes`` [T].
     """
     seen, starts, shapes, lows, frames, cell = cells_of_all
     low, box, held, close, near, ranks, finest = voxels
@@ -227,7 +227,7 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
     held_words, close_words, near_words = held.reshape(held.size), close.reshape(held.size), near.reshape(held.size)
     one, three_bits = np.uint64(1), np.uint64(7)
     count = 0
-    # Words and bits of a tile's cells with too wide Gaussians; sizes are asked for only where the tile counts.
+    # Words and bits of a tile's cells with only coarse Gaussians; their sizes are read only for counted tiles.
     places = np.empty(tile * tile, np.int64)
     for n in range(len(frames)):
         frame = frames[n]
@@ -258,7 +258,7 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
                         column_sum += column
                 if coarse < max(least, 1):
                     continue
-                size_sum = 2.0 * largest * (coarse - wide)  # of cells that have no Gaussian at all
+                size_sum = 2.0 * largest * (coarse - wide)  # cells without any Gaussian
                 for m in range(wide):
                     word, before = places[m] >> 6, np.uint64((places[m] & 63) - 1)
                     below = (one << before) - one

@@ -1,7 +1,7 @@
-"""Compiled loops between an image and the tangent grids of planes.
+"""Compute the loops between an image and the planes' tangent grids, compiled.
 
-A tangent grid is passed as twelve numbers in the world: its origin, its two axes and its normal. Cell (r, c) of a
-grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the origin.
+A tangent grid is passed as twelve numbers in the world frame: origin, two axes, normal. Cell (r, c) covers ``[r, r + 1)
+x [c, c + 1)`` cells along the axes from the origin.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ UNKNOWN, OPEN, COVERED = 0, 1, 2
 
 
 class LabelledImage(NamedTuple):
-    """A depth image, its segments, and where it was taken."""
+    """Hold a depth image, its segments and its pose."""
 
     depth: np.ndarray  # [H, W] float32 metres
     labels: np.ndarray  # [H, W] int32 segment, -1 = none
-    table: np.ndarray  # [S] int64, the grid that each segment belongs to, -1 = none
+    table: np.ndarray  # [S] int64, grid of each segment, -1 = none
     lens: np.ndarray  # [4] fx, fy, cx, cy, pixels
     rotation: np.ndarray  # [3, 3] world from camera
     translation: np.ndarray  # [3] metres, world
 
 
 class Rectangles(NamedTuple):
-    """Of every tangent grid the cells that an image may show, one grid after the other in flat arrays."""
+    """Hold for every tangent grid the cells that an image may observe, concatenated in flat arrays."""
 
     grids: np.ndarray  # [T, 12]
     cell: float  # metres
     extents: np.ndarray  # [T, 4] int64: first row, first column, last row, last column
-    starts: np.ndarray  # [T + 1] int64: node t owns [starts[t], starts[t + 1]), row-major
+    starts: np.ndarray  # [T + 1] int64: node t has [starts[t], starts[t + 1]), row-major
 
 
 class Votes(NamedTuple):
-    """What images showed in the cells of a grid, or in a rectangle of them; see `surface.SurfaceGrid`."""
+    """Hold the observations in the cells of a grid, or of a rectangle of it; see `surface.SurfaceGrid`."""
 
     shown: np.ndarray  # [R, C] int32
     denied: np.ndarray  # [R, C] int32
@@ -47,7 +47,7 @@ class Votes(NamedTuple):
 
 @kernel
 def _lift(u, v, depth, lens, rotation, translation):
-    """World point of the centre of pixel (u, v); ``lens`` is fx, fy, cx, cy."""
+    """Return the world point of the centre of pixel (u, v); ``lens`` is fx, fy, cx, cy."""
     z = np.float64(depth)
     x, y = (u + 0.5 - lens[2]) / lens[0] * z, (v + 0.5 - lens[3]) / lens[1] * z
     return (
@@ -59,7 +59,7 @@ def _lift(u, v, depth, lens, rotation, translation):
 
 @kernel
 def cell_of(px, py, pz, grid, cell):
-    """Row and column of a world point in a tangent grid."""
+    """Return row and column of a world point in a tangent grid."""
     dx, dy, dz = px - grid[0], py - grid[1], pz - grid[2]
     row = int(np.floor((dx * grid[3] + dy * grid[4] + dz * grid[5]) / cell))
     column = int(np.floor((dx * grid[6] + dy * grid[7] + dz * grid[8]) / cell))
@@ -68,10 +68,10 @@ def cell_of(px, py, pz, grid, cell):
 
 @kernel
 def image_sums(image, grids, anchors, cell):
-    """One pass over the pixels: extent of every node in its grid, and its new point moments.
+    """Compute in one pass over the pixels each node's extent in its grid and the moments of its new points.
 
-    ``grids`` [T, 12]; the moments are taken about ``anchors`` [T, 3].
-    Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
+    ``grids`` [T, 12]; the moments are taken about ``anchors`` [T, 3]. Returns extents [T, 4] (first row, first column,
+    last row, last column) and moments [T, 10].
     """
     depth, labels, table, lens, rotation, translation = image
     count = len(grids)
@@ -99,7 +99,7 @@ def image_sums(image, grids, anchors, cell):
 
 @kernel
 def count_hits(image, rectangles, hits):
-    """Pixels per cell, added to the flat ``hits``."""
+    """Add the number of pixels per cell to the flat ``hits``."""
     depth, labels, table, lens, rotation, translation = image
     grids, cell, extents, starts = rectangles
     for v in range(depth.shape[0]):
@@ -120,23 +120,22 @@ def count_hits(image, rectangles, hits):
 
 @kernel
 def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
-    """Project every cell's centre into the image: does the image show this plane there, or what else?
+    """Project every cell's centre into the image and record whether the image shows this plane there.
 
-    Looking cells up in the image (not pixels in the grid) makes a cell seen whatever the density of pixels on it, so
-    that a distant surface has no false holes. ``seen`` is 0 or 1. ``beside`` says why a cell is not seen: OPEN = the
-    view goes through the plane by more than ``reach`` metres, COVERED = something else lies within ``reach`` of it.
-
-    In a corner noise gives pixels of one wall to the other, and at a slant such a pixel points far beyond the corner.
-    So a cell next to another segment's pixels is also COVERED when it lies behind that segment's plane (``planes``
-    [S, 4] world) and the segment stands on this plane's visible side (``facing`` [T, S]; around a convex edge neither
-    plane hides the other).
+    Testing cells in the image, instead of pixels in the grid, makes a cell seen at any pixel density, so distant
+    surfaces have no false holes. ``seen`` is 0 or 1. ``beside`` gives the reason for an unseen cell. OPEN: the ray
+    passes through the plane by more than ``reach`` metres. COVERED: something else is within ``reach`` of it. In a
+    corner, noise assigns pixels of one wall to the other, and at grazing incidence such a pixel is far beyond the
+    corner. A cell next to another segment's pixels is thus also COVERED if it is behind that segment's plane
+    (``planes`` [S, 4] world) and the segment is on this plane's visible side (``facing`` [T, S]). At a convex edge
+    neither plane hides the other.
     """
     depth, labels, table, lens, rotation, translation = image
     grids, cell, extents, starts = rectangles
     height, width = depth.shape
     for t in range(len(grids)):
         g = grids[t]
-        # Height of the camera above the plane; the normal points to the side the plane is seen from.
+        # Height of the camera above the plane; the normal points to the side from which it is seen.
         camera_height = (
             (translation[0] - g[0]) * g[9] + (translation[1] - g[1]) * g[10] + (translation[2] - g[2]) * g[11]
         )
@@ -187,7 +186,7 @@ def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
 
 @kernel
 def near_seen(points, grid, low, seen, cell, disc):
-    """Whether the points' feet [P, 3] on a grid's plane lie on seen cells, or a ``disc`` [D, D] of cells from one."""
+    """Return whether the points [P, 3], projected onto a grid's plane, are within a ``disc`` [D, D] of a seen cell."""
     near, reach = np.zeros(len(points), np.bool_), len(disc) // 2
     for n in range(len(points)):
         r, c = cell_of(points[n, 0], points[n, 1], points[n, 2], grid, cell)
@@ -201,7 +200,7 @@ def near_seen(points, grid, low, seen, cell, disc):
 
 @kernel
 def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
-    """Sample the arrays of another grid at the centres of a rectangle of cells, from ``low`` on; 0 beyond it."""
+    """Sample another grid's arrays at the centres of a rectangle of cells that starts at ``low``; 0 outside."""
     shown, denied, hits, beside = asked
     to_shown, to_denied, to_hits, to_beside = answers
     for r in range(to_shown.shape[0]):
@@ -218,10 +217,10 @@ def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
 
 @kernel
 def join(votes, patch, row, column, seen):
-    """Add the votes of one image to those of a grid, from (row, column) on.
+    """Add the votes of one image to those of a grid, starting at (row, column).
 
-    Votes: where two planes meet, noise gives a pixel to the wrong one now and then, and without a vote every plane
-    would grow over its edge with time.
+    Where two planes meet, noise sometimes assigns a pixel to the wrong one. Voting keeps planes from growing beyond
+    their edges over time.
     """
     shown, denied, hits, beside = votes
     patch_shown, patch_denied, patch_hits, patch_beside = patch

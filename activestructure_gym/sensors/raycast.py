@@ -1,4 +1,4 @@
-"""Ray casting: exact depth, needs no system library, costs nearly the same for small and large meshes."""
+"""Render by ray casting: exact depth, no system libraries, almost the same cost for small and large meshes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.shading import shade_pixels, shading_tables_of
 
-# Rays of one band of rows. Small enough to stay in the cache and to be cast by the thread that asks (the ray caster
-# splits larger batches over a pool of its own), large enough that Python's share of the time is small.
+# Rays of one band of rows. Small enough for the cache and to be cast by the calling thread (the ray caster splits
+# larger batches over its own pool); large enough to make Python's overhead small.
 _RAYS_PER_BAND = 16_000
 
 
 @kernel
 def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directions):
-    """World directions of the rays of some rows, pixel by pixel; camera z = 1, so the ray parameter is the depth.
+    """Write world directions of the rays of some rows, pixel by pixel; camera z = 1, so the ray parameter is the depth.
 
-    Each pixel has supersample x supersample rays through its subpixel centres. An even number has none through the
-    pixel's centre; there it follows as one more ray.
+    Each pixel has supersample x supersample rays through its subpixel centres. If supersample is even, none of them
+    passes through the pixel's centre; one more ray through the centre follows.
     """
     fx, fy, cx, cy = lens
     rays = supersample * supersample + 1 - supersample % 2
     across, down = np.empty((width, rays)), np.empty(rays)
-    beside, below = np.full(rays, 0.5), np.full(rays, 0.5)  # from the pixel's corner
+    beside, below = np.full(rays, 0.5), np.full(rays, 0.5)  # offsets from the pixel's corner
     for sub in range(supersample * supersample):
         beside[sub] = (sub % supersample + 0.5) / supersample
         below[sub] = (sub // supersample + 0.5) / supersample
@@ -48,16 +48,19 @@ def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directi
 
 
 def default_threads() -> int:
-    """Two, or one where OMP_NUM_THREADS says so: with a job on every core a second thread costs 10 to 30 %."""
+    """Return 2, or 1 if OMP_NUM_THREADS is 1.
+
+    With a job on every core a second thread costs 10 to 30 %.
+    """
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
 
 class RaycastRenderer:
-    """The default sensor, on the scene's ray caster.
+    """Render with the scene's ray caster; the default renderer.
 
-    Depth comes from one exact ray through each pixel's centre. The image is cut into bands of rows and drawn by
-    ``threads`` threads (`default_threads`); the result does not depend on their number. Geometry and appearance are the
-    scene's own, shared by all renderers of a process.
+    Depth comes from one exact ray through each pixel's centre. The image is cut into bands of rows, drawn by
+    ``threads`` threads (`default_threads`); the result is the same for any number of threads. Geometry and appearance
+    belong to the scene and are shared by all renderers of a process.
     """
 
     name = "raycast"
@@ -80,7 +83,7 @@ class RaycastRenderer:
             for item in items:
                 function(item)
             return
-        # The threads of a pool do not live on in a forked child: there a new pool is needed.
+        # Threads do not survive a fork: a child process needs a new pool.
         if self._pool is None or self._pool_process != os.getpid():
             self._pool = ThreadPoolExecutor(self._threads)
             self._pool_process = os.getpid()
@@ -90,7 +93,7 @@ class RaycastRenderer:
     def render(
         self, camera: PinholeCamera, world_from_camera: np.ndarray, *, supersample: int = 2
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `Renderer.render`."""
+        """Render one view; see `Renderer.render`."""
         if supersample < 1:
             raise ValueError(f"supersample must be at least 1, got {supersample}")
         appearance, raycaster = shading_tables_of(self._scene).appearance, self._scene.raycaster
@@ -116,7 +119,7 @@ class RaycastRenderer:
         return rgb, depth
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the worker threads."""
         if self._pool is not None and self._pool_process == os.getpid():
             self._pool.shutdown()
         self._pool = None

@@ -1,4 +1,4 @@
-"""The colour of a surface point: texture times vertex colour, averaged over the rays of a pixel."""
+"""Compute pixel colours: texture times vertex colour, averaged over the rays of a pixel."""
 
 from __future__ import annotations
 
@@ -13,28 +13,31 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, Scene
 
 
 class Appearance(NamedTuple):
-    """A mesh's appearance in the form the kernel reads."""
+    """Hold a mesh's appearance in the form the kernel reads."""
 
     faces: np.ndarray  # [F, 3] int32
     colors: np.ndarray  # [V, 3] float32
     uv: np.ndarray  # [V, 2] float32, v down
     face_texture: np.ndarray  # [F] int32, -1 = none
-    texels: np.ndarray  # [T, 3] uint8: the texels of all textures, one after the other, row by row
+    texels: np.ndarray  # [T, 3] uint8: texels of all textures, concatenated, row by row
     texture_start: np.ndarray  # [K] int64: first texel of each texture
     texture_size: np.ndarray  # [K, 2] int64: height, width
-    texture_wrap: np.ndarray  # [K, 2] int64: how each goes on across and down
-    linear_colors: bool  # the vertex colours are linear light
+    texture_wrap: np.ndarray  # [K, 2] int64: wrap mode of each texture across and down
+    linear_colors: bool  # whether vertex colours are linear light
 
 
 @dataclass(frozen=True)
 class ShadingTables:
-    """Tables shared by all sensors of a scene; all but the texels are the mesh's own arrays, not copies."""
+    """Hold tables shared by all sensors of a scene; all but the texels are the mesh's own arrays."""
 
     appearance: Appearance
 
 
 def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
-    """Bring a mesh into the kernel's form; raises ValueError for a wrong one, since the kernel checks no bounds."""
+    """Convert a mesh to the kernel's form.
+
+    Raises ValueError for an invalid mesh, since the kernel checks no bounds.
+    """
     wrong = mesh.wrong()
     if wrong:
         raise ValueError(wrong)
@@ -59,7 +62,7 @@ _tables_of_scene: dict[int, ShadingTables] = {}
 
 
 def shading_tables_of(scene: Scene) -> ShadingTables:
-    """The tables of a scene, made once per scene object and shared by all sensors that look at it."""
+    """Return the tables of a scene, made once per scene object and shared by all its sensors."""
     key = id(scene)
     if key not in _tables_of_scene:
         _tables_of_scene[key] = make_shading_tables(scene.mesh)
@@ -69,7 +72,7 @@ def shading_tables_of(scene: Scene) -> ShadingTables:
 
 @kernel
 def _wrapped_texel(coordinate, size, wrap):
-    """Lower texel, upper texel and the upper one's share along one axis; texel i is centred at i + 0.5."""
+    """Return lower texel, upper texel and the upper one's weight along one axis; texel i is centred at i + 0.5."""
     if wrap == CLAMP:
         coordinate = min(coordinate, np.float32(1.0))
     elif wrap == MIRROR:
@@ -77,26 +80,26 @@ def _wrapped_texel(coordinate, size, wrap):
         coordinate = min(coordinate, np.float32(2.0) - coordinate)
     else:
         coordinate -= np.floor(coordinate)
-    if not coordinate >= 0.0:  # before a clamped edge, infinite or not a number: a texel inside the texture
+    if not coordinate >= 0.0:  # below a clamped edge, infinite or NaN: use a texel inside the texture
         coordinate = np.float32(0.0)
     position = coordinate * np.float32(size) - np.float32(0.5)
     lower = int(np.floor(position))
     share = position - np.float32(lower)
     upper = lower + 1
-    if wrap != REPEAT:  # the texel beside an edge is the edge's own, clamped or mirrored
+    if wrap != REPEAT:  # beyond the edge, use the edge texel (clamped or mirrored)
         return min(max(lower, 0), size - 1), min(upper, size - 1), share
     if lower < 0:
         lower += size
     if upper >= size:
         upper -= size
-    if lower >= size:  # coordinate just below 1 rounds up to size
+    if lower >= size:  # a coordinate just below 1 can round up to size
         lower -= size
     return lower, upper, share
 
 
 @kernel
 def _displayed(linear):
-    """The display-referred value of a linear one (IEC 61966-2-1)."""
+    """Return the display-referred value of a linear one (IEC 61966-2-1)."""
     linear = min(max(linear, np.float32(0.0)), np.float32(1.0))
     if linear <= np.float32(0.0031308):
         return np.float32(12.92) * linear
@@ -109,11 +112,11 @@ def shade_pixels(
     bary_u,  # [P * stride] float32
     bary_v,  # [P * stride] float32
     stride,  # rays per pixel
-    samples,  # the first so many of them carry colour
+    samples,  # number of leading rays of a pixel that carry colour
     appearance,  # `Appearance`
     rgb,  # [P, 3] uint8, written
 ):
-    """Mean colour of each pixel's samples; a sample that hit nothing counts as black."""
+    """Write the mean colour of each pixel's samples; a sample without a hit counts as black."""
     faces, colors, uv, face_texture, texels, texture_start, texture_size, texture_wrap, linear_colors = appearance
     one = np.float32(1.0)
     to_unit = np.float32(1.0 / 255.0)

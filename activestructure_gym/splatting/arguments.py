@@ -1,4 +1,4 @@
-"""Named tuples of arrays that the rasteriser's kernels take together."""
+"""Define named tuples of the arrays that the rasteriser's kernels share."""
 
 from __future__ import annotations
 
@@ -8,51 +8,53 @@ import numpy as np
 
 
 class Lists(NamedTuple):
-    """The projected map of one camera: records of the Gaussians, and the entries of every tile."""
+    """Hold the projected map of one camera: records of the Gaussians, and the entries of every tile."""
 
-    camera: np.ndarray  # [VIEW_SIZE] float32: `layout.POSE ...` (numba takes an attribute ``view`` for a cast)
+    # [VIEW_SIZE] float32: `layout.POSE ...` (numba would parse an attribute named ``view`` as a cast)
+    camera: np.ndarray
     grid: np.ndarray  # [GRID_SIZE] int64, sizes: `layout.COUNT ...`
     records: np.ndarray  # [chunks * CHUNK * RECORD] float32: `layout.U ...`
-    taken: np.ndarray  # [n] int64, the chunks that may be in view, rising; the others are never looked at
-    visible: np.ndarray  # [chunks * CHUNK / 16] int32, a bit per Gaussian; only of the chunks taken
+    taken: np.ndarray  # [n] int64, ascending: the chunks that may be visible; the others are skipped
+    visible: np.ndarray  # [chunks * CHUNK / 16] int32, one bit per Gaussian; valid for the chunks taken
     tile_start: np.ndarray  # [tiles + 1] int64, first entry of each tile
-    tile_order: np.ndarray  # [tiles + PLACES] int64, the tiles as they are taken, and room for ordering them
+    tile_order: np.ndarray  # [tiles + PLACES] int64, the tiles in processing order, and workspace for sorting them
     entries: np.ndarray  # [ENTRY_ROWS, room] uint64: `layout.KEY ...`
 
 
 class Found(NamedTuple):
-    """The Gaussians that one of many cameras may see."""
+    """Hold the Gaussians that one of many cameras may see."""
 
     shapes: np.ndarray  # [N * RECORD] float32, of the whole map: `projection.shape_of`
-    places: np.ndarray  # [N + LANES] int32, rising numbers of those found, then any
+    places: np.ndarray  # [N + LANES] int32, ascending indices of those found, then undefined
 
 
 class Kept(NamedTuple):
-    """Alphas and stops that blending stores for the backward pass."""
+    """Hold alphas and stops that blending stores for the backward pass."""
 
-    alphas: np.ndarray  # [room] float32, 16 per entry and block; none where nothing goes back
-    places: np.ndarray  # [2 * tiles] int64: where those of a tile start (-1: not kept), and the first entry not blended
+    alphas: np.ndarray  # [room] float32, 16 per entry and block; empty without a backward pass
+    # [2 * tiles] int64: start of each tile's alphas (-1: not stored), and the first entry not blended
+    places: np.ndarray
 
 
 class Pictures(NamedTuple):
-    """Colour, accumulated depth and alpha of one camera, or the derivatives of a loss by them."""
+    """Hold colour, accumulated depth and alpha of one camera, or a loss's derivatives by them."""
 
-    color: np.ndarray  # [H * STRIDE] float32 with margins; derivatives come with a layout of their own
+    color: np.ndarray  # [H * STRIDE] float32 with margins; derivatives have their own layout
     depth: np.ndarray  # [H * W] float32
     alpha: np.ndarray  # [H * W] float32
 
 
 class Comparison(NamedTuple):
-    """Target images and weights of a loss, and the parts of its sums."""
+    """Hold target images and weights of a loss, and its partial sums."""
 
     color: np.ndarray  # [H * W * 3] float32, measured
     depth: np.ndarray  # [H * W] float32 metres, measured; 0 = no return
     factors: np.ndarray  # [FACTORS] float32: `tile_losses.OF_COLOR ...`
-    terms: np.ndarray  # float32 out, the parts of the sums: `tile_losses.TILE_TERMS`, `image_losses.TERMS`
+    terms: np.ndarray  # float32 out, partial sums: `tile_losses.TILE_TERMS`, `image_losses.TERMS`
 
 
 class Step(NamedTuple):
-    """Arrays of the second part of a backward kernel; ``rates[MODE]`` says which of them it changes."""
+    """Hold arrays of the second part of a backward kernel; ``rates[MODE]`` selects which are changed."""
 
     parameters: np.ndarray  # [14, capacity] float32
     first_moment: np.ndarray  # [14, capacity] float32

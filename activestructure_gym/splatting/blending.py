@@ -1,4 +1,7 @@
-"""Blending a tile front to back, and the way back. A pixel that has stopped keeps minus its transmittance."""
+"""Blend a tile front to back, and run the backward pass.
+
+A stopped pixel stores its negative transmittance.
+"""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -73,12 +76,13 @@ _BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
 
 @inline
 def corner_of(tile, grid):
+    """Return the column and row of a tile's first pixel."""
     return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
 
 
 @inline
 def open_tile(tile, grid, state, width):
-    """Transmittance 1 in the image's pixels, -1 outside, zeros behind; returns the blocks with pixels as bits."""
+    """Set transmittance to 1 inside the image, -1 outside, other state to 0; return a bit per block with pixels."""
     tiles_x, zero = grid[TILES_X], spread(F(0.0))
     alive = 0
     for offset in range(0, width * grid[TILE_BLOCKS], LANES):
@@ -95,20 +99,20 @@ def open_tile(tile, grid, state, width):
 
 @inline
 def _fetch_ahead(entries, entry, stop, records):
-    """Bring the record of a later entry near: its place is random, so no hardware prefetcher sees it coming."""
+    """Prefetch the record of a later entry; its address is random, so hardware prefetchers cannot predict it."""
     later = peek(entries, SORTED_SPLAT * entries.shape[1] + min(entry + 6, stop - 1))
     prefetch(records, RECORD * np.int64(later & U64(0xFFFFFFFF)))
 
 
 @inline
 def stopped(transmittance):
-    """The mark of a stopped pixel: minus its transmittance, from which the transmittance can be read again."""
+    """Mark a pixel as stopped: minus its transmittance, which stays readable."""
     return float_bits(int_bits(transmittance) | np.int32(-0x80000000))
 
 
 @inline
 def place_of(records, base, block, along, across):
-    """t and s at the 16 pixels of a block."""
+    """Return t and s at the 16 pixels of a block."""
     bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
     t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
     return t, fma(spread(peek(records, base + L11)), by, across)
@@ -116,14 +120,14 @@ def place_of(records, base, block, along, across):
 
 @inline
 def alpha_of(records, base, block, along, across, view):
-    """Alpha (0 below 1/255) at the 16 pixels of a block."""
+    """Return alpha (0 below 1/255) at the 16 pixels of a block."""
     t, s = place_of(records, base, block, along, across)
     return alpha_at(records, base, t, s, view)
 
 
 @inline
 def alpha_at(records, base, t, s, view):
-    """Alpha (0 below 1/255) at 16 pixels."""
+    """Return alpha (0 below 1/255) at 16 pixels."""
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
     alpha = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
     return sel(power >= peek(view, MIN_POWER), alpha, F(0.0))
@@ -131,34 +135,37 @@ def alpha_at(records, base, t, s, view):
 
 @inline
 def depth_at(records, base, z, t, s, view):
-    """Depth at which the rays of 16 pixels meet a Gaussian, to the first order; not before the near plane."""
+    """Return the first-order depth at which the rays of 16 pixels meet a Gaussian, at least the near plane's."""
     depth = fma(spread(peek(records, base + SLOPE_T)), t, fma(spread(peek(records, base + SLOPE_S)), s, z))
     return larger(depth, spread(peek(view, MIN_DEPTH)))
 
 
-# State of a block while blending, in floats: transmittance, depth (, red, green, blue), and room for the backward pass:
-# transmittance, rest, gradient by red, green, blue, depth, alpha.
+# State of a block while blending, in floats: transmittance, depth (, red, green, blue), and workspace for the backward
+# pass: transmittance, remaining sum, gradient by red, green, blue, depth, alpha.
 SCORING_STATE, COLORED_STATE = 32, 112
 
 
 @inline
 def splat_at(records, base, x, y):
-    """t and s of a Gaussian at the pixels of the block at (x, y); further blocks are steps from there."""
+    """Return t and s of a Gaussian at the pixels of the block at (x, y), the start for further blocks."""
     dx, dy = lane_x() - (peek(records, base + U) - x), lane_y() - (peek(records, base + V) - y)
     along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
     return along, dy * peek(records, base + L11)
 
 
 def _make_forward(with_color):
-    """The forward loop over the entries of a tile; scoring candidates leaves colour out, and what backward needs."""
+    """Make the forward loop over the entries of a tile.
+
+    Scoring of candidates omits colour and the backward pass's data.
+    """
     width = COLORED_STATE if with_color else SCORING_STATE
 
     @inner
     def forward(tile, alive, lists, state, kept, keeps):
-        """Blend the entries of a tile into ``state``. Returns the first entry that found all pixels stopped.
+        """Blend the entries of a tile into ``state``; return the first entry at which all pixels had stopped.
 
-        With colour, the alphas that count (0 where a pixel has stopped) go to ``kept`` every ``keeps`` floats, and the
-        blocks that were still open replace the entries' reach: the backward loop takes the same way.
+        With colour, the alphas that count (0 for stopped pixels) go to ``kept`` every ``keeps`` floats. The blocks
+        still open replace the entries' reach, so that the backward loop visits the same blocks.
         """
         entries, records, view = lists.entries, lists.records, lists.camera
         start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -192,8 +199,8 @@ def _make_forward(with_color):
                 goes_on = after > peek(view, MIN_LEFT)
                 opaque = sel(goes_on, opaque, F(0.0))
                 weight = opaque * before
-                # With colour a branch hides the latency of this test from the next Gaussian on the block; without
-                # colour (small, saturated pictures) its mispredictions cost more. Both measured.
+                # With colour, a branch hides this test's latency from the next Gaussian on the block. Without colour
+                # (small, saturated images) its mispredictions cost more. Both were measured.
                 if not with_color or bits(goes_on) != 0xFFFF:
                     after = sel(goes_on, after, stopped(before))
                     if bits(goes_on) == 0:
@@ -206,7 +213,7 @@ def _make_forward(with_color):
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
                     store(kept, at_kept, opaque)
-                    prefetch(kept, at_kept + 16 * LANES)  # to be written: a line costs more than the block if it is far
+                    prefetch(kept, at_kept + 16 * LANES)  # a write to a distant line costs more than the block
                     at_kept += keeps
         return stop
 
@@ -219,7 +226,7 @@ blend_forward_without_color = _make_forward(False)
 
 @inner
 def _find_again(reach, records, base, along, across, view, state, kept):
-    """The alphas of one entry that `blend_forward` had no room to keep."""
+    """Recompute the alphas of one entry that `blend_forward` had no space to store."""
     at_kept = 0
     while reach != 0:
         block = lowest_bit(reach)
@@ -235,9 +242,10 @@ def _find_again(reach, records, base, along, across, view, state, kept):
 
 @inner
 def blend_backward(tile, done, lists, state, kept, keeps, slots):
-    """Front to back over a tile's entries before ``done``: the rest R = C.gC + D gD + A gA loses each Gaussian's share
-    as it passes (no division, no order reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with
-    s = c.gC + z gD + gA.
+    """Process a tile's entries before ``done`` front to back, and write the sums of each entry.
+
+    The remaining sum R = C.gC + D gD + A gA loses each Gaussian's share in turn, without division or order reversal.
+    With s = c.gC + z gD + gA, v = alpha dL/dalpha = w s - alpha / (1 - alpha) R.
     """
     entries, records, view = lists.entries, lists.records, lists.camera
     start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -269,7 +277,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             at = COLORED_STATE * block
             t, s = place_of(records, base, block, along, across)
             opaque = load(kept, at_kept)
-            prefetch(kept, at_kept + 32 * LANES)  # what `blend` has kept of a whole picture comes from far
+            prefetch(kept, at_kept + 32 * LANES)  # alphas that `blend` stored for a whole image are not in the cache
             at_kept += LANES
             before = load(state, at)
             weight = opaque * before
@@ -285,7 +293,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             w_z, w_all = w_z + by_depth, w_all + weight
             w_zt, w_zs = fma(by_depth, t, w_zt), fma(by_depth, s, w_zs)
             v = term - opaque / (peek(view, ONE) - opaque) * rest
-            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # at its limit alpha does not move
+            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # a clamped alpha has no gradient
             vt, vs = v * t, v * s
             m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
             m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
@@ -296,7 +304,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
 
 @inner
 def write_tile(tile, grid, state, width, pictures):
-    """Write a tile's blocks into the pictures (no colour where ``width`` is that of scoring)."""
+    """Write a tile's blocks into the images (without colour if ``width`` is that of scoring)."""
     color, depth, alpha = pictures
     x, y = corner_of(tile, grid)
     for block in range(grid[TILE_BLOCKS]):
@@ -323,7 +331,7 @@ def write_tile(tile, grid, state, width, pictures):
 
 @inner
 def read_tile(tile, grid, state, pictures, by_pictures, by_layout):
-    """The state of the backward loop from the pictures and the gradients by them."""
+    """Set up the backward loop's state from the images and the gradients by them."""
     color, depth, alpha = pictures
     by_color, by_depth, by_alpha = by_pictures
     x, y = corner_of(tile, grid)

@@ -1,4 +1,4 @@
-"""Atomic counters that hand out a kernel's work to its threads, and waits between its parts."""
+"""Provide atomic counters that distribute a kernel's work over threads, and waits between its parts."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -12,15 +12,15 @@ from numba.extending import intrinsic
 from activestructure_gym.splatting.memory import pointer_to
 from activestructure_gym.splatting.simd import I64, inner
 
-# Counters: of work handed out (before these), of threads, of alphas kept, of work that is done; how many entries there
-# are; whether somebody has given up waiting.
+# Counters: work handed out (before these), threads, alphas stored, work done, number of entries, and whether a thread
+# has stopped waiting.
 THREAD_TICKET, KEPT_TICKET, PROJECTED, PLANNED, FILLED, TILES_DONE, STEPPED, ENTRIES, GIVEN_UP, TICKETS = range(7, 17)
-_PATIENCE = 1 << 19  # looks at a counter, about half a millisecond
+_PATIENCE = 1 << 19  # polls of a counter, about half a millisecond
 
 
 @intrinsic
 def take_ticket(typingctx, counters, index):
-    """Atomic fetch-and-add of 1."""
+    """Add 1 atomically and return the previous value."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -31,7 +31,7 @@ def take_ticket(typingctx, counters, index):
 
 @intrinsic
 def _read_ticket(typingctx, counters, index):
-    """Atomic load; what was written before the counter was raised is there."""
+    """Load atomically; all writes made before the counter was raised are visible."""
 
     def codegen(context, builder, sig, args):
         return builder.load_atomic(pointer_to(context, builder, sig.args[0], args[0], args[1]), "acquire", 8)
@@ -41,7 +41,7 @@ def _read_ticket(typingctx, counters, index):
 
 @intrinsic
 def take_tickets(typingctx, counters, index, count):
-    """Atomic fetch-and-add of ``count``."""
+    """Add ``count`` atomically and return the previous value."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -52,13 +52,13 @@ def take_tickets(typingctx, counters, index, count):
 
 @inner
 def all_done(tickets, counter, units):
-    """Wait until so many units of work are done.
+    """Wait until ``units`` units of work are done; return False on timeout.
 
-    False if that takes too long: then a thread that holds a unit has lost its core, and whoever waits leaves the kernel
-    and so sets the other core free. Counters stay as they are: the kernel called again goes on from there.
+    After a timeout, a thread that holds a unit has lost its core, and the waiting thread leaves the kernel to free a
+    core. The counters are unchanged, so the kernel continues when called again.
     """
     for _ in range(_PATIENCE):
         if _read_ticket(tickets, counter) >= units:
-            return _read_ticket(tickets, GIVEN_UP) == 0  # nobody goes on without those who have left
+            return _read_ticket(tickets, GIVEN_UP) == 0  # no thread continues without those that left
     take_ticket(tickets, GIVEN_UP)
     return False

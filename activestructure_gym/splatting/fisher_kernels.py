@@ -1,14 +1,14 @@
-"""The kernel of the rasteriser's second pass: what one view tells about every Gaussian it shows.
+"""Run the rasteriser's second pass: the information of one view about every visible Gaussian.
 
-A tile is blended front to back; then the pass goes back to front over the alphas that were kept, so that the
-transmittance after a Gaussian and the colour behind it are both known to the last digits. With t and s the whitened
-offsets (alpha = 2^(lo - t^2 - s^2)), every derivative of alpha by the projected mean, the conic and the opacity is
-alpha times a combination of b = (1, t, s, t^2, t s, s^2). So the 21 sums over pixels of q b_i b_j, with q the squared
-derivative of the colours by log(alpha), are 15 different numbers: the moments sum of q t^i s^j, i + j <= 4. They fill
-one vector together with the sum of the weights.
+A tile is blended front to back. The pass then goes back to front over the stored alphas, so that the transmittance
+behind a Gaussian and the colour behind it are both exact. Let t and s be the whitened offsets, so that alpha = 2^(lo -
+t^2 - s^2). Every derivative of alpha by projected mean, conic and opacity is then alpha times a combination of b = (1,
+t, s, t^2, t s, s^2). Let q be the squared derivative of the colours by log(alpha). The 21 sums over pixels of q b_i b_j
+then reduce to 15 moments, the sums of q t^i s^j with i + j <= 4. They fill one vector together with the sum of the
+weights.
 
-Once per Gaussian the moments become the 6 x 6 block by mean and log-scale, its 21 entries on and above the diagonal.
-Source: [fisherrf], with the chain to mean and scale of [zwicker2002] taken out of the sum over pixels.
+Once per Gaussian the moments are converted to the 6 x 6 block by mean and log-scale, its 21 entries on and above the
+diagonal. Source: [fisherrf], with the chain rule to mean and scale of [zwicker2002] moved out of the sum over pixels.
 """
 
 # mypy: ignore-errors
@@ -47,37 +47,37 @@ _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper"
 _inner, _inline = njit(**_plain), njit(forceinline=True, **_plain)
 F = np.float32
 
-SLOT_FLOATS = 2 * LANES  # of a (tile, Gaussian): the moments and the sum of weights; what follows it
+SLOT_FLOATS = 2 * LANES  # of a (tile, Gaussian) pair: moments and sum of weights, then further sums
 SQUARED, GATHERED, TOUCHES = range(3)  # in the second vector
 _TOUCHES_LANE = SUM_LANES.index(TOUCHES)
-# Columns of a result: the block by mean and log-scale row by row from the diagonal on; the opacity logit's own entry;
-# sums of squared weights, of weights, of pixels in which the transmittance before it is above a limit, and of weight
-# times pixel value in these.
+# Columns of a result. The block by mean and log-scale, row by row from the diagonal, and the opacity logit's entry.
+# Then sums: squared weights, weights, pixels with a transmittance in front above a limit, and weight times pixel value
+# there.
 BLOCK, LOGIT, COLOR, WEIGHT, TOUCH, SCATTER, COLUMNS = 0, *range(21, 27)
 RESULT_FLOATS = 2 * LANES
 _STATE = 64 * blending.COLORED_STATE
 
 
 class Asked(NamedTuple):
-    """Optional inputs of the second pass: channels to blend, pixel values to gather, and the limit of touches."""
+    """Hold optional inputs of the second pass: channels to blend, pixel values to sum, and the touch limit."""
 
-    touch: np.float32  # transmittance before a Gaussian, above which it counts in a pixel
-    width: int  # D, channels of every Gaussian
+    touch: np.float32  # transmittance in front of a Gaussian above which it counts in a pixel
+    width: int  # D, number of channels per Gaussian
     channels: np.ndarray  # [N * D] float32, to be blended
-    pixel_values: np.ndarray  # [H * W] float32, to be gathered by the Gaussians; or none
+    pixel_values: np.ndarray  # [H * W] float32, to be summed per Gaussian; or empty
 
 
 class Told(NamedTuple):
-    """Outputs of the second pass beyond the pictures, and its scratch slots."""
+    """Hold outputs of the second pass besides the images, and its workspace."""
 
     pictures: np.ndarray  # [H * W * D] float32, the channels
-    slots: np.ndarray  # [entries * SLOT_FLOATS] float32, room for the sums of every entry
+    slots: np.ndarray  # [entries * SLOT_FLOATS] float32, workspace for the sums of every entry
     numbers: np.ndarray  # [capacity * RESULT_FLOATS] float32: `BLOCK ...`, where ``visible`` has a bit
 
 
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
-    """Turn the state that blending leaves into the second pass's: transmittance, no colour behind, pixel values."""
+    """Convert blending's final state to the second pass's: transmittance, no colour behind, pixel values."""
     zero, width = spread(F(0.0)), grid[layout.WIDTH]
     x, y = blending.corner_of(tile, grid)
     for block in range(grid[layout.TILE_BLOCKS]):
@@ -96,7 +96,7 @@ def _turn_back(state, tile, grid, pixel_values):
 
 @_inner
 def _write_channels(tile, grid, painted, channels, pictures):
-    """The further channels of a tile, ``painted [64, D, 16]``, into ``pictures [H * W * D]``."""
+    """Write the further channels of a tile, ``painted [64, D, 16]``, into ``pictures [H * W * D]``."""
     x, y = blending.corner_of(tile, grid)
     for block in range(grid[layout.TILE_BLOCKS]):
         left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
@@ -110,12 +110,12 @@ def _write_channels(tile, grid, painted, channels, pictures):
 
 @_inner
 def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
-    """Back to front over the entries that ``_forward`` has blended into this tile; one slot of sums per entry.
+    """Process the entries blended into this tile back to front; write one slot of sums per entry.
 
     With ``after`` the transmittance behind a Gaussian and R the colour behind it, the derivative of a colour by
-    log(alpha) is alpha / (1 - alpha) (after c - R): one division, and nothing is found by subtracting large numbers.
-    Few callers gather pixel values or paint channels: these sums lie in memory, behind ``painted``, since all others
-    together just fit into the registers.
+    log(alpha) is alpha / (1 - alpha) (after c - R). It needs one division and no subtraction of large numbers. Sums of
+    pixel values and channels are rarely used and kept in memory behind ``painted``, since the others just fit into the
+    registers.
     """
     entries, records, view = lists.entries, lists.records, lists.camera
     start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -170,7 +170,7 @@ def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
                 fma(after, r, neg(rest_r)), fma(after, g, neg(rest_g)), fma(after, b, neg(rest_b)),
             )  # fmt: skip
             q = ratio * ratio * fma(d_r, d_r, fma(d_g, d_g, d_b * d_b))
-            q = sel(opaque < peek(view, layout.MAX_ALPHA), q, F(0.0))  # at its limit alpha does not move
+            q = sel(opaque < peek(view, layout.MAX_ALPHA), q, F(0.0))  # a clamped alpha has no gradient
             tt, ts, ss = t * t, t * s, s * s
             q10, q01, q20, q11, q02 = q * t, q * s, q * tt, q * ts, q * ss
             m00, m10, m01 = m00 + q, m10 + q10, m01 + q01
@@ -202,7 +202,7 @@ def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
 
 @_inline
 def _axis(r0, r1, r2, scale, lens, view):
-    """One axis of the Gaussian: turned into the camera (first and last two numbers used), and projected."""
+    """Return one axis of the Gaussian: rotated into the camera frame, and projected."""
     j00, j02, j11, j12 = lens
     k0, k1, k2 = r0 * scale, r1 * scale, r2 * scale
     t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
@@ -213,14 +213,14 @@ def _axis(r0, r1, r2, scale, lens, view):
 
 @_inline
 def _white(axis, whitening):
-    """A projected axis in the coordinates t and s."""
+    """Return a projected axis in the coordinates t and s."""
     l00, l01, l11 = whitening
     return fma(l00, axis[3], l01 * axis[4]), l11 * axis[4]
 
 
 @_inline
 def _add_lens(e0, e1, axis, whitening, by_j):
-    """Derivatives by J00, J02, J11 and J12 through one axis: 2 S b with S b = L^T e / 2."""
+    """Return derivatives by J00, J02, J11 and J12 through one axis: 2 S b with S b = L^T e / 2."""
     l00, l01, l11 = whitening
     by_b0, by_b1 = l00 * e0, fma(l01, e0, l11 * e1)
     return (
@@ -239,7 +239,7 @@ def _to_world(x, y, z, view):
 
 @_inline
 def _point_by_lens(by_j, point, lens_slopes, view):
-    """By the camera point, through the Jacobian of the projection alone; turned into the world."""
+    """Return the derivative by the camera point through the projection's Jacobian alone, in world axes."""
     j00, j02, j11, j12 = by_j
     f_x, f_y, inside_x, inside_y = point
     slope_x, slope_y = lens_slopes
@@ -250,7 +250,7 @@ def _point_by_lens(by_j, point, lens_slopes, view):
 
 @_inline
 def _times_moments(a, m):
-    """The 5 x 5 matrix of moments of (t, s, tt, ts, ss) times a vector of as many numbers."""
+    """Multiply the 5 x 5 matrix of moments of (t, s, tt, ts, ss) by a vector."""
     return (
         fma(a[4], m[8], fma(a[3], m[7], fma(a[2], m[6], fma(a[1], m[4], a[0] * m[3])))),
         fma(a[4], m[9], fma(a[3], m[8], fma(a[2], m[7], fma(a[1], m[5], a[0] * m[4])))),
@@ -267,13 +267,13 @@ def _dot5(a, b):
 
 @_inline
 def _dot_curved(a, b):
-    """As `_dot5` where the first two of ``a`` are 0: a log-scale does not move the mean."""
+    """Compute `_dot5` for a vector ``a`` whose first two entries are 0: a log-scale does not move the mean."""
     return fma(a[2], b[4], fma(a[1], b[3], a[0] * b[2]))
 
 
 @_inline
 def _times_curved(a, m):
-    """The moments of (tt, ts, ss) times three numbers."""
+    """Multiply the moments of (tt, ts, ss) by three numbers."""
     return (
         fma(a[2], m[12], fma(a[1], m[11], a[0] * m[10])), fma(a[2], m[13], fma(a[1], m[12], a[0] * m[11])),
         fma(a[2], m[14], fma(a[1], m[13], a[0] * m[12])),
@@ -282,9 +282,9 @@ def _times_curved(a, m):
 
 @_inner
 def _chain_block(parameters, i, view, grid, records, sums_of, result):
-    """Blocks of Gaussians i .. i + 15 from their gathered sums; returns which had a weight.
+    """Compute the blocks of Gaussians i .. i + 15 from their summed slots; return the bits of those with a weight.
 
-    ``sums_of [2 * 256]``: the moments, then the other sums; lost. ``result [count, 32]``.
+    ``sums_of [2 * 256]`` holds the moments, then the other sums, and is overwritten. ``result [count, 32]``.
     """
     capacity = grid[layout.CAPACITY]
     m = load_sums(sums_of, 0)
@@ -366,9 +366,9 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
 
 @_inner
 def _chain_chunk(number, parameters, lists, slots, sums_of, result):
-    """Gather the slots of the 1024 Gaussians of ``lists.taken[number]`` and chain them.
+    """Sum the slots of the 1024 Gaussians of ``lists.taken[number]`` and compute their blocks.
 
-    ``visible`` then tells which have a row in ``result``.
+    ``visible`` then marks those with a row in ``result``.
     """
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     zero, chunk = spread(F(0.0)), lists.taken[number]
@@ -392,7 +392,7 @@ def _chain_chunk(number, parameters, lists, slots, sums_of, result):
 
 @kernel
 def inform(tickets, parameters, lists, scratch, asked, pictures, told):
-    """After `prepare`: pictures, sums and blocks, a tile at a time in the nearest caches; then chunk by chunk."""
+    """After `prepare`: compute images, sums and blocks tile by tile in the cache; then chunk by chunk."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (layout.SCRATCH // LANES)
     state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + layout.SCRATCH]
     grid, tile_order, width, pixel_values, slots = (

@@ -1,18 +1,18 @@
-"""Losses of whole pictures: colour with SSIM, and depth.
+"""Compute losses of whole images: colour with SSIM, and depth.
 
-Colour images here are rows of STRIDE floats: MARGIN zeros, the pixels interleaved, zeros; the blur of one channel is
-then a blur with steps of three floats.
+Colour images are rows of STRIDE floats: MARGIN zeros, the interleaved pixels, zeros. The blur of one channel is then a
+blur with steps of three floats.
 
-A thread takes a strip of the picture, some vectors wide and all rows high, and goes down it in groups of 8 rows. Of
-every group it blurs along the rows, then down the columns where the group and its neighbours are there, so that one
-load of a row serves up to 8 sums. What it carries from group to group stays in the second cache:
+A thread takes a strip of the image, some vectors wide and all rows high, and processes it in groups of 8 rows. It blurs
+every group along the rows, then down the columns when the neighbouring groups exist, so that one load of a row serves
+up to 8 sums. The state carried between groups stays in the second-level cache:
 
-    lines   u = (x + y) / sqrt(2), v = (x - y) / sqrt(2) of one row
-    means   3 groups [column, (u, u^2, v, v^2), row, 16] blurred along the rows
-    maps    1 group [(mean, variance, covariance), row, column, 16] of the derivatives of SSIM
-    backs   3 groups [column, (mean, variance, covariance), row, 16] of these, blurred along the rows
+- lines: u = (x + y) / sqrt(2), v = (x - y) / sqrt(2) of one row;
+- means: 3 groups [column, (u, u^2, v, v^2), row, 16] blurred along the rows;
+- maps: 1 group [(mean, variance, covariance), row, column, 16] of the derivatives of SSIM;
+- backs: 3 groups [column, (mean, variance, covariance), row, 16] of these, blurred along the rows.
 
-With u and v two blurred squares take the part of x^2 + y^2 and of x y, and no product has to be stored.
+With u and v, two blurred squares replace x^2 + y^2 and x y, and no product needs to be stored.
 """
 
 # mypy: ignore-errors
@@ -65,26 +65,26 @@ _TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
 _C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))
 GROUP_ROWS = 8
 GROUP_FLOATS = GROUP_ROWS * LANES  # floats of one quantity of a group in one column
-# terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM; then of pieces of the depth image,
-# so many pixels each: the sum of |depth error|
+# Terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM. Then of pieces of the depth image,
+# PIECE pixels each: the sum of |depth error|.
 TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
 PIECE = 1920
-# of scratch per column of a strip and its 4 columns of edge
+# floats of scratch per column of a strip and per its 4 edge columns
 STRIP_FLOATS = (3 * 4 + 3 * 3 + 3) * GROUP_FLOATS + 2 * LANES
 
 
 class Strip(NamedTuple):
-    """The columns of vectors that a thread goes down, and where in its scratch some of what it carries begins."""
+    """Hold the columns of vectors that a thread processes, and offsets of its data in the scratch."""
 
     first: int  # column
-    last: int  # the column behind them
-    lines: int  # float of the scratch
-    blurred: int  # float: room for a group of one column, blurred down
-    maps: int  # float
+    last: int  # end column, exclusive
+    lines: int  # offset in the scratch
+    blurred: int  # offset of the space for a group of one column, blurred down
+    maps: int  # offset
 
 
 class Around(NamedTuple):
-    """Where in the scratch a quantity of a group of rows and of its neighbours begins."""
+    """Hold the offsets in the scratch of a quantity of a group of rows and of its neighbours."""
 
     above: int
     here: int
@@ -97,7 +97,7 @@ def _load_at(context, builder, sig, args, offset):
 
 
 def _taps(builder):
-    """Weights of the blur by distance, as shared values: literal vectors would be most of the code LLVM reads."""
+    """Return the blur weights by distance as shared values; literal vectors would dominate the code LLVM reads."""
     return [spread_value(builder, ir.Constant(F32, float(tap))) for tap in _TAPS[5:]]
 
 
@@ -107,7 +107,7 @@ def _fused(builder, a, b, c):
 
 @intrinsic
 def _blur_along(typingctx, array, index):
-    """Horizontal blur at 16 floats."""
+    """Blur horizontally at 16 floats."""
 
     def codegen(context, builder, sig, args):
         taps = _taps(builder)
@@ -122,7 +122,7 @@ def _blur_along(typingctx, array, index):
 
 @intrinsic
 def _blur_squares_along(typingctx, array, index):
-    """Horizontal blur at 16 floats, of the values and of their squares."""
+    """Blur the values and their squares horizontally at 16 floats."""
 
     def codegen(context, builder, sig, args):
         taps, value = _taps(builder), _load_at(context, builder, sig, args, 0)
@@ -138,7 +138,7 @@ def _blur_squares_along(typingctx, array, index):
 
 @intrinsic
 def _blur_down(typingctx, array, above, here, below, to):
-    """Vertical blur of a group of 8 rows, from the blocks of itself and its neighbours to the one at ``to``."""
+    """Blur a group of 8 rows vertically, from its blocks and its neighbours' to the block at ``to``."""
 
     def codegen(context, builder, sig, args):
         taps, totals = _taps(builder), [None] * GROUP_ROWS
@@ -164,7 +164,7 @@ def _first_lanes(builder, count):
 
 @intrinsic
 def _load_first(typingctx, array, index, count):
-    """The first ``count`` of 16 floats and zeros; what lies behind is not touched."""
+    """Load the first ``count`` of 16 floats and zeros; memory beyond is not accessed."""
 
     def codegen(context, builder, sig, args):
         pointer = builder.bitcast(pointer_to(context, builder, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
@@ -190,7 +190,7 @@ def _store_first(typingctx, array, index, count, value):
 
 @inline
 def _load_up_to(array, at, end):
-    """16 floats, zeros from ``end`` on."""
+    """Load 16 floats, zeros from ``end`` on."""
     return load(array, at) if at + LANES <= end else _load_first(array, at, end - at)
 
 
@@ -204,19 +204,20 @@ def _store_up_to(array, at, end, value):
 
 @inline
 def _load_target(target, row, column, length):
-    """16 floats of a row of ``target [H, length]``, zeros behind its end."""
+    """Load 16 floats of a row of ``target [H, length]``, zeros after its end."""
     return _load_up_to(target, row * length + LANES * column, (row + 1) * length)
 
 
 @inner
 def clear(array, first, end):
+    """Set the floats ``first`` to ``end`` of an array to 0, 16 at a time."""
     for at in range(first, end, LANES):
         store(array, at, spread(F(0.0)))
 
 
 @inner
 def means_of_group(top, strip, grid, image, target, scratch, means):
-    """Blur along the rows from ``top`` on; the results begin at float ``means`` of the scratch."""
+    """Blur along the rows starting at ``top``; write to the scratch at offset ``means``."""
     first, last, lines = strip.first, strip.last, strip.lines
     stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
     columns = (length + LANES - 1) // LANES
@@ -245,15 +246,15 @@ def means_of_group(top, strip, grid, image, target, scratch, means):
 
 @inner
 def maps_of_group(top, strip, grid, scratch, means, backs, terms):
-    """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows, from ``backs`` on."""
+    """Compute SSIM of the rows starting at ``top``: its sum, and its derivatives blurred along the rows."""
     first, last, blurred, maps = strip.first, strip.last, strip.blurred, strip.maps
     above, here, below = means
     length, zero = 3 * grid[WIDTH], spread(F(0.0))
-    line = LANES * (last - first + 2)  # of the maps: the columns of the strip and one at each side
+    line = LANES * (last - first + 2)  # of the maps: the strip's columns and one on each side
     plane = GROUP_ROWS * line
     for column in range(max(first - 1, 0), last + 2):
-        # The derivatives are blurred two columns later, row by row in turn with SSIM: its arithmetic and their loads
-        # across cache lines go well together, and loads do not meet stores on their way.
+        # The derivatives are blurred two columns later, in turn with SSIM row by row. SSIM's arithmetic overlaps with
+        # their loads across cache lines, and loads do not meet stores.
         total = zero
         if column <= last:
             for own in range(0, 4 * GROUP_FLOATS, GROUP_FLOATS):
@@ -289,7 +290,7 @@ def maps_of_group(top, strip, grid, scratch, means, backs, terms):
 
 @inner
 def gradient_of_group(top, strip, grid, image, comparison, scratch, backs, by_color):
-    """The derivative by the colours of the rows from ``top`` on, and the sum of their differences."""
+    """Compute the derivative by the colours of the rows starting at ``top``, and the sum of their differences."""
     first, last, blurred = strip.first, strip.last, strip.blurred
     above, here, below = backs
     target, factors, terms = comparison.color, comparison.factors, comparison.terms
@@ -309,12 +310,12 @@ def gradient_of_group(top, strip, grid, image, comparison, scratch, backs, by_co
             of_both = fma(x + x, by_variance, fma(y, by_covariance, load(scratch, own)))
             store(by_color, at, sel(inside, fma(of_both, of_ssim, gradient), F(0.0)))
         at = TERMS * column + TERM_COLOR
-        store(terms, at, load(terms, at) + total)  # both are 0 behind the row's end
+        store(terms, at, load(terms, at) + total)  # both are 0 after the row's end
 
 
 @inner
 def compare_depth(first, end, pictures, comparison, by_pictures):
-    """Sum of the depth errors of pixels from ``first`` to before ``end``; the derivatives by depth and alpha."""
+    """Return the sum of the depth errors of pixels ``first`` to ``end``; write the derivatives by depth and alpha."""
     depth, alpha, by_depth, by_alpha = pictures.depth, pictures.alpha, by_pictures.depth, by_pictures.alpha
     target_depth, factors = comparison.depth, comparison.factors
     total, one = spread(F(0.0)), spread(F(1.0))

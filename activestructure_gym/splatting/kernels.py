@@ -1,22 +1,21 @@
-"""Compiled kernels of the CPU rasteriser, on 16-lane SIMD values: what is called from Python.
+"""Run the CPU rasteriser's compiled kernels, on 16-lane SIMD values: the functions called from Python.
 
-The picture is cut into tiles of 32 x 32 pixels = 8 x 8 blocks of 4 x 4 pixels; a block is one vector, and the blocks of
-a tile that a Gaussian reaches are the bits of one uint64. One rendering goes through
+The image is cut into tiles of 32 x 32 pixels = 8 x 8 blocks of 4 x 4 pixels. A block is one vector, and the blocks of a
+tile that a Gaussian reaches are the bits of one uint64. One rendering runs:
 
-    prepare  per chunk of 1024 Gaussians: 64-byte records (`projection`), block bitmaps, how many (tile, Gaussian)
-             entries there are; serial: where the entries of every tile and chunk go; per chunk: the entries
-             (`tile_lists`)
-    blend    per tile: sort by depth (exact float order, ties by index), blend front to back (`blending`)
-    compare  per strip of columns: losses, SSIM and the gradient images (`image_losses`)
-    unblend  per tile: front to back again; one 16-float slot of sums per entry;
-             per chunk: sum the slots, back through the projection, Adam or dense gradients (`stepping`)
+- ``prepare``. Per chunk of 1024 Gaussians: 64-byte records (`projection`), block bitmaps and the number of (tile,
+  Gaussian) entries. Serial: positions of every tile's and chunk's entries. Per chunk: the entries (`tile_lists`).
+- ``blend``. Per tile: sort by depth (exact float order, ties by index), blend front to back (`blending`).
+- ``compare``. Per strip of columns: losses, SSIM and the gradient images (`image_losses`).
+- ``unblend``. Per tile: front to back again, one 16-float slot of sums per entry. Per chunk: sum the slots, go back
+  through the projection, step Adam or write dense gradients (`stepping`).
 
-and where the loss is pixelwise (`tile_losses`), ``fuse`` does all after ``prepare``, blending, comparing and going back
-for one tile after the other. Between the parts of a kernel threads wait for each other in the kernel: waking them anew
+For pixelwise losses (`tile_losses`), ``fuse`` does everything after ``prepare``: blending, comparing and the backward
+pass, tile by tile. Between the parts of a kernel, threads wait for each other inside the kernel, since restarting them
 takes longer.
 
-Every thread calls the same kernel. Every partial result has its own fixed place, so results do not depend on the number
-of threads. Chunks, tiles and rows are handed out by atomic counters (`counters`).
+Every thread calls the same kernel. Every partial result has a fixed position, so results do not depend on the number of
+threads. Chunks, tiles and rows are distributed by atomic counters (`counters`).
 """
 
 # mypy: ignore-errors
@@ -95,10 +94,11 @@ from activestructure_gym.splatting.tile_losses import compare_tile
 
 @kernel
 def prepare(tickets, parameters, lists, histogram, chunk_entries):
-    """Project, count and list. Without room for the entries it ends before listing and goes on when called again with
-    more; FILLED counts up to the number of chunks taken.
+    """Project, count and list the Gaussians.
 
-    ``histogram [n * tiles]`` and ``chunk_entries [n]`` are room for the counts of the n chunks taken.
+    Without enough space for the entries it returns before listing, and continues when called again with more; FILLED
+    counts up to the number of chunks taken. ``histogram [n * tiles]`` and ``chunk_entries [n]`` are workspace for the
+    counts of the n chunks taken.
     """
     chunks = len(lists.taken)
     while True:
@@ -121,7 +121,7 @@ def prepare(tickets, parameters, lists, histogram, chunk_entries):
 
 @kernel
 def blend(tickets, lists, scratch, kept, pictures):
-    """Sort, blend and write every tile; the alphas that `unblend` needs go to ``kept`` as far as its room goes."""
+    """Sort, blend and write every tile; store the alphas for `unblend` in ``kept`` while there is space."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, digits = scratch[own : own + SCRATCH], np.empty(DIGITS, np.int64)
     grid, tile_order, (alphas, places) = lists.grid, lists.tile_order, kept
@@ -145,7 +145,7 @@ def blend(tickets, lists, scratch, kept, pictures):
 
 @kernel
 def fuse(tickets, lists, scratch, comparison, step):
-    """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches; then step."""
+    """Blend, compare with the target and go back, tile by tile in the cache; then step."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, kept = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
     digits, edge = np.empty(DIGITS, np.int64), np.empty(64, np.float32)
@@ -167,7 +167,7 @@ def fuse(tickets, lists, scratch, comparison, step):
 
 @kernel
 def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pictures):
-    """Losses and gradient images: colour in strips of so many vectors, then depth in pieces.
+    """Compute losses and gradient images: colour in strips of ``strip_columns`` vectors, then depth in pieces.
 
     The width of the strips does not change the results.
     """
@@ -186,11 +186,11 @@ def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pict
             break
         last = min(first + strip_columns, columns)
         strip = Strip(first, last, at_lines, at_blurred, at_maps)
-        clear(state, 2 * means, 3 * means)  # what lies above the picture
-        clear(state, at_backs + 2 * backs, at_blurred)  # the same, and what lies at its sides
+        clear(state, 2 * means, 3 * means)  # rows above the image
+        clear(state, at_backs + 2 * backs, at_blurred)  # the same, and columns at its sides
         clear(terms, TERMS * first, TERMS * last)
         for step in range(groups + 2):
-            # group g lies in place (g + 3) % 3
+            # group g is at position (g + 3) % 3
             newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
             if step <= groups:
                 means_of_group(GROUP_ROWS * step, strip, grid, image, target, state, means * newest)
@@ -214,9 +214,9 @@ def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pict
 
 @kernel
 def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, step):
-    """The backward pass of what `blend` has left, from the gradients by its pictures; then step.
+    """Run the backward pass after `blend` from the gradients by its images; then step.
 
-    ``by_layout [2]``: floats per row of ``by_pictures.color`` and before the first pixel of a row.
+    ``by_layout [2]``: floats per row of ``by_pictures.color``, and before the first pixel of a row.
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, spare = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
@@ -238,7 +238,7 @@ def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, ste
 
 @kernel
 def shape(tickets, parameters, grid, shapes):
-    """What `score` needs of every Gaussian and no camera changes, 16 floats each."""
+    """Compute the camera-independent data of every Gaussian for `score`, 16 floats each."""
     while True:
         chunk = take_ticket(tickets, 0)
         if chunk >= grid[CHUNKS]:
@@ -249,10 +249,10 @@ def shape(tickets, parameters, grid, shapes):
 
 @kernel
 def score(tickets, parameters, shapes, views, whole, depth, alpha):
-    """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels.
+    """Render depth and alpha of many cameras, one camera per thread at a time.
 
-    What a camera may see is found first, and then only that is projected, 16 at a time: of 16 neighbours in the map a
-    narrow picture sees four.
+    Visible Gaussians are found first, and only these are projected, 16 at a time: of 16 neighbours in the map a narrow
+    view contains about four.
     """
     grid, tiles = whole.copy(), whole[TILES_X] * whole[TILES_Y]
     places, taken = np.zeros(whole[COUNT] + LANES, np.int32), np.arange(whole[CHUNKS])
@@ -291,7 +291,7 @@ def score(tickets, parameters, shapes, views, whole, depth, alpha):
 
 @kernel
 def multiply_add(tickets, rounds, pieces, values):
-    """Ten independent chains of 16-lane multiply-adds: what the processor can do at most. For the benchmark."""
+    """Run ten independent chains of 16-lane multiply-adds: the processor's peak rate, for the benchmark."""
     x, y = load(values, 0), load(values, LANES)
     while True:
         piece = take_ticket(tickets, 0)

@@ -1,4 +1,4 @@
-"""Loads and stores between arrays and SIMD values, single elements and bits, transposing, sums over the lanes."""
+"""Load and store between arrays and SIMD values, single elements and bits; transpose; sum over lanes."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -15,13 +15,14 @@ from activestructure_gym.splatting.simd import BIT, F32, FLOATS, I32, I64, INTS,
 
 
 def pointer_to(context, builder, array_type, array, index):
+    """Return the LLVM pointer to an element of a C-ordered array by its flat index."""
     data = context.make_array(array_type)(context, builder, value=array).data
     return builder.gep(data, [index], inbounds=True)
 
 
 @intrinsic
 def load(typingctx, array, index):
-    """16 floats from a C-ordered float32 array, seen as flat."""
+    """Load 16 floats from a C-ordered float32 array, flat."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -32,6 +33,8 @@ def load(typingctx, array, index):
 
 @intrinsic
 def store(typingctx, array, index, value):
+    """Store 16 floats in a C-ordered float32 array, flat."""
+
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
         builder.store(args[2], builder.bitcast(pointer, FLOATS.as_pointer()), align=4)
@@ -42,7 +45,7 @@ def store(typingctx, array, index, value):
 
 @intrinsic
 def peek(typingctx, array, index):
-    """One element of a C-ordered array seen as flat, without the wrap-around test of negative indices."""
+    """Load one element of a C-ordered array, flat, without the wrap-around test of negative indices."""
 
     def codegen(context, builder, sig, args):
         return builder.load(pointer_to(context, builder, sig.args[0], args[0], args[1]))
@@ -52,6 +55,8 @@ def peek(typingctx, array, index):
 
 @intrinsic
 def poke(typingctx, array, index, value):
+    """Store one element in a C-ordered array, flat."""
+
     def codegen(context, builder, sig, args):
         builder.store(args[2], pointer_to(context, builder, sig.args[0], args[0], args[1]))
         return context.get_dummy_value()
@@ -73,7 +78,7 @@ def poke_add(typingctx, array, index, value):
 
 @intrinsic
 def peek_bits(typingctx, array, index):
-    """The bits of one float32 as int64 (zero extended)."""
+    """Return the bits of one float32 as int64 (zero extended)."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -96,6 +101,8 @@ def poke_bits(typingctx, array, index, value):
 
 @intrinsic
 def prefetch(typingctx, array, index):
+    """Fetch the cache line of an element for reading."""
+
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
         pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
@@ -109,7 +116,7 @@ def prefetch(typingctx, array, index):
 
 @intrinsic
 def _to_line(typingctx, array):
-    """Number of floats from the array's start to the next 64-byte boundary."""
+    """Return the number of floats from the array's start to the next 64-byte boundary."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, value=args[0]).data
@@ -121,7 +128,7 @@ def _to_line(typingctx, array):
 
 @allocating
 def scratch_of(size):
-    """Floats that start on a cache line: vectors across two lines cost double."""
+    """Allocate floats that start on a cache line; vectors across two lines cost double."""
     room = np.empty(size + LANES, np.float32)
     start = _to_line(room)
     return room[start : start + size]
@@ -129,7 +136,7 @@ def scratch_of(size):
 
 @intrinsic
 def lowest_bit(typingctx, value):
-    """Index of the lowest set bit of a value that is not 0."""
+    """Return the index of the lowest set bit of a nonzero value."""
 
     def codegen(context, builder, sig, args):
         return builder.cttz(args[0], ir.Constant(BIT, 1))
@@ -139,6 +146,8 @@ def lowest_bit(typingctx, value):
 
 @intrinsic
 def count_bits(typingctx, value):
+    """Return the number of set bits."""
+
     def codegen(context, builder, sig, args):
         return builder.ctpop(args[0])
 
@@ -146,7 +155,7 @@ def count_bits(typingctx, value):
 
 
 def _transposed(builder, rows):
-    """16 vectors, rows to columns: four rounds of exchanging sub-blocks."""
+    """Transpose 16 vectors in four rounds of exchanging sub-blocks."""
     for step in (1, 2, 4, 8):
         first = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
         second = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
@@ -162,7 +171,7 @@ def _transposed(builder, rows):
 
 @intrinsic
 def store_transposed(typingctx, array, index, vectors):
-    """Lane k of the (up to 16) vectors goes to floats ``index + 16 k ...``; missing vectors are zero."""
+    """Store lane k of the (up to 16) vectors at floats ``index + 16 k ...``; missing vectors are zero."""
 
     def codegen(context, builder, sig, args):
         rows = cgutils.unpack_tuple(builder, args[2], len(vectors))
@@ -187,7 +196,7 @@ def _load_columns(context, builder, sig, args):
 
 @intrinsic
 def load_transposed(typingctx, array, index):
-    """The inverse of `store_transposed`: 16 vectors, lane k of each from floats ``index + 16 k ...``."""
+    """Invert `store_transposed`: load 16 vectors, lane k of each from floats ``index + 16 k ...``."""
 
     def codegen(context, builder, sig, args):
         return context.make_tuple(builder, sig.return_type, _load_columns(context, builder, sig, args))
@@ -197,7 +206,7 @@ def load_transposed(typingctx, array, index):
 
 @intrinsic
 def load_rows_transposed(typingctx, array, rows, index):
-    """16 vectors, lane k of each from floats ``16 rows[index + k] ...``."""
+    """Load 16 vectors, lane k of each from floats ``16 rows[index + k] ...``."""
 
     def codegen(context, builder, sig, args):
         lines = []
@@ -213,14 +222,14 @@ def load_rows_transposed(typingctx, array, rows, index):
 
 
 def _four(builder, vector, row):
-    """Lanes 4 row .. 4 row + 3."""
+    """Return lanes 4 row .. 4 row + 3."""
     picked = ir.Constant(ir.VectorType(I32, 4), [4 * row + x for x in range(4)])
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), picked)
 
 
 @intrinsic
 def store_block(typingctx, array, index, stride, value):
-    """A block of 4 x 4 pixels into an image with ``stride`` floats per row."""
+    """Store a block of 4 x 4 pixels into an image with ``stride`` floats per row."""
 
     def codegen(context, builder, sig, args):
         for row in range(4):
@@ -235,6 +244,8 @@ def store_block(typingctx, array, index, stride, value):
 
 @intrinsic
 def load_block(typingctx, array, index, stride):
+    """Load a block of 4 x 4 pixels from an image with ``stride`` floats per row."""
+
     def codegen(context, builder, sig, args):
         kind, rows = ir.VectorType(F32, 4), []
         for row in range(4):
@@ -250,7 +261,7 @@ def load_block(typingctx, array, index, stride):
 
 @intrinsic
 def store_color_block(typingctx, array, index, stride, r, g, b):
-    """Three channels of a block, interleaved: rows of 12 floats."""
+    """Store three channels of a block, interleaved: rows of 12 floats."""
 
     def codegen(context, builder, sig, args):
         _, _, _, r, g, b = args
@@ -275,7 +286,7 @@ def store_color_block(typingctx, array, index, stride, r, g, b):
 
 @intrinsic
 def load_color_block(typingctx, array, index, stride):
-    """The three channels of a block from interleaved rows."""
+    """Load the three channels of a block from interleaved rows."""
 
     def codegen(context, builder, sig, args):
         kind, rows = ir.VectorType(F32, 12), []
@@ -294,14 +305,14 @@ def load_color_block(typingctx, array, index, stride):
 
 
 def _sum_plan():
-    """Shuffles of a tree that adds up 16 vectors, and in which lane the sum of each ends."""
+    """Return the shuffles of a tree that adds up 16 vectors, and the lane of each sum."""
     quarters = range(0, LANES, 4)
     halves = list(range(8))
     pairs = [lane for lane in range(LANES) if not lane & 4]
     plan = [
         (halves + [LANES + x for x in halves], 8),
         (pairs + [LANES + x for x in pairs], 4),
-        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),  # from here on within 128 bits: cheap
+        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),  # within 128 bits from here: cheap
         ([q + x for q in quarters for x in (0, 2, LANES, LANES + 2)], 1),
     ]
     vectors = [[number] * LANES for number in range(LANES)]
@@ -315,7 +326,7 @@ _SUM_ROUNDS, SUM_LANES = _sum_plan()
 
 @intrinsic
 def sums(typingctx, vectors):
-    """The sums over the lanes of up to 16 vectors as one vector, in the lane order of `load_sums`."""
+    """Return the sums over the lanes of up to 16 vectors as one vector, in the lane order of `load_sums`."""
 
     def codegen(context, builder, sig, args):
         level = cgutils.unpack_tuple(builder, args[0], len(vectors))
@@ -339,7 +350,7 @@ def sums(typingctx, vectors):
 
 @intrinsic
 def load_sums(typingctx, array, index):
-    """From 16 results of `sums` in a row at ``index``: the sum of vector k of result j is lane j of entry k."""
+    """Load 16 results of `sums` stored consecutively: the sum of vector k of result j is lane j of entry k."""
 
     def codegen(context, builder, sig, args):
         columns = _load_columns(context, builder, sig, args)

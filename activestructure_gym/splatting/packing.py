@@ -1,4 +1,4 @@
-"""Between torch's tensors, one row per Gaussian, and the kernels' array, one row per parameter (rows as in `cpu`)."""
+"""Convert between torch tensors, one row per Gaussian, and the kernels' array, one row per parameter (as in `cpu`)."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types)
@@ -21,22 +21,21 @@ _ROWS = ((0, 3), (3, 7), (7, 10), (10, 11), (11, 14))  # mean, quaternion, log-s
 def parameter_rows(
     parameters: torch.Tensor,  # [14, N] float32, N a multiple of 16
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Means ``[3, N]``, quaternions ``[4, N]``, log-scales ``[3, N]``, opacity logits ``[N]`` and colours ``[3, N]``
-    that share memory with the array the kernels read.
+    """Return means, quaternions, log-scales, opacity logits and colours that share memory with ``parameters``.
 
-    As leaves (``requires_grad_()``), passed on as ``means.T`` and so on, they are rendered, differentiated and stepped
-    without a copy. Leaves that are transposed or have gaps themselves are slow in torch's fused Adam, or wrong: with
-    gaps between the rows it does not move them as the plain one does (torch 2.13). So give it whole rows.
+    Shapes: ``[3, N]``, ``[4, N]``, ``[3, N]``, ``[N]``, ``[3, N]``. As leaves (``requires_grad_()``), passed on as
+    ``means.T`` and so on, they are rendered, differentiated and stepped without a copy. Pass whole rows: torch's fused
+    Adam is slow for transposed leaves, and wrong for leaves with gaps between rows (torch 2.13).
     """
     means, quaternions, log_scales, logits, colors = (parameters[first:last] for first, last in _ROWS)
     return means, quaternions, log_scales, logits[0], colors
 
 
 def packed(
-    tensors: tuple[torch.Tensor | None, ...],  # means [N, 3] ... colors [N, 3], detached; colours may be missing
+    tensors: tuple[torch.Tensor | None, ...],  # means [N, 3] ... colors [N, 3], detached; colours may be None
     threads: int,
 ) -> np.ndarray:  # [14, capacity]
-    """One array for the kernels: the tensors' own memory where they lie in it like that, else a copy."""
+    """Return one array for the kernels: the tensors' own memory if its layout fits, else a copy."""
     shared = _shared(tensors)
     if shared is not None:
         return shared
@@ -53,7 +52,7 @@ def unpacked(
     tensors: tuple[torch.Tensor | None, ...],  # as in `packed`
     threads: int,
 ) -> list[torch.Tensor | None]:
-    """Gradients in the layout of the tensors, so that torch takes them as they are: rows are views, others copies."""
+    """Return gradients in the tensors' layout, so that torch accepts them: views of the rows, or copies."""
     count = len(tensors[0])
     rows = torch.from_numpy(gradient)[:, :count]
     results = [rows[first:last].T if last - first > 1 else rows[first] for first, last in _ROWS]
@@ -69,7 +68,7 @@ def _columns(tensor: torch.Tensor) -> np.ndarray:  # [N, D], contiguous, writeab
 
 
 def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
-    """The array that the five tensors are columns of, if they are."""
+    """Return the array whose columns the five tensors are, or None."""
     means = tensors[0]
     if not len(means) or any(tensor is None for tensor in tensors):
         return None
@@ -88,7 +87,7 @@ def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
 
 @_inline
 def _to_rows(block, row, values, size, first, last):
-    """``block[row + d, i] = values[i, d]``; both flat: so the loops become vector instructions."""
+    """Copy ``block[row + d, i] = values[i, d]``; both flat, so that the loops are vectorised."""
     capacity = block.shape[1]
     for d in range(size):
         for i in range(first, last):

@@ -1,9 +1,8 @@
-"""Further passes over the tile lists of a finished rendering.
+"""Run further passes over the tile lists of a rendering.
 
-After `Workspace.render` the sorted lists, the records and the pictures stand, after `Workspace.prepare` lists that are
-still to be sorted and the records. A pass walks the lists once more and asks something that most callers do not need: a
-median depth, more channels. Each has a kernel of its own or drives the kernels of `kernels` again, and a function that
-takes the workspace.
+After `Workspace.render`, sorted lists, records and images are available; after `Workspace.prepare`, records and
+unsorted lists. A pass goes over the lists again and computes a result that most callers do not need, such as a median
+depth or more channels. Each has its own kernel or reuses those of `kernels`, and a function that takes the workspace.
 """
 
 # mypy: ignore-errors
@@ -23,11 +22,14 @@ from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
 _TO_GRADIENT = np.zeros(layout.RATES, np.float32)
 _TO_GRADIENT[layout.MODE] = layout.TO_GRADIENT
-_AT_ONCE = 3  # channels a rendering carries
+_AT_ONCE = 3  # channels per rendering
 
 
 def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
-    """Depth, at the pixel, of the Gaussian with which the transmittance first falls to 0.5 or below; 0 without any."""
+    """Return the depth at the pixel of the Gaussian at which the transmittance first falls to 0.5 or below.
+
+    0 if there is none.
+    """
     gaussian = median_gaussian(workspace)
     record = workspace.records.reshape(-1, layout.RECORD)[np.maximum(gaussian, 0)]  # [H, W, 16]
     rows, columns = np.indices(gaussian.shape, np.float32) + np.float32(0.5)
@@ -38,10 +40,10 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
 
 
 def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray:  # [H, W] int64
-    """Column of the Gaussian with which the transmittance first falls to 0.5 or below; -1 where none does.
+    """Return the column of the Gaussian at which the transmittance first falls to 0.5 or below; -1 if there is none.
 
-    Not ``blended``: only `Workspace.prepare` has gone before, and the lists are still to be sorted. After blending that
-    must not be done again, as `Workspace.backward` would then go wrong.
+    ``blended=False``: only `Workspace.prepare` has run, and the lists must be sorted. After blending they must not be
+    sorted again; `Workspace.backward` would fail.
     """
     camera = workspace.camera
     picture = np.empty((camera.height, camera.width), np.float32)  # exact up to 16 million
@@ -54,7 +56,7 @@ def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray
 def _median(tickets, lists, sorts, picture):
     view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
     tile_start, tile_order = lists.tile_start, lists.tile_order
-    width = 2 * LANES  # floats of state per block: transmittance, who crosses one half
+    width = 2 * LANES  # floats of state per block: transmittance, column of the Gaussian that crosses one half
     state, digits = scratch_of(64 * width), np.empty(layout.DIGITS, np.int64)
     half, nobody = np.float32(0.5), spread(np.float32(-1.0))
     room, tiles_x = entries.shape[1], grid[layout.TILES_X]
@@ -88,7 +90,7 @@ def _median(tickets, lists, sorts, picture):
                 opaque = blending.alpha_of(records, base, block, along, across, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
-                goes_on = after > peek(view, layout.MIN_LEFT)  # else this Gaussian is not part of the pixel
+                goes_on = after > peek(view, layout.MIN_LEFT)  # otherwise this Gaussian is not blended into the pixel
                 crosses = goes_on & (after <= half)
                 found = sel(crosses, spread(np.float32(column_of)), load(state, at + LANES))
                 store(state, at + LANES, found)
@@ -108,9 +110,9 @@ def blend_channels(
     workspace: Workspace,
     channels: np.ndarray,  # [N, D] float32
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The picture ``[H, W, D]`` of any per-Gaussian numbers, and what `unblend_channels` needs.
+    """Blend any per-Gaussian values to an image ``[H, W, D]``; also return the data for `unblend_channels`.
 
-    Three channels at a time take the place of the colour in the records, and the lists are blended again.
+    Three channels at a time replace the colours in the records, and the lists are blended again.
     """
     picture = np.empty((workspace.camera.height, workspace.camera.width, channels.shape[1]), np.float32)
     kept, colors, own = [], _colors(workspace, len(channels)), workspace.color
@@ -134,7 +136,7 @@ def unblend_channels(
     gradient: np.ndarray,  # [14, capacity] float32: rows 0 to 10 (geometry) are added to
     by_channels: np.ndarray,  # [N, D] float32, added to
 ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
-    """The derivative of `blend_channels`; linear in the gradient picture, so every group of three adds its own."""
+    """Compute the derivative of `blend_channels`; it is linear in the gradient image, so groups of three add up."""
     height, width = by_picture.shape[:2]
     count, own = len(channels), workspace.color
     colors, nothing = _colors(workspace, count), np.zeros((height, width), np.float32)
@@ -156,7 +158,7 @@ def unblend_channels(
 
 
 def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
-    """View of the colour fields of the records."""
+    """Return a view of the colour fields of the records."""
     assert (layout.GREEN, layout.BLUE) == (layout.RED + 1, layout.RED + 2)
     return workspace.records[: count * layout.RECORD].reshape(count, layout.RECORD)[:, layout.RED : layout.RED + 3]
 

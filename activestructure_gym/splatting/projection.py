@@ -1,4 +1,4 @@
-"""Projection of Gaussians to ellipses in the image: 16 at a time, into records of 64 bytes."""
+"""Project Gaussians to ellipses in the image, 16 at a time, into records of 64 bytes."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -55,6 +55,7 @@ from activestructure_gym.splatting.simd import (
 
 @inline
 def camera_point(parameters, capacity, i, view):
+    """Return the means of 16 Gaussians in camera coordinates, in metres."""
     return _seen_from(
         load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i), view
     )  # fmt: skip
@@ -70,12 +71,13 @@ def _seen_from(mx, my, mz, view):
 
 @inline
 def scale_of(parameters, capacity, i, axis):
+    """Return the scale of 16 Gaussians along one of their axes, in metres, limited to 2^-60 ... 2^60."""
     return exp2(clamped(load(parameters, (7 + axis) * capacity + i) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
 
 
 @inline
 def rotation_of(parameters, capacity, i):
-    """Unit quaternion, 1 / its length before, and the 9 entries of the matrix."""
+    """Return unit quaternion, inverse of its original length, and the 9 entries of the matrix."""
     w, x = load(parameters, 3 * capacity + i), load(parameters, 4 * capacity + i)
     y, z = load(parameters, 5 * capacity + i), load(parameters, 6 * capacity + i)
     inverse = spread(F(1.0)) / sqrt(fma(w, w, fma(x, x, fma(y, y, z * z))))
@@ -92,7 +94,7 @@ def rotation_of(parameters, capacity, i):
 
 @inline
 def jacobian_of(x, y, inverse_z, view):
-    """J00, J02, J11, J12 of the projection and the clamped slopes."""
+    """Return J00, J02, J11, J12 of the projection and the clamped slopes."""
     slope_x = clamped(x * inverse_z, spread(view[LOW_X]), spread(view[HIGH_X]))
     slope_y = clamped(y * inverse_z, spread(view[LOW_Y]), spread(view[HIGH_Y]))
     j00, j11 = inverse_z * view[FX], inverse_z * view[FY]
@@ -101,11 +103,11 @@ def jacobian_of(x, y, inverse_z, view):
 
 @inline
 def depth_slopes(p, n, z, view):
-    """How the depth at which a pixel's ray meets a Gaussian changes along x and y, metres per pixel: A^-1 (z.p, z.n).
-    And the determinant of A, its covariance in the image, less blurred than for drawing.
+    """Return the depth slopes of a ray's intersection along x and y in metres per pixel: A^-1 (z.p, z.n).
 
-    ``p``, ``n`` and ``z`` are its three axes in pixels along x and y and in metres. By cross products, in which nothing
-    cancels for needles: without blur A^-1 (z.p, z.n) = ((z x n).(p x n), (p x z).(p x n)) / |p x n|^2.
+    Also return the determinant of A, the covariance in the image with less blur than for drawing. ``p``, ``n`` and
+    ``z`` are the three axes' components in pixels along x and y and in metres. Cross products avoid cancellation for
+    needles: without blur A^-1 (z.p, z.n) = ((z x n).(p x n), (p x z).(p x n)) / |p x n|^2.
     """
     c, a, b = cross(p, n), cross(z, n), cross(p, z)
     spread_of = dot3(*p, *p) + dot3(*n, *n)
@@ -117,14 +119,15 @@ def depth_slopes(p, n, z, view):
 
 @inline
 def cross(a, b):
+    """Return the cross product of two vectors of three components."""
     return fma(a[1], b[2], neg(a[2] * b[1])), fma(a[2], b[0], neg(a[0] * b[2])), fma(a[0], b[1], neg(a[1] * b[0]))
 
 
 @inline
 def opacity_of(parameters, capacity, i):
-    """Opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
+    """Return opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
     power = load(parameters, 10 * capacity + i) * neg(spread(LOG2_E))
-    e = exp2(larger(smaller(power, spread(F(80.0))), spread(F(-80.0))))  # in this order not-a-number becomes opacity 0
+    e = exp2(larger(smaller(power, spread(F(80.0))), spread(F(-80.0))))  # in this order NaN becomes opacity 0
     one_more = e + F(1.0)
     opacity = spread(F(1.0)) / one_more
     return opacity, e * opacity, neg(log2_of(one_more))
@@ -132,7 +135,7 @@ def opacity_of(parameters, capacity, i):
 
 @inline
 def reaches_image(parameters, i, view, grid):
-    """Which of the Gaussians i .. i + 15 may reach a pixel, by a cheap bound of what they are in the image."""
+    """Return which of the Gaussians i .. i + 15 may reach a pixel, by a cheap bound of their extent in the image."""
     capacity = grid[CAPACITY]
     x, y, z = camera_point(parameters, capacity, i, view)
     live = (z >= NEAR_PLANE) & (lane_index() < F(grid[COUNT] - i))
@@ -141,11 +144,11 @@ def reaches_image(parameters, i, view, grid):
     inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
     u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
     j00, j02, j11, j12, _, _ = jacobian_of(x, y, inverse_z, view)
-    # 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
+    # 3.34 sigma of the largest axis times the norm of the Jacobian at the clamped slope.
     log0, log1, log2 = (
         load(parameters, 7 * capacity + i), load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)
     )  # fmt: skip
-    live = live & (log0 < F(40.0)) & (log1 < F(40.0)) & (log2 < F(40.0))  # not so for what is not a number
+    live = live & (log0 < F(40.0)) & (log1 < F(40.0)) & (log2 < F(40.0))  # False for NaN
     largest = exp2(clamped(larger(log0, larger(log1, log2)) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
     norm = dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
     reach = sqrt(fma(norm * largest, largest, view[BLUR])) * F(3.34)
@@ -155,7 +158,7 @@ def reaches_image(parameters, i, view, grid):
 
 @inline
 def shape_of(parameters, capacity, i):
-    """What does not depend on the camera, in 16 vectors: means, rotations by rows, scales, log2 of opacities."""
+    """Return the camera-independent data in 16 vectors: means, rotations by rows, scales, log2 of opacities."""
     _, _, r = rotation_of(parameters, capacity, i)
     _, _, log_opacity = opacity_of(parameters, capacity, i)
     return (
@@ -170,7 +173,7 @@ def shape_of(parameters, capacity, i):
 
 @inner
 def project_block(parameters, i, view, grid, records):
-    """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
+    """Write records of Gaussians i .. i + 15; return the bits of those that reach a pixel block."""
     live, capacity = reaches_image(parameters, i, view, grid), grid[CAPACITY]
     if bits(live) == 0:
         return np.int64(0)
@@ -182,7 +185,7 @@ def project_block(parameters, i, view, grid, records):
 
 @inner
 def project_found(found, i, view, grid, records):
-    """The same of Gaussians ``found.places[i] .. found.places[i + 15]``, without colour, from their shapes."""
+    """Do the same for Gaussians ``found.places[i] .. found.places[i + 15]``, from their shapes and without colour."""
     none = spread(F(0.0))
     live = lane_index() < F(grid[COUNT] - i)
     shape = load_rows_transposed(found.shapes, found.places, i)
@@ -191,7 +194,7 @@ def project_found(found, i, view, grid, records):
 
 @inline
 def _write_records(live, shape, colors, i, view, grid, records):
-    """Project 16 Gaussians and write records i .. i + 15; returns the bits of those that reach a pixel block."""
+    """Project 16 Gaussians and write records i .. i + 15; return the bits of those that reach a pixel block."""
     mx, my, mz = shape[0], shape[1], shape[2]
     r = (shape[3], shape[4], shape[5], shape[6], shape[7], shape[8], shape[9], shape[10], shape[11])
     s0, s1, s2, log_opacity = shape[12], shape[13], shape[14], shape[15]
@@ -217,7 +220,7 @@ def _write_records(live, shape, colors, i, view, grid, records):
     c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
     determinant = fma(xx + yy, view[BLUR], dot3(c0, c1, c2, c0, c1, c2)) + view[BLUR] * view[BLUR]
     xx, yy = xx + view[BLUR], yy + view[BLUR]
-    inside = log_opacity + LOG2_255  # t^2 + s^2 up to here is seen
+    inside = log_opacity + LOG2_255  # upper limit of t^2 + s^2 of visible pixels
     live = live & (inside >= F(0.0)) & (determinant > F(0.0))
     inside = sel(live, inside, F(0.0))
     one = spread(F(1.0))
@@ -231,12 +234,12 @@ def _write_records(live, shape, colors, i, view, grid, records):
     l11 = one / root_yy * ROOT
     l00 = root_yy / root_determinant * ROOT
     l01 = neg(xy) / (root_yy * root_determinant) * ROOT
-    live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # not so where a covariance overflows
-    # The same per t and s. In y alone the slope is that of the blurred covariance, and what the other has less of it.
+    live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # False if a covariance overflows
+    # The same per t and s. Along y alone, the slope is that of the blurred covariance plus the difference.
     zy = dot3(z0, z1, z2, n0, n1, n2) * view[SLANT]
     slope_t, slope_s = slope_x / l00, fma(slope_y, view[BLUR] - SLANT_VARIANCE, zy) / (root_yy * ROOT)
 
-    # The box of the ellipse in blocks whose pixel centres it can contain.
+    # Bounding box of the ellipse in blocks whose pixel centres it can contain.
     root = sqrt(inside) * (one / ROOT)
     root_xx = sqrt(xx)
     radius_x, radius_y = root * root_xx + SLACK, root * root_yy + SLACK

@@ -1,4 +1,4 @@
-"""SIMD values in kernels: 16 float32, 16 int32 or 16 bits as one value of numba's, and their arithmetic.
+"""Define SIMD values for kernels: 16 float32, 16 int32 or 16 bits as one numba value, and their arithmetic.
 
 The operators become LLVM vector instructions (AVX-512, AVX2, SSE or NEON by LLVM).
 """
@@ -17,10 +17,10 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-# Only called from other kernels: Python's way in, which would be compiled along, is left out. So is counting references
-# to arrays: eight atomic additions per block of Gaussians, on cache lines that all threads share. It leaves such
-# functions unable to allocate; the few that must are `allocating`. Where a function is called with different numbers
-# they go through np.int64: numba compiles a function anew for every literal.
+# Called only from other kernels, so Python's entry point is not compiled. Reference counting of arrays is off too: it
+# costs eight atomic additions per block of Gaussians, on cache lines shared by all threads. Such functions cannot
+# allocate; the few that must are `allocating`. Varying integer arguments go through np.int64, since numba compiles a
+# function anew for every literal.
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 inner, inline = njit(_nrt=False, **_plain), njit(_nrt=False, forceinline=True, **_plain)
 allocating = njit(**_plain)
@@ -35,15 +35,15 @@ class _Vector(types.Type):
 
 
 class Floats(_Vector):
-    """16 float32."""
+    """Represent 16 float32."""
 
 
 class Ints(_Vector):
-    """16 int32."""
+    """Represent 16 int32."""
 
 
 class Mask(_Vector):
-    """16 bits."""
+    """Represent 16 bits."""
 
 
 floats, ints, mask16 = Floats(), Ints(), Mask()
@@ -58,7 +58,7 @@ for _numba_type, _llvm_type in ((Floats, FLOATS), (Ints, INTS), (Mask, MASK)):
 
 
 def spread_value(builder, value):
-    """The same number in every lane (vectors pass)."""
+    """Return the same number in every lane (vectors are unchanged)."""
     if isinstance(value.type, ir.VectorType):
         return value
     vector = ir.VectorType(value.type, LANES)
@@ -97,6 +97,7 @@ for _op, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
 
 
 def call_llvm(builder, name, result, args):
+    """Emit a call of an LLVM function, declared where it is missing."""
     function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, [arg.type for arg in args]), name)
     return builder.call(function, args)
 
@@ -106,7 +107,7 @@ def _as_floats(kind):
 
 
 def _elementwise(llvm_name, arity):
-    """An intrinsic of ``arity`` float arguments, scalars broadcast."""
+    """Return an intrinsic of ``arity`` float arguments; scalars are broadcast."""
 
     def codegen(context, builder, sig, args):
         return call_llvm(builder, f"{llvm_name}.v16f32", FLOATS, [spread_value(builder, arg) for arg in args])
@@ -116,7 +117,7 @@ def _elementwise(llvm_name, arity):
     return intrinsic(lambda typingctx, a, b, c: (floats(*map(_as_floats, (a, b, c))), codegen))
 
 
-# fmuladd and not fma: without FMA hardware the latter becomes a library call per lane.
+# fmuladd instead of fma, which becomes a library call per lane without FMA hardware.
 fma = _elementwise("llvm.fmuladd", 3)
 sqrt = _elementwise("llvm.sqrt", 1)
 floor = _elementwise("llvm.floor", 1)
@@ -125,17 +126,19 @@ ceil = _elementwise("llvm.ceil", 1)
 
 @intrinsic
 def neg(typingctx, a):
+    """Return the negative of a vector of floats."""
     return floats(floats), lambda context, builder, sig, args: builder.fneg(args[0])
 
 
 @intrinsic
 def spread(typingctx, a):
+    """Return the same float in every lane."""
     return floats(types.float32), lambda context, builder, sig, args: spread_value(builder, args[0])
 
 
 @intrinsic
 def sel(typingctx, mask, a, b):
-    """Lane by lane ``a if mask else b``."""
+    """Return ``a if mask else b`` lane by lane."""
     kind = ints if ints in (a, b) else floats
     scalar = types.int32 if kind is ints else types.float32
     arguments = [kind if isinstance(x, _Vector) else scalar for x in (a, b)]
@@ -148,7 +151,7 @@ def sel(typingctx, mask, a, b):
 
 @intrinsic
 def bits(typingctx, mask):
-    """The mask as an integer, lane 0 lowest."""
+    """Return the mask as an integer, lane 0 lowest."""
 
     def codegen(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(16)), I64)
@@ -158,21 +161,25 @@ def bits(typingctx, mask):
 
 @intrinsic
 def to_int(typingctx, a):
+    """Convert floats to integers, rounded towards zero."""
     return ints(floats), lambda context, builder, sig, args: builder.fptosi(args[0], INTS)
 
 
 @intrinsic
 def to_float(typingctx, a):
+    """Convert integers to floats."""
     return floats(ints), lambda context, builder, sig, args: builder.sitofp(args[0], FLOATS)
 
 
 @intrinsic
 def int_bits(typingctx, a):
+    """Return the bits of floats as integers."""
     return ints(floats), lambda context, builder, sig, args: builder.bitcast(args[0], INTS)
 
 
 @intrinsic
 def float_bits(typingctx, a):
+    """Return the bits of integers as floats."""
     return floats(ints), lambda context, builder, sig, args: builder.bitcast(args[0], FLOATS)
 
 

@@ -1,9 +1,9 @@
-"""Colour by viewing direction: real spherical harmonics of degree 0 to 3.
+"""Compute view-dependent colour: real spherical harmonics of degree 0 to 3.
 
-The convention of 3D Gaussian splatting and gsplat: colour = max(0, 0.5 + sum_k Y_k(d) f_k) with d the unit vector from
-the camera centre to the mean, and the signs of the basis of [kerbl2023, code]. Only the stage
-that runs once per Gaussian pays for it: the kernels turn coefficients into colours before a rendering, and the
-derivatives by colour into those by coefficients, mean and camera centre after it.
+The convention is that of 3D Gaussian splatting and gsplat: colour = max(0, 0.5 + sum_k Y_k(d) f_k). Here d is the unit
+vector from the camera centre to the mean, and the basis has the signs of [kerbl2023, code]. Colours are evaluated once
+per Gaussian. The kernels convert coefficients to colours before a rendering. Afterwards they convert the derivatives by
+colour to those by coefficients, mean and camera centre.
 """
 
 # mypy: ignore-errors
@@ -30,7 +30,7 @@ _TINY = 1e-30
 
 
 def _make_bands(number):
-    """The functions of the basis with their constants in one precision: values and slopes of degree 1, 2, 3."""
+    """Return the basis functions with constants in one precision: values and slopes of degree 1, 2, 3."""
     c1 = number(0.4886025119029199)
     c2, c20, c22 = number(1.0925484305920792), number(0.31539156525252005), number(0.5462742152960396)
     c30, c31, c32 = number(0.3731763325901154), number(0.4570457994644658), number(2.890611442640554)
@@ -85,10 +85,10 @@ def evaluate_sh(
     coefficients: Array,  # [N, K, 3], K = 1, 4, 9 or 16
     directions: Array,  # [N, 3] from the camera centre to the Gaussian, any length
 ) -> Array:  # [N, 3]
-    """The colours, for arrays of numpy or tensors of torch (there with gradients)."""
+    """Return the colours, for numpy arrays or torch tensors (with gradients)."""
     x, y, z = (
         directions / ((directions * directions).sum(-1) + _TINY)[..., None] ** 0.5
-    ).T  # a direction of length 0 has the colour of degree 0
+    ).T  # a direction of length 0 gets the colour of degree 0
     terms = coefficients.shape[1]
     color = 0.5 + _C0 * coefficients[:, 0]
     at = 1
@@ -109,7 +109,7 @@ _degree_1, _degree_2, _degree_3, _slopes_1, _slopes_2, _slopes_3 = map(njit, _ma
 
 @njit
 def _fill_basis(basis, terms, x, y, z):
-    """Y_0 ... Y_(terms - 1) of a unit vector."""
+    """Write Y_0 ... Y_(terms - 1) of a unit vector."""
     basis[0] = _C0_32
     if terms > 1:
         basis[1], basis[2], basis[3] = _degree_1(x, y, z)
@@ -121,7 +121,7 @@ def _fill_basis(basis, terms, x, y, z):
 
 @njit
 def _fill_slopes(slopes, terms, x, y, z):
-    """``slopes [3, 16]``: the derivatives of the basis by x, y and z (row 0 to 2), each seen as a polynomial."""
+    """Write the derivatives of the basis polynomials by x, y and z into rows 0 to 2 of ``slopes [3, 16]``."""
     a, b, c = slopes[0], slopes[1], slopes[2]
     a[0] = b[0] = c[0] = np.float32(0.0)
     if terms > 1:
@@ -139,7 +139,7 @@ def _fill_slopes(slopes, terms, x, y, z):
 
 @njit
 def _may_be_seen(parameters, i, view, grid):
-    """False only for Gaussians that the projection drops: the same bound, a little wider."""
+    """Return False only for Gaussians that the projection drops: the same bound, slightly wider."""
     mx, my, mz = parameters[0, i], parameters[1, i], parameters[2, i]
     z = view[8] * mx + view[9] * my + view[10] * mz + view[11]
     if not z > np.float32(0.5) * layout.NEAR_PLANE:
@@ -160,7 +160,7 @@ def _may_be_seen(parameters, i, view, grid):
 
 @njit
 def _direction(parameters, i, centre):
-    """Unit vector from the camera centre to the mean, and one over its length before."""
+    """Return the unit vector from the camera centre to the mean, and the inverse of its original length."""
     x, y, z = parameters[0, i] - centre[0], parameters[1, i] - centre[1], parameters[2, i] - centre[2]
     inverse = np.float32(1.0) / np.sqrt(x * x + y * y + z * z + np.float32(_TINY))
     return x * inverse, y * inverse, z * inverse, inverse
@@ -168,7 +168,7 @@ def _direction(parameters, i, centre):
 
 @kernel
 def _shade(tickets, parameters, view, grid, centre, coefficients):
-    """Rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
+    """Compute rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
     terms, basis = coefficients.shape[1], np.empty(16, np.float32)
     while True:
         chunk = counters.take_ticket(tickets, 0)
@@ -193,8 +193,10 @@ def _shade(tickets, parameters, view, grid, centre, coefficients):
 
 @kernel
 def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coefficients, by_centre):
-    """From the derivatives by colour (rows 11 to 13 of ``gradient``): adds those by mean to rows 0 to 2 and those
-    by coefficient to ``by_coefficients [N, K, 3]``; ``by_centre [chunks, 3]`` gets the share of every chunk.
+    """Propagate the derivatives by colour (rows 11 to 13 of ``gradient``) to mean, coefficients and camera centre.
+
+    They are added to rows 0 to 2 and to ``by_coefficients [N, K, 3]``; ``by_centre [chunks, 3]`` gets each chunk's
+    share.
     """
     terms, zero = coefficients.shape[1], np.float32(0.0)
     basis, slopes = np.empty(16, np.float32), np.empty((3, 16), np.float32)
@@ -241,7 +243,7 @@ def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coeff
 
 
 def camera_centre(camera_from_world: np.ndarray) -> np.ndarray:  # [4, 4] -> [3]
-    """Where the camera stands in the world, by a general inverse as in gsplat."""
+    """Return the camera's position in the world, by a general inverse as in gsplat."""
     pose = np.asarray(camera_from_world, np.float64)
     return -np.linalg.solve(pose[:3, :3], pose[:3, 3])
 
@@ -254,7 +256,7 @@ def shade(
     grid: np.ndarray,
     threads: int,
 ) -> None:
-    """Colours of the Gaussians that a camera may see; the others get black."""
+    """Write the colours of the Gaussians that a camera may see; the others get black."""
     centre = camera_centre(camera_from_world).astype(np.float32)
     TEAM.run(_shade, (np.zeros(1, np.int64), parameters, view, grid, centre, coefficients), threads)
 
@@ -268,7 +270,7 @@ def unshade(
     by_coefficients: np.ndarray,  # [N, K, 3] float32, added to
     threads: int,
 ) -> np.ndarray:  # [3, 4] derivative by camera_from_world, through the camera centre
-    """The derivative of `shade`."""
+    """Compute the derivative of `shade`."""
     centre = camera_centre(camera_from_world)
     parts = np.zeros((int(grid[layout.CHUNKS]), 3))
     arguments = (parameters, grid, centre.astype(np.float32), coefficients, gradient, by_coefficients, parts)

@@ -1,4 +1,4 @@
-"""Gradients of the parameters from the sums of every entry, dense or as a step of Adam."""
+"""Compute the parameters' gradients from the sums of every entry, dense or as a step of Adam."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -79,7 +79,7 @@ from activestructure_gym.splatting.tile_losses import TILE_TERMS
 
 @inline
 def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
-    """pose[3 j + k] += a_j b_k in the lanes that count."""
+    """Add pose[3 j + k] += a_j b_k in the lanes that count."""
     a0, a1, a2 = sel(seen, a0, F(0.0)), sel(seen, a1, F(0.0)), sel(seen, a2, F(0.0))
     b0, b1, b2 = sel(seen, b0, F(0.0)), sel(seen, b1, F(0.0)), sel(seen, b2, F(0.0))
     store(pose, 0, fma(a0, b0, load(pose, 0)))
@@ -94,17 +94,17 @@ def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
 
 
 class _Shared(NamedTuple):
-    """What the three axes of 16 Gaussians have in common; SIMD values."""
+    """Hold data common to the three axes of 16 Gaussians; SIMD values."""
 
     covariance: Any  # (s00, s01, s11): derivatives by the projected covariance, the first and last times 1/2
-    leaning: Any  # (a0, a1): derivatives by the covariance of the projection and depth
+    leaning: Any  # (a0, a1): derivatives by the covariance of projection and depth
     lens: Any  # (j00, j02, j11, j12): the Jacobian of the projection
-    seen: Any  # which of the 16 count
+    seen: Any  # mask of the 16 that count
 
 
 @inline
 def _turned_axis(axis, scale, lens, view):
-    """An axis of the Gaussian in the world (k), turned into the camera (t) and projected (b)."""
+    """Return an axis of the Gaussian in the world (k), rotated into the camera frame (t), and projected (b)."""
     j00, j02, j11, j12 = lens
     k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
     t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
@@ -115,8 +115,9 @@ def _turned_axis(axis, scale, lens, view):
 
 @inline
 def _axis_gradient(turned, scale, row, shared, view, gradient, pose):
-    """One axis of the Gaussian: writes the derivative by its log-scale, adds to the pose's, returns the derivatives by
-    the axis' direction (3) and by J00, J02, J11, J12.
+    """Process one axis of the Gaussian: write the derivative by its log-scale and add to the pose's.
+
+    Returns the derivatives by the axis direction (3) and by J00, J02, J11, J12.
     """
     s00, s01, s11 = shared.covariance
     a0, a1 = shared.leaning
@@ -136,9 +137,10 @@ def _axis_gradient(turned, scale, row, shared, view, gradient, pose):
 
 @inline
 def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose):
-    """Derivatives of Gaussians i .. i + 15: into ``gradient [14 * 16]`` and, summed up, into ``pose [12 * 16]``.
+    """Compute derivatives of Gaussians i .. i + 15; return the bits of those with a weight.
 
-    ``sums_of [16 * 16]`` holds the sums of every Gaussian (zero for those without any). Returns which had a weight.
+    They go to ``gradient [14 * 16]`` and, summed, to ``pose [12 * 16]``. ``sums_of [16 * 16]`` holds the sums of every
+    Gaussian (zero without any).
     """
     capacity = grid[CAPACITY]
     m = load_sums(sums_of, 0)
@@ -164,7 +166,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     first = _turned_axis((r[0], r[3], r[6]), s0, lens, view)
     second = _turned_axis((r[1], r[4], r[7]), s1, lens, view)
     third = _turned_axis((r[2], r[5], r[8]), s2, lens, view)
-    # The depth at a pixel d from the mean is z + e.d; a is A^-1 times the sum of what depends on e, times d.
+    # The depth at pixel offset d from the mean is z + e.d; a is A^-1 times the sum of terms that depend on e, times d.
     p, n, along = (first[6], second[6], third[6]), (first[7], second[7], third[7]), (first[5], second[5], third[5])
     e0, e1, flat = depth_slopes(p, n, along, view)
     by_u, by_v = by_u - e0 * m[W_DEPTH], by_v - e1 * m[W_DEPTH]
@@ -199,7 +201,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     moved_x, moved_y = sel(inside_x, f_x * by_j02, F(0.0)), sel(inside_y, f_y * by_j12, F(0.0))
     by_x, by_y = j00 * by_u - moved_x, j11 * by_v - moved_y
     by_z = m[W_DEPTH] - fma(f_x, fma(x, by_u, by_j00), f_y * fma(y, by_v, by_j11))
-    # J02 = -fx clamp(x / z) / z: outside the clamp only its last factor moves.
+    # J02 = -fx clamp(x / z) / z: outside the clamp only its last factor varies.
     by_z = by_z + fma(slope_x, fma(f_x, by_j02, moved_x), slope_y * fma(f_y, by_j12, moved_y))
     mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
     _add_outer(pose, seen, by_x, by_y, by_z, mx, my, mz)
@@ -219,10 +221,10 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
 
 @inner
 def _step_chunk(number, lists, step, scratch):
-    """Gather the slots of the 1024 Gaussians of chunk ``lists.taken[number]`` and step them (Adam), write their dense
-    gradient, or only the pose's.
+    """Sum the slots of the 1024 Gaussians of chunk ``lists.taken[number]``, then step or write gradients.
 
-    ``scratch [42 * 16]``: gathered sums, gradient, pose.
+    ``rates[MODE]`` selects an Adam step, dense gradients, or the pose's gradient only. ``scratch [42 * 16]`` is
+    workspace: summed slots, gradient, pose.
     """
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     parameters, first_moment, second_moment = step.parameters, step.first_moment, step.second_moment
@@ -268,7 +270,7 @@ def _step_chunk(number, lists, step, scratch):
             if not stepping:
                 store(gradient, at, g)
                 continue
-            # Differences are masked, not results: a select before a store becomes a slow masked store.
+            # Differences are masked instead of results: a select before a store becomes a slow masked store.
             m, s = load(first_moment, at), load(second_moment, at)
             m = m + sel(mask, (g - m) * (F(1.0) - beta1), F(0.0))
             s = s + sel(mask, (g * g - s) * (F(1.0) - beta2), F(0.0))
@@ -292,7 +294,7 @@ _POSE_LANES = np.array([[SUM_LANES.index(x) for x in (3 * j, 3 * j + 1, 3 * j + 
 
 @inner
 def _sum_up(chunks, grid, pose_parts, terms, results):
-    """From the parts of every chunk and tile to ``results [15]``, in float64 and always in the same order."""
+    """Sum the parts of every chunk and tile to ``results [15]``, in float64 and fixed order."""
     for number in range(OF_POSE):
         total = 0.0
         for chunk in range(chunks):
@@ -310,7 +312,10 @@ def _sum_up(chunks, grid, pose_parts, terms, results):
 
 @inner
 def step_parameters(tickets, lists, step, terms, scratch):
-    """When the slots of all tiles are there: `_step_chunk` for every chunk taken. The last one sums up the parts."""
+    """Run `_step_chunk` for every chunk taken, once the slots of all tiles are written.
+
+    The last thread sums up the parts.
+    """
     grid, chunks = lists.grid, len(lists.taken)
     if not all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):
         return

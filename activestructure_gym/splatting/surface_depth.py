@@ -1,9 +1,9 @@
-"""Depth of the surface that a map shows: sharper than the mean over all that a ray passes.
+"""Compute the depth of the surface shown by a map, sharper than the mean over a ray.
 
-A rendered depth, the mean over the Gaussians of a ray by weight, lies between two surfaces beside every edge, and takes
-each Gaussian at the depth of its centre. Here a pixel takes the one Gaussian with which the transmittance first falls
-to one half ([huang2024], median depth), at the place where it is densest along the ray ([yu2024], ray-Gaussian
-intersection): a disk seen at a slant where the ray meets it.
+The mean depth over the Gaussians of a ray, by weight, is between two surfaces at every edge, and uses the depths of
+the Gaussians' centres. Here a pixel uses the single Gaussian at which the transmittance first falls to one half
+([huang2024], median depth). Its depth is that of the Gaussian's greatest density along the ray ([yu2024], ray-Gaussian
+intersection). For an oblique disc, this is the point where the ray meets it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def surface_depth(
     *,
     blur_variance: float = float(BLUR_VARIANCE),  # px^2
     threads: int | None = None,
-) -> np.ndarray:  # [C, H, W] float32 metres along the optical axis, 0 where the map stays more than half transparent
-    """Depth of the surface that the map shows to each of some cameras."""
+) -> np.ndarray:  # [C, H, W] float32 metres along the optical axis, 0 where the map is more than half transparent
+    """Return the depth of the map's surface for each camera."""
     used, pooled = fitted(parameters), PooledWorkspace()
     depth = np.empty((len(world_from_camera), camera.height, camera.width), np.float32)
     intrinsics, whitening = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), _whitening(used[:, :count])
@@ -40,7 +40,7 @@ def surface_depth(
 
 
 def _whitening(parameters: np.ndarray) -> np.ndarray:  # [N, 3, 3]
-    """Matrices that turn an offset in metres into one in standard deviations along a Gaussian's axes."""
+    """Return matrices that convert an offset in metres to standard deviations along a Gaussian's axes."""
     turn = parameters[3:7] / np.linalg.norm(parameters[3:7], axis=0)
     axes = np.array(matrix_rows(*turn))  # [world, axis, N]
     return np.ascontiguousarray((axes * np.exp(-parameters[7:10])).transpose(2, 1, 0))
@@ -55,7 +55,7 @@ def _densest(
     intrinsics: np.ndarray,  # fx, fy, cx, cy
     depth: np.ndarray,  # [H, W] out
 ) -> None:
-    """Where each pixel's ray is nearest to its Gaussian's centre, counted in standard deviations."""
+    """Write the depth where each pixel's ray is nearest to its Gaussian's centre, in standard deviations."""
     fx, fy, cx, cy = intrinsics
     m = world_from_camera
     for row in range(depth.shape[0]):
@@ -73,4 +73,4 @@ def _densest(
                     centre += whitening[i, axis, k] * (parameters[k, i] - m[k, 3])
                 along += ray * centre
                 square += ray * ray
-            depth[row, column] = max(along / square, 0.0)  # behind a camera that stands in a large disk is nothing
+            depth[row, column] = max(along / square, 0.0)  # 0 behind a camera inside a large disc

@@ -1,4 +1,4 @@
-"""Tile lists: count the entries of every tile, reserve their places, fill and sort them."""
+"""Build tile lists: count the entries of every tile, reserve their positions, fill and sort them."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -45,7 +45,7 @@ _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in rang
 
 @inner
 def _reach_of_large(records, base, tile_x, tile_y, last_x):
-    """Blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar, the same intervals as the bitmap."""
+    """Return the blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar version of the bitmap."""
     u, v = peek(records, base + U), peek(records, base + V)
     l00, l01, l11 = peek(records, base + L00), peek(records, base + L01), peek(records, base + L11)
     inside = peek(records, base + LOG_OPACITY) + LOG2_255
@@ -73,7 +73,7 @@ def _reach_of_large(records, base, tile_x, tile_y, last_x):
 
 @inline
 def _reach(records, base, x0, y0, x1, y1, tile_x, tile_y):
-    """The 64 blocks of a tile as bits: the Gaussian's own bitmap moved to the tile's corner."""
+    """Return the 64 blocks of a tile as bits: the Gaussian's bitmap shifted to the tile's corner."""
     if x1 - x0 > 7 or y1 - y0 > 7:
         return _reach_of_large(records, base, tile_x, tile_y, x1)
     reach = U64(peek_bits(records, base + BITMAP)) | (U64(peek_bits(records, base + BITMAP + 1)) << U64(32))
@@ -95,12 +95,12 @@ def _box(records, base):
 
 @inline
 def _one_tile(x0, y0, x1, y1):
-    """Most boxes lie in one tile: no need to look at the blocks to count them."""
+    """Return whether the box is in one tile, as most are; its blocks then need not be tested for counting."""
     return ((x0 ^ x1) | (y0 ^ y1)) < 8
 
 
 def _make_project(project):
-    """The loop over the Gaussians of a chunk: of those in a row of the map, or of those found to be in view."""
+    """Make the loop over the Gaussians of a chunk: consecutive ones of the map, or those found to be in view."""
 
     @inner
     def project_chunk(number, source, lists, histogram, chunk_entries):
@@ -136,7 +136,7 @@ project_found_chunk = _make_project(project_found)
 
 @inner
 def find_in_view(parameters, view, grid, places):
-    """Write the numbers of the Gaussians that may reach a pixel into ``places``; returns how many."""
+    """Write the indices of the Gaussians that may reach a pixel into ``places``; return their number."""
     count = 0
     for i in range(0, grid[COUNT], LANES):
         seen = np.int64(bits(reaches_image(parameters, i, view, grid)))
@@ -149,7 +149,7 @@ def find_in_view(parameters, view, grid, places):
 
 @inner
 def _order_tiles(tiles, tile_start, tile_order):
-    """The tiles by falling number of entries, to a 256th of the largest, ties by index: a counting sort."""
+    """Sort the tiles by decreasing number of entries, to 1/256 of the largest, ties by index: a counting sort."""
     most = 1
     for rank in range(PLACES):
         poke(tile_order, tiles + rank, 0)
@@ -167,9 +167,9 @@ def _order_tiles(tiles, tile_start, tile_order):
 
 @inner
 def plan_entries(lists, histogram, chunk_entries):
-    """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots.
+    """Convert the counts to start positions: of each chunk's entries in each tile, and of each chunk's slots.
 
-    ``tile_order`` lists the tiles with most entries first: handed out so, all threads finish at nearly the same time.
+    ``tile_order`` lists the tiles with most entries first, so that all threads finish at nearly the same time.
     """
     grid, tile_start = lists.grid, lists.tile_start
     tiles, chunks = grid[TILES_X] * grid[TILES_Y], len(lists.taken)
@@ -192,7 +192,7 @@ def plan_entries(lists, histogram, chunk_entries):
             entries = np.int64(peek(histogram, chunk * tiles + tile))
             poke(histogram, chunk * tiles + tile, np.int32(peek(tile_start, tile)))
             poke_add(tile_start, tile, entries)
-    for tile in range(tiles, 0, -1):  # each start has moved to the next one's
+    for tile in range(tiles, 0, -1):  # each start has moved to the next tile's
         tile_start[tile] = tile_start[tile - 1]
     tile_start[0] = 0
     slots = 0
@@ -206,7 +206,7 @@ def plan_entries(lists, histogram, chunk_entries):
 
 @inner
 def fill_chunk(number, lists, histogram, chunk_entries):
-    """Write the entries of chunk ``lists.taken[number]``; the slots of one Gaussian lie side by side."""
+    """Write the entries of chunk ``lists.taken[number]``; the slots of one Gaussian are contiguous."""
     grid, records, visible, entries = lists.grid, lists.records, lists.visible, lists.entries
     tiles_x = grid[TILES_X]
     tiles, room = tiles_x * grid[TILES_Y], entries.shape[1]
@@ -224,7 +224,7 @@ def fill_chunk(number, lists, histogram, chunk_entries):
             for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
                     reach = _reach(records, base, x0, y0, x1, y1, tile_x, tile_y)
-                    if alone or reach != U64(0):  # the same rule as when counting
+                    if alone or reach != U64(0):  # same rule as for counting
                         counter = number * tiles + tile_y * tiles_x + tile_x
                         at = np.int64(peek(histogram, counter))
                         poke(histogram, counter, np.int32(at + 1))
@@ -237,9 +237,9 @@ def fill_chunk(number, lists, histogram, chunk_entries):
 
 @inner
 def sort_tile(tile, lists, digits):
-    """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such).
+    """Sort the entries of a tile by depth, ties by index; return the total number of blocks they reach.
 
-    Returns how many blocks they reach together.
+    It is a radix sort on the float's bits (positive floats sort as integers).
     """
     start, stop, entries = lists.tile_start[tile], lists.tile_start[tile + 1], lists.entries
     room = entries.shape[1]
@@ -263,7 +263,7 @@ def sort_tile(tile, lists, digits):
         spare, width = (farthest >> U64(32)) - nearest, 0
         while (spare >> U64(width)) != U64(0):
             width += 1
-        most = 8 if count < 2048 else 11  # bits of a digit: its table has to be walked through as well
+        most = 8 if count < 2048 else 11  # bits of a digit: its table must be traversed too
         rounds = (width + most - 1) // most
         width = (width + rounds - 1) // max(rounds, 1)
         shift, size = 0, 1 << width

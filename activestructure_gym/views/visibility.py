@@ -1,4 +1,4 @@
-"""Which planes of the Plane Scene Graph a candidate view would see (V_c^vis of Sec. 3.4)."""
+"""Test which planes of the Plane Scene Graph a candidate view would see (V_c^vis of Sec. 3.4)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
-MIN_DISTANCE_M = 0.2  # closer than this a depth sensor returns nothing
-MAX_DISTANCE_M = 5.0  # distance gate of the paper (Sec. 3.4), which names no number: own choice
-MIN_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, likewise
-MIN_SHARE = 0.1  # of a plane's points that must pass for the plane to count as visible
-_WORTH_A_THREAD = 2000  # pairs of view and plane: less is done before a second thread has woken up
+MIN_DISTANCE_M = 0.2  # metres; closer than this a depth sensor returns nothing
+MAX_DISTANCE_M = 5.0  # distance gate of the paper (Sec. 3.4), which gives no number: own choice
+MIN_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, also own choice
+MIN_SHARE = 0.1  # fraction of a plane's points that must be visible for the plane to be visible
+_WORTH_A_THREAD = 2000  # view-plane pairs; fewer are tested before a second thread starts
 SAMPLES = 16  # points tested per plane, spread evenly over its stored points
 
 
@@ -29,9 +29,10 @@ def visible_planes(
     world_from_camera: np.ndarray,  # [K, 4, 4]
     volume: VoxelVolume | None = None,
 ) -> np.ndarray:  # [K, P] bool
-    """Frustum culling, distance gating and view-angle filtering, as in the paper; a plane is seen from its own side.
+    """Return visible planes by frustum culling, distance gating and view-angle filtering, as in the paper.
 
-    With a ``volume``, points behind an occupied voxel do not count either (beyond the paper).
+    A plane is visible only from its front side. With a ``volume``, points behind an occupied voxel are excluded too
+    (beyond the paper).
     """
     if not len(planes) or not len(world_from_camera):
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
@@ -43,18 +44,18 @@ def visible_planes(
 
 def cosines_in_sight(
     points: np.ndarray,  # [P, S, 3] metres, world
-    normals: np.ndarray,  # [P, 3] unit, of all S points of a row
+    normals: np.ndarray,  # [P, 3] unit, one for all S points of a row
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [K, 4, 4]
-    volume: VoxelVolume | None = None,  # without one nothing hides anything
+    volume: VoxelVolume | None = None,  # without one there is no occlusion
     *,
     farthest: np.ndarray | float = np.inf,  # [P] metres of depth
-    enough: int = 1 << 30,  # points of a row; those behind them are not looked at
+    enough: int = 1 << 30,  # number of visible points after which a row is not tested further
 ) -> tuple[np.ndarray, np.ndarray]:  # [K, P, S] float64, [K, P] int64
-    """Cosine between the normal and the line of sight, and how many points of every row have one.
+    """Return the cosine between normal and line of sight for each point, and the number of visible points per row.
 
-    0 outside the frustum, the distance gate or the view angle, and behind an occupied voxel. A row that can no longer
-    come to ``enough`` is left, too.
+    The cosine is 0 outside the frustum, the distance gate or the view angle, and behind an occupied voxel. A row that
+    cannot reach ``enough`` any more is not tested further.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
@@ -78,7 +79,7 @@ def cosines_in_sight(
 
 
 class _Targets(NamedTuple):
-    """Sample points of the planes and what decides whether they are in sight."""
+    """Hold sample points of the planes and the parameters of their visibility test."""
 
     points: np.ndarray  # [P, S, 3] metres, world
     normals: np.ndarray  # [P, 3]
@@ -89,7 +90,7 @@ class _Targets(NamedTuple):
 
 @kernel
 def _cosines_in_sight(
-    tickets: np.ndarray,  # [1] int64, the candidates that threads have taken
+    tickets: np.ndarray,  # [1] int64, number of candidates taken by threads
     targets: _Targets,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     eyes: np.ndarray,  # [K, 3] voxels
@@ -98,7 +99,7 @@ def _cosines_in_sight(
     cosines: np.ndarray,  # [K, P, S], zeros, written to
     counts: np.ndarray,  # [K, P], zeros, written to
 ) -> None:
-    """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
+    """Compute `cosines_in_sight`: cheap tests first, the line of sight last. Compiled, since every step needs it."""
     points, normals, ends, farthest, enough = targets
     samples = points.shape[1]
     while True:
@@ -119,7 +120,7 @@ def _cosines_in_sight(
                 if depth <= 0.0 or depth > farthest[p]:
                     continue
                 height = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2])
-                if height <= 0.0:  # its back
+                if height <= 0.0:  # seen from behind
                     continue
                 distance = np.sqrt(x * x + y * y + z * z)
                 if distance < MIN_DISTANCE_M or distance > MAX_DISTANCE_M:

@@ -1,4 +1,4 @@
-"""A depth image made ready for carving: what pixels without return prove, and minima over blocks of pixels."""
+"""Prepare a depth image for carving: free distances of pixels without return, and minima over blocks of pixels."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-# Blocks of the minimum pyramid are at most a sixth of a footprint, which so grows by less than a third.
+# A footprint is read in at most 6 blocks per side, so it grows by less than a third.
 READS_PER_SIDE = 6
-# Lost pixels come singly or in bands a few pixels wide; what is without return on this many squared is truly empty.
+# Lost returns are single pixels or bands a few pixels wide; a block without return of this side length is empty space.
 _EMPTY_BLOCK = 5
-# A lost pixel is taken to be like its neighbours if at least so many of the 8 have a return.
+# A lost pixel takes its neighbours' depth if at least this many of the 8 have a return.
 _MIN_NEIGHBOURS = 2
 
 
 def fill_gaps(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
-    sensor_range: float | None,  # metres up to which the sensor returns every surface, None = not known
+    sensor_range: float | None,  # metres within which the sensor returns every surface, None = unknown
     *,
     dropouts: bool,  # whether it also loses single returns within that range
-) -> np.ndarray:  # [H, W] metres; 0 = proves nothing
-    """Distance up to which each pixel's ray is free.
+) -> np.ndarray:  # [H, W] metres; 0 = unknown
+    """Return the distance up to which each pixel's ray is free.
 
-    Without dropouts a pixel without return is free up to the sensor's range. With them only those of a 5 x 5 block
-    are; the others are taken to be as near as the nearest of their neighbours.
+    Without dropouts, a pixel without return is free up to the sensor's range. With dropouts this holds only inside 5 x
+    5 blocks without return; other lost pixels take the smallest depth of their neighbours.
     """
     gaps = depth <= 0
     if not gaps.any():
@@ -43,11 +43,11 @@ def fill_gaps(
 def solid_gaps(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
 ) -> np.ndarray:  # [H, W] bool
-    """Pixels that belong to a block of 5 x 5 pixels without any return (a morphological opening)."""
+    """Return pixels in blocks of 5 x 5 pixels without any return (a morphological opening)."""
     gap = depth <= 0
     side = _EMPTY_BLOCK
     centers = gap.copy()
-    for axis in range(2):  # what lies beyond the image may be gap
+    for axis in range(2):  # pixels beyond the image count as gaps
         lines = np.moveaxis(centers, axis, 0)
         padded = np.pad(lines, ((side // 2, side // 2), (0, 0)), constant_values=True)
         for shift in range(side):
@@ -61,9 +61,9 @@ def solid_gaps(
 
 
 def minimum_pyramid(
-    depth: np.ndarray,  # [H, W] metres, 0 = proves nothing
+    depth: np.ndarray,  # [H, W] metres, 0 = unknown
 ) -> tuple[np.ndarray, np.ndarray]:  # (all levels flat, [L, 3] int64: start, height, width of each level)
-    """Minimum over blocks of 2^l x 2^l pixels; a block with a pixel that proves nothing is 0."""
+    """Return minima over blocks of 2^l x 2^l pixels; a block with an unknown pixel is 0."""
     height, width = depth.shape
     levels, size = [(0, height, width)], height * width
     while min(height, width) > 2 * READS_PER_SIDE:
@@ -78,7 +78,7 @@ def minimum_pyramid(
 
 @kernel
 def _fill_pyramid(
-    pyramid: np.ndarray,  # in place: level 0 is there
+    pyramid: np.ndarray,  # written to; level 0 is given
     levels: np.ndarray,  # [L, 3] start, height, width
 ) -> None:
     for level in range(1, len(levels)):

@@ -1,14 +1,15 @@
-"""One depth image into the voxel grid: hits, conservative free carving and the projective TSDF, in one pass.
+"""Integrate a depth image into the voxel grid in one pass: hits, conservative free carving, projective TSDF.
 
-What makes the free space safe to move in:
+Rules that make the free space safe to move in:
 
-- A voxel is looked through only if *every* ray through its projected footprint, and the ring of rays around it, ends
-  behind the voxel's far side by more than the sensor's noise. A ray without return proves nothing.
-- A voxel that any ray ended in is occupied, however thin the structure is.
-- A voxel at the border of the image is seen in part. The parts (4 x 4 x 4 of them) proven free by different looks, or
-  by the agent's body, are pieced together: otherwise every seam between two views would be a wall.
-- Rays are samples: at range z they are z / f apart, and a structure of width w can stand between them. One look misses
-  it with chance 1 - min(1, w f / z), so a voxel is free only once the product of these chances over all looks is small.
+- A voxel is carved only if *every* ray through its projected footprint, and the ring of rays around it, ends behind the
+  voxel's far side by more than the sensor's noise. A ray without return proves nothing.
+- A voxel in which any ray ends is occupied, however thin the structure is.
+- A voxel at the border of the image is seen in part. Its 4 x 4 x 4 parts, proven free by different views or by the
+  agent's body, are combined; otherwise every seam between two views would be a wall.
+- Rays are samples: at range z they are z / f apart, and a structure of width w can lie between them. One view misses it
+  with probability 1 - min(1, w f / z). A voxel is free only when the product of these probabilities over all views is
+  small.
 """
 
 from __future__ import annotations
@@ -27,43 +28,43 @@ UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 
-# Closer than this the footprint of a voxel is larger than the image; also keeps the projection away from z = 0.
+# Closer than this the footprint of a voxel exceeds the image; it also keeps the projection away from z = 0.
 _MIN_DEPTH_M = 0.05
 PARTS_PER_SIDE = 4
 ALL_PARTS = np.uint64(2**64 - 1)
 _ONE = np.uint64(1)
-# Below this the remaining chance of having missed something is called zero, and the voxel needs no more looks.
+# A smaller miss probability is rounded to 0, and the voxel needs no more views.
 _SURE = 1e-3
 
 
 class VoxelFields(NamedTuple):
-    """The arrays of the volume, each [X, Y, Z]."""
+    """Hold the arrays of the volume, each [X, Y, Z]."""
 
     origin: np.ndarray  # [3] lower corner of voxel (0, 0, 0)
     voxel_size: float  # metres
     state: np.ndarray  # uint8
     solidity: np.ndarray  # int16: above 0 = occupied
     miss_chance: np.ndarray  # float32
-    parts: np.ndarray  # uint64: one bit for each part that is proven free
-    last_hit: np.ndarray  # int32: number of the last image that hit the voxel
+    parts: np.ndarray  # uint64: one bit for each part proven free
+    last_hit: np.ndarray  # int32: number of the last image with a hit in the voxel
     tsdf: np.ndarray  # float32
     weight: np.ndarray  # float32
 
 
 class Look(NamedTuple):
-    """A depth image prepared for `carve`."""
+    """Hold a depth image prepared for `carve`."""
 
     number: int
-    fresh: bool  # seen from another pose than the image before
-    depth: np.ndarray  # [H, W] float32: what was returned
-    pyramid: np.ndarray  # from minimum_pyramid: how far each ray is free
+    fresh: bool  # whether the pose differs from the previous image's
+    depth: np.ndarray  # [H, W] float32 measured depth
+    pyramid: np.ndarray  # from minimum_pyramid: free distance of each ray
     levels: np.ndarray
     lens: Lens
     camera_from_world: np.ndarray  # [4, 4]
 
 
 class Frustum(NamedTuple):
-    """The inequalities of `frustum_planes`, and the box [lower, upper) of voxels that the frustum can touch."""
+    """Hold the inequalities of `frustum_planes`, and the box [lower, upper) of voxels that the frustum can touch."""
 
     planes: np.ndarray
     reach: np.ndarray
@@ -74,7 +75,7 @@ class Frustum(NamedTuple):
 
 
 class Caution(NamedTuple):
-    """Margins and thresholds of `carve`, as in `VolumeConfig`."""
+    """Hold margins and thresholds of `carve`, as in `VolumeConfig`."""
 
     margin: float  # metres
     margin_growth: float  # metres per square metre of range
@@ -95,7 +96,7 @@ def mark_hits(
     gain: int,
     ceiling: int,
 ) -> None:
-    """Every ray that returns makes the voxel it ends in occupied (once per image)."""
+    """Mark the voxel in which each returning ray ends as occupied (once per image)."""
     fx, fy, cx, cy = lens
     origin, voxel_size, state, solidity, miss_chance, parts, last_hit, _, _ = voxels
     for v in range(depth.shape[0]):
@@ -125,7 +126,7 @@ def mark_hits(
 def _nearest_in_footprint(
     pyramid: np.ndarray, levels: np.ndarray, u0: int, u1: int, v0: int, v1: int, enough: float
 ) -> np.floating:
-    """Smallest depth over pixels [v0..v1] x [u0..u1] (or a little around them); stops below ``enough``."""
+    """Return the smallest depth over pixels [v0..v1] x [u0..u1] (or slightly more); stop below ``enough``."""
     level = 0
     while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > READS_PER_SIDE:
         level += 1
@@ -146,11 +147,14 @@ def frustum_planes(
     voxel_size: float,
     max_range: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The frustum of the outermost rays over camera points, and how a voxel stands out from its centre.
+    """Return the frustum of the outermost rays over camera points, and the extents of a voxel along its normals.
 
-    Returns the inequalities a . p >= b as rows [6, 4] (left, right, top, bottom, near, far), half a voxel's extent
-    across each [6], the lowest value of each of the first four over every part of a voxel less that at the voxel's
-    centre [64, 4], and half a voxel's extents along the camera's axes [3].
+    Returns four arrays:
+
+    - the inequalities a . p >= b as rows [6, 4]: left, right, top, bottom, near, far;
+    - half a voxel's extent across each [6];
+    - for each of the 64 parts of a voxel, the minimum of the first four relative to the voxel's centre [64, 4];
+    - half a voxel's extents along the camera's axes [3].
     """
     c = camera
     planes = np.array([
@@ -167,7 +171,7 @@ def frustum_planes(
 
 @cache
 def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
-    """Centre of each part of a voxel from the voxel's centre, in the order of the bits."""
+    """Return the centre of each part of a voxel relative to the voxel's centre, in bit order."""
     steps = (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
     centers = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     centers.setflags(write=False)
@@ -176,7 +180,7 @@ def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
 
 @kernel
 def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -> None:
-    """Update TSDF, free and occupied for every voxel that touches the view frustum."""
+    """Update TSDF and state of every voxel that touches the view frustum."""
     image_number, fresh, depth, pyramid, levels, lens, camera_from_world = look
     planes, reach, sides, extents, lower, upper = frustum
     origin, voxel_size, state, solidity, miss_chance, parts, last_hit, tsdf, weight = voxels
@@ -185,7 +189,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
     height, width = levels[0, 1], levels[0, 2]
     rotation = camera_from_world
     extent_x, extent_y, extent_z = extents
-    sure_range = thinnest * min(fx, fy)  # up to here no thin structure fits between two rays
+    sure_range = thinnest * min(fx, fy)  # up to this range no thin structure fits between two rays
     dx, dy, dz = rotation[0, 2] * voxel_size, rotation[1, 2] * voxel_size, rotation[2, 2] * voxel_size
 
     for i in range(lower[0], upper[0]):
@@ -193,13 +197,13 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
         for j in range(lower[1], upper[1]):
             wy = origin[1] + (j + 0.5) * voxel_size
             wz = origin[2] + 0.5 * voxel_size
-            # Camera point of voxel (i, j, 0).
+            # Camera-frame point of voxel (i, j, 0).
             bx = rotation[0, 0] * wx + rotation[0, 1] * wy + rotation[0, 2] * wz + camera_from_world[0, 3]
             by = rotation[1, 0] * wx + rotation[1, 1] * wy + rotation[1, 2] * wz + camera_from_world[1, 3]
             bz = rotation[2, 0] * wx + rotation[2, 1] * wy + rotation[2, 2] * wz + camera_from_world[2, 3]
             first, last = float(lower[2]), float(upper[2] - 1)
             for p in range(6):
-                # A column of voxels meets the frustum in one interval (the first four: with any part of a voxel).
+                # A column of voxels intersects the frustum in one interval (first four planes: any part of a voxel).
                 offset = planes[p, 0] * bx + planes[p, 1] * by + planes[p, 2] * bz - planes[p, 3]
                 if p < 4:
                     offset += reach[p]
@@ -216,7 +220,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                 v = min(max(int(fy * y / z + cy), 0), height - 1)
                 distance = depth[v, u] - z
                 if depth[v, u] > 0.0 and distance > -truncation:
-                    edge = np.inf  # how far inside the outermost rays the centre lies
+                    edge = np.inf  # distance of the centre to the outermost rays
                     for p in range(4):
                         edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
                     if edge >= 0.0:
@@ -240,7 +244,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                 partly = left < 0.5 or right > width - 0.5 or top < 0.5 or bottom > height - 0.5
                 if partly and (far > sure_range or solidity[i, j, k] > 0):
                     continue
-                # One ray more on each side: at least 3 x 3.
+                # Add one ray on each side: at least 3 x 3.
                 u0, u1 = max(int(max(left, 0.0)) - 1, 0), min(int(right) + 1, width - 1)
                 v0, v1 = max(int(max(top, 0.0)) - 1, 0), min(int(bottom) + 1, height - 1)
                 if _nearest_in_footprint(pyramid, levels, u0, u1, v0, v1, enough) <= enough:
@@ -261,9 +265,9 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                         state[i, j, k] = FREE
                     continue
 
-                met = min(1.0, sure_range / far)  # chance that a thin structure had met a ray
+                met = min(1.0, sure_range / far)  # probability that a ray meets a thin structure
                 if not fresh and (met < 1.0 or solidity[i, j, k] > 0):
-                    continue  # the same rays again say nothing new
+                    continue  # the same rays again add no information
                 missed = miss_chance[i, j, k] * (1.0 - met)
                 miss_chance[i, j, k] = missed if missed > _SURE else 0.0
                 if solidity[i, j, k] > 0 and met >= 1.0:

@@ -336,6 +336,7 @@ def _remove(place: Path) -> None:
 
 def aside_of(directory: Path) -> Path:
     """Return where a run's directory is for the moment in which another one takes its place."""
+    directory = directory.absolute()  # "." has no name
     return directory.with_name(f".{directory.name}.aside")
 
 

@@ -280,3 +280,8 @@ def test_the_mark_of_another_job_is_damage(tmp_path):
         open_comparison(place)
     (place / store.JOBS / ARCHIVED.name / store.DONE).unlink()
     assert open_comparison(place) == []
+
+
+def test_the_working_directory_can_be_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert store.aside_of(Path(".")) == tmp_path.with_name(f".{tmp_path.name}.aside")

@@ -9,7 +9,10 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+
+from tests.parsed import tree
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation")
@@ -56,7 +59,8 @@ INSIDE = (
 # What inside of those rooms looks at a machine, a file or a whole scene, which is the user's.
 USERS_INSIDE = {
     "activestructure_gym/compiling/decorator.py": {"check_compiling"},
-    "activestructure_gym/mapping/co_slam.py": {"CoSLAMMapper.persistent_map"},
+    "activestructure_gym/mapping/adapted.py": {"keyframe_mapper"},
+    "activestructure_gym/mapping/systems/co_slam/mapper.py": {"CoSLAMMapper.persistent_map"},
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
@@ -94,10 +98,10 @@ class Raise:
         return self.where.endswith("__post_init__")
 
 
-def raises() -> Iterator[Raise]:
-    for top in TOP:
-        for path in sorted((ROOT / top).rglob("*.py")):
-            yield from _raises_in(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(ROOT).as_posix(), ())
+@cache
+def raises() -> list[Raise]:
+    paths = [path for top in TOP for path in sorted((ROOT / top).rglob("*.py"))]
+    return [found for path in paths for found in _raises_in(tree(path), path.relative_to(ROOT).as_posix(), ())]
 
 
 def _raises_in(node: ast.AST, path: str, around: tuple[str, ...]) -> Iterator[Raise]:

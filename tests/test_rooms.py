@@ -14,6 +14,8 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
+from tests.parsed import tree
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "activestructure_gym"
 TOP = (PACKAGE, "envs", "policies", "evaluation")
@@ -82,7 +84,7 @@ def room_of(module: str) -> str:
 def imports_of(name: str, path: Path) -> Iterator[Import]:
     """Every import of our own modules, those for types and those inside functions too."""
     known = modules()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             targets = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:

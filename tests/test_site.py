@@ -344,6 +344,7 @@ assert "policies/random.md" in pages and "reference/activestructure_gym.policies
 """
 
 
+@pytest.mark.slow
 def test_the_site_asks_for_nothing_but_its_extra() -> None:
     """Its pages are made although no package can be imported that the extra `docs` alone does not bring."""
     pytest.importorskip("sphinx", reason="pip install 'activestructure-gym[docs]'")

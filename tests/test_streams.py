@@ -191,6 +191,7 @@ def test_files_do_not_take_the_numbers_of_closed_streams() -> None:
         assert subprocess.run(command, env=environment).returncode == 0
 
 
+@pytest.mark.slow
 def test_no_encoding_and_no_reader_ends_a_command_with_tables() -> None:
     assert asg("cache", shell=">&-").returncode == 0
     missing = asg("doctor", "--dataset", "replica", ".", PYTHONIOENCODING="cp1252:strict")

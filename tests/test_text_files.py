@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -13,11 +14,11 @@ WORKERS = {"evaluation/running/worker.py", "activestructure_gym/compiling/ahead.
 DOORS = {"activestructure_gym/streams.py", "evaluation/cli/output.py"}
 
 
-def calls(text: str) -> Iterator[tuple[int, str, ast.Call]]:
-    """Every call of a module: its line and the name that is called, with what stands in front of it."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Call):
-            yield node.lineno, ast.unparse(node.func), node
+@cache
+def calls(text: str) -> list[tuple[int, str, ast.Call]]:
+    """Return every call of a module: its line and the name that is called, with what stands in front of it."""
+    nodes = ast.walk(ast.parse(text))
+    return [(node.lineno, ast.unparse(node.func), node) for node in nodes if isinstance(node, ast.Call)]
 
 
 def without_encoding(text: str) -> Iterator[tuple[int, str]]:
@@ -50,9 +51,10 @@ def written_past_the_doors(text: str) -> Iterator[tuple[int, str]]:
             yield line, called
         elif called.endswith(".markup.escape"):
             yield line, called
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ImportFrom) and node.module == "rich.markup":
-            yield node.lineno, "rich.markup"
+    if "rich.markup" in text:
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom) and node.module == "rich.markup":
+                yield node.lineno, "rich.markup"
 
 
 def modules(*top: str) -> Iterator[tuple[str, str]]:

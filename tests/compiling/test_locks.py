@@ -26,6 +26,7 @@ RESULT = "12.0 42.0"
 BOTH = "tiny.total tiny.doubled"
 
 
+@pytest.mark.slow
 def test_processes_that_start_together_compile_everything_once(package, start, run, tmp_path) -> None:
     processes = [start(package, USE, cache=tmp_path / "cache") for _ in range(3)]
     for process in processes:

@@ -37,6 +37,7 @@ def test_gains_of_the_same_map_agree() -> None:
     assert np.abs(kernels[:, 1] - reference[:, 1]).max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_an_environment_by_the_reference_passes_the_checker() -> None:
     env = gym.make(
         "ActiveStructure/Room-v0", preset="fast", frame_budget=20, disable_env_checker=True,

@@ -162,6 +162,7 @@ def test_vectorised(env_id: str, options: dict[str, Any]) -> None:
     assert_vectorised(gym.make_vec(env_id, num_envs=2, vectorization_mode="sync", **options), 2)
 
 
+@pytest.mark.slow
 def test_vectorised_in_processes(scene_files: dict[str, str]) -> None:
     makers = [
         functools.partial(gym.make, f"activestructure_gym:{name}", **options_of(name, scene_files)) for name in ENV_IDS

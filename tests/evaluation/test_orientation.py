@@ -36,6 +36,7 @@ def test_compare_refuses_and_says_how_to_go_on(rooms, capsys):
     assert line.endswith("give up=z to follow the geometry, or up=y to insist")
 
 
+@pytest.mark.slow
 def test_compare_scenes_and_the_environment_say_the_same(rooms, capsys):
     spec = f"{rooms}/room.glb?up=auto"
     # A start outside ends the command after the scenes are loaded.

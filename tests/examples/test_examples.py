@@ -65,6 +65,7 @@ def test_any_policy_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert (tmp_path / "last.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_ppo_in_a_single_file(capsys: pytest.CaptureFixture[str]) -> None:
     example = load("ppo_single_file")
     args = example.Args(frames=12, num_envs=2, num_steps=6, total_steps=24, minibatch=8, update_epochs=1)

@@ -14,7 +14,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import GaussianMap, Mapper, MapperConfig
 from activestructure_gym.mapping.config import MAPPERS
-from activestructure_gym.mapping.make import make_mapper
+from activestructure_gym.mapping.registry import mapper_config
 
 CAMERA = PinholeCamera.from_size(32, 18)
 WALL = Frame(np.full((18, 32, 3), 90, np.uint8), np.full((18, 32), 2.0, np.float32), np.eye(4), CAMERA)
@@ -52,7 +52,7 @@ def test_an_object_is_made_once_per_episode_and_another_one_in_the_next() -> Non
 
 @pytest.mark.parametrize("name", sorted(name for name in MAPPERS if name != "co_slam"))
 def test_it_is_called_around_the_steps_of_every_event_from_then_on(name: str) -> None:
-    mapper = make_mapper(MAPPERS[name], np.random.default_rng(0), np.array([[-3.0] * 3, [3.0] * 3]))
+    mapper = mapper_config(name).make(np.random.default_rng(0), np.array([[-3.0] * 3, [3.0] * 3]))
     mapper.observe(WALL, iterations=1)
     kept = step_of(mapper).episode(calls)
     assert kept.seen == []

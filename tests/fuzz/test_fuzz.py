@@ -4,9 +4,14 @@ import pytest
 
 from tests.fuzz.harness import _CONTROL, _tried, generator, kind_module, kinds, run
 
+HEAVY = ("verdicts", "runs", "checkpoints", "layouts")  # each case plays or reads a whole run
+SHARES = [(kind, rest) for kind in kinds() for rest in (0, 1)]
 
-@pytest.mark.parametrize("rest", [0, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", kinds())
+
+@pytest.mark.parametrize(
+    ("kind", "rest"),
+    [pytest.param(kind, rest, marks=[pytest.mark.slow] if rest or kind in HEAVY else []) for kind, rest in SHARES],
+)
 def test_every_input_is_used_or_refused_in_one_sentence(kind, rest):
     cases = kind_module(kind).CI_CASES
     tally = run(kind, range(cases // 10, cases) if rest else range(cases // 10))

@@ -113,6 +113,7 @@ def test_of_two_storeys_the_one_with_more_level_ground_is_used_and_both_are_list
         assert regions.at(regions.name_of(region)) is region
 
 
+@pytest.mark.slow
 def test_inside_is_part_of_the_scene_and_of_every_key(storeys):
     other = replace(storeys, inside=(2.0, 2.0, 4.0))
     assert other.content_hash != storeys.content_hash

@@ -34,6 +34,7 @@ def observed(frames, iterations, recipe="default", **changes):
     return maps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["default", "splatam"])
 def test_ten_iterations_agree(recipe, rolled_frames):
     """Adam divides by the gradient's own size, so where a derivative is 0 rounding alone decides where it goes: a round

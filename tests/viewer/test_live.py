@@ -276,6 +276,7 @@ def test_what_cannot_be_served_is_said() -> None:
     taken.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
 @pytest.mark.parametrize("view", [{"asks": True}], indirect=True)
 def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconstruction, tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ def test_same_bits_for_any_number_of_threads_on_a_whole_workload():
         assert all(np.array_equal(a, b) for a, b in zip(other[1:], results[0][1:]))
 
 
+@pytest.mark.slow
 def test_rows_of_the_benchmark():
     lines = []
     rows = run_splatting_benchmark(["W4"], repeats=2, threads=(1, 2), baseline=False, progress=lines.append)

@@ -173,23 +173,14 @@ def test_what_set_changes_is_said(capsys):
 
 
 def test_every_field_has_a_meaning():
-    def walk(config):
-        for field in dataclasses.fields(config):
-            value = getattr(config, field.name)
-            if dataclasses.is_dataclass(value):
-                yield from walk(value)
-            else:
-                yield f"{type(config).__name__}.{field.name}", field_notes(type(config))[field.name]
-
-    silent = [name for name, note in walk(ReconstructionConfig()) if not note]
-    assert not silent
+    assert not [name for name, note in meanings(ReconstructionConfig()) if not note]
 
 
 @pytest.mark.parametrize("name", list(MAPPERS))
 def test_every_mapper_s_fields_are_listed_with_a_meaning(capsys, name):
     found = json.loads(said(capsys, "config", "--set", f"mapper.name={name}", "--json"))
     assert set(found["mapper"]) == {field.name for field in dataclasses.fields(MAPPERS.get(name))}
-    assert said(capsys, "config", "--set", f"mapper.name={name}").count("mapper.") > 40
+    assert said(capsys, "config", "--set", f"mapper.name={name}").count("\nmapper.") >= len(found["mapper"])
     assert all(meaning for _, meaning in meanings(ReconstructionConfig(mapper=MAPPERS.get(name))))
 
 

@@ -238,6 +238,7 @@ def test_doctor_says_what_a_datasets_folder_holds(tmp_path, capsys):
     assert "--dataset takes replica or matterport3d, and a folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
     from activestructure_gym.compiling import files
 
@@ -282,6 +283,7 @@ def write_boxes(path, *boxes):
     write_obj(path, corners, "".join(f"f {face}\n" for face in faces))
 
 
+@pytest.mark.slow
 def test_the_regions_of_a_scene_are_listed_and_chosen(tmp_path, capsys, monkeypatch):
     write_boxes(tmp_path / "storeys.obj", ((0, 0, 0), (5, 4, 2.4)), ((0, 0, 2.6), (4, 4, 5.1)))
     monkeypatch.setenv("COLUMNS", "80")

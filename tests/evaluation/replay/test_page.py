@@ -37,6 +37,7 @@ def test_the_page_needs_nothing_else_and_names_are_escaped(recordings: list[Reco
         object.__setattr__(recordings[0].run, "scene", "box")
 
 
+@pytest.mark.slow
 @needs_browser
 def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     write_replay(recordings[:1], tmp_path / "replay.html")
@@ -84,6 +85,7 @@ def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list
     assert page.errors == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_long_episode_is_drawn_as_a_short_one(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     """Frames of more than 16 bits: who is there at a moment does not depend on how many frames were paid before."""
@@ -111,6 +113,7 @@ def test_a_long_episode_is_drawn_as_a_short_one(page: Page, recordings: list[Rec
     assert page.errors == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_two_runs_share_a_clock_and_a_camera(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     write_replay(recordings, tmp_path / "replay.html")

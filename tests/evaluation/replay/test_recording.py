@@ -62,6 +62,7 @@ def test_a_trajectory_that_was_followed_is_watched_without_choices(finished: lis
     np.testing.assert_array_equal(recording.poses, finished[0].trajectory["world_from_camera"])
 
 
+@pytest.mark.slow
 def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_path: Path) -> None:
     run = finished[0]
     shutil.copytree(run.directory, tmp_path / "run")

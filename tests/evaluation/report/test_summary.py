@@ -43,6 +43,7 @@ def test_everything_is_written_and_linked(make_run, tmp_path):
         assert {f"{name}.md", f"{name}.csv", f"{name}.tex"} <= names
 
 
+@pytest.mark.slow
 def test_more_policies_than_colours_have_a_panel_each(make_run, tmp_path):
     names = "abcdefghi"
     few = write_report(tmp_path, made([make_run(policy=name) for name in names[:8]]), COMPARISON)

@@ -279,6 +279,7 @@ class Mine(Policy):
 """
 
 
+@pytest.mark.slow
 def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, monkeypatch):
     kit, runs = tmp_path / "kit_of_mine", tmp_path / "runs"
     kit.mkdir()

@@ -60,6 +60,7 @@ def train(config: TrainingConfig, place: Path, tell=lambda *_: None, validate=no
         envs.close()
 
 
+@pytest.mark.slow
 def test_a_killed_run_that_is_resumed_equals_one_that_was_not(tmp_path: Path) -> None:
     def kill(position: int, row: Mapping[str, float]) -> None:
         if position == 1:

@@ -54,6 +54,7 @@ def validation(fresh: Demonstrations):
     return lambda network: {SCORE: reached(network, fresh)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["bc", "rank"])
 def test_beats_random_on_states_it_was_not_trained_on(method: str, data, fresh, tmp_path: Path) -> None:
     config = replace(CONFIG, method=method)
@@ -77,6 +78,7 @@ def weights(place: Path) -> bytes:
     return (place / "last.safetensors").read_bytes() + (place / "best.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["between units", "before the state is written", "before the last state is written"])
 def test_a_killed_run_that_is_resumed_equals_one_that_was_not(
     moment: str, data, fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

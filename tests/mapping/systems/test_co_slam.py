@@ -36,6 +36,7 @@ def test_samples_rise_and_crowd_around_the_surface(room_frames):
     assert depths.max() <= mapper._farthest
 
 
+@pytest.mark.slow
 def test_a_room_is_learnt(room_frames, held_out_frames):
     mapper = _mapper()
     for frame in room_frames[::2]:

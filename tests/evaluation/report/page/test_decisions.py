@@ -1,3 +1,5 @@
+import pytest
+
 from activestructure_gym.evaluation.report.page.decisions import run_trace, timeline, trace_table
 
 
@@ -32,6 +34,7 @@ def test_phases_and_why_they_changed(make_run):
     assert text.count('class="phase f0"') == 1 and text.count('class="phase f1"') == 1
 
 
+@pytest.mark.slow
 def test_of_very_many_decisions_an_even_choice_is_listed(make_run):
     run = make_run()
     run.steps[:] = [{**run.steps[k % 6], "decision": k, "frames": k + 2} for k in range(70_000)]

@@ -141,6 +141,7 @@ def test_runs_beside_the_page_are_linked_their_replays_first(make_run, tmp_path)
     assert addresses(tmp_path) == [every[1]]
 
 
+@pytest.mark.slow
 def test_of_many_policies_the_foremost_are_shown_in_full_and_the_others_small(make_run):
     runs = [make_run(policy=name, planes=True, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", 1)]
     text = html_page(Results(runs, [], "a"))

@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.bench import print_rows
 from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
-from activestructure_gym.mapping.config import MAPPERS
+from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.mapper import Mapper
+from activestructure_gym.mapping.registry import mapper_config
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.streams import escape
 from benchmarks.command import measuring, run, write_rows
@@ -52,8 +54,10 @@ class Recipe:
 
     def make(self, rng: np.random.Generator) -> Mapper:
         """An empty mapper of this recipe."""
-        config = replace(MAPPERS.get(self.mapper), iterations=self.iterations, seed_stride=self.stride)
-        return Mapper(config, rng)
+        config = mapper_config(self.mapper)
+        if not isinstance(config, MapperConfig):
+            raise InputError(f"mapper '{self.mapper}' is no recipe of MapperConfig")
+        return Mapper(replace(config, iterations=self.iterations, seed_stride=self.stride), rng)
 
 
 # SplaTAM seeds every pixel of its 1200 x 680 frames, and every second one in its faster setting, which the recipe

@@ -273,14 +273,14 @@ def graph_rows(
     """
     from activestructure_gym.config import configure
     from activestructure_gym.features import FEATURES, FeatureContext
-    from activestructure_gym.mapping import Mapper
+    from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
     from activestructure_gym.sensors import RGBDSensor
     from activestructure_gym.volume import VoxelVolume
 
     config, rng = configure(), np.random.default_rng(seed)
     poses, offered = benchmark_views(scene, keyframes, rng), benchmark_views(scene, candidates, rng)
-    sensor, mapper = RGBDSensor(scene, config.sensor, rng), Mapper(config.mapper, rng)
+    sensor, mapper = RGBDSensor(scene, config.sensor, rng), Mapper(MapperConfig(), rng)
     volume, graph = VoxelVolume(scene.bounds, config.volume), PlaneSceneGraph(config.planes)
     seconds: dict[str, list[float]] = {
         name: [] for name in ("detection", "update", "visibility", "structure", "deficiency")

@@ -140,7 +140,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
         options = _with_baseline(options, comparison.everybody())
     if options.dry_run:
-        return _print_plan(console, comparison or _added_to(directory, options), directory, demo=demo)
+        return _print_plan(console, comparison, directory, demo=demo)
     with working(console, "loading") as notify:
         jobs = jobs_to_resume(directory, comparison, notify) if as_recorded else comparison.prepare(notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))

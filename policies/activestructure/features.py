@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import REACH, largest_area
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.mapping import MapperConfig
 from activestructure_gym.views.visibility import cosines_in_sight
 
 
@@ -64,12 +65,13 @@ def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:
 
     Where there is texture; plain surface is as fine as it gets.
     """
-    config, stored = context.mapper.config, context.mapper.keyframes[-1].camera
-    if not isinstance(config, MapperConfig) or config.coarse_ratio is None or config.seed_spacing is None:
+    config: Any = context.mapper.config  # of another system, without such a ratio
+    stored = context.mapper.keyframes[-1].camera
+    if getattr(config, "coarse_ratio", None) is None or config.seed_spacing is None:
         return np.where(np.isinf(sizes), np.inf, 0.0)
     limit = config.coarse_ratio * config.seed_footprint * config.seed_pixels  # pixels
     focal = 0.5 * (stored.fx + stored.fy) * config.keyframe_reduction  # a frame is seeded before it is reduced
-    return sizes * focal / limit
+    return np.asarray(sizes * focal / limit)
 
 
 @FEATURES.register("structure", unit="sum of deficits, 0 to 1 each", low=0.0)

@@ -117,7 +117,7 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
 
 def check_finished(out: Path, expected: dict[str, list[bytes]], stamps: dict[str, int]) -> int:
     """All that counts as finished is whole, right, and what it was at the last look; returns how many there are."""
-    finished = [path for path in out.glob(f"{JOBS}/*") if not path.name.startswith(".")]
+    finished = [mark.parent for mark in out.glob(f"{JOBS}/*/{DONE}") if not mark.parent.name.startswith(".")]
     for path in finished:
         assert [(path / name).read_bytes() for name in SAME] == expected[path.name]
         assert stamps.setdefault(path.name, (path / DONE).stat().st_mtime_ns) == (path / DONE).stat().st_mtime_ns

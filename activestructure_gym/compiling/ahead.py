@@ -1,6 +1,6 @@
 """Compile ahead: other processes call what needs kernels, while this one loads or does something else.
 
-Such a process is ``python -P -m activestructure_gym.compiling.ahead PARENT CALL...``; a call is ``module:function``, or
+Such a process is ``python -P -m activestructure_gym.compiling PARENT CALL...``; a call is ``module:function``, or
 ``module:function ARGUMENT`` with a JSON value. It prints the name of each kernel that it compiles and leaves only the
 kernels' cache files. It ends with its last call or with its parent. Kernels are locked one by one, so each is compiled
 once (`locks`).
@@ -97,7 +97,7 @@ def compiling_beside(
 def _start(calls: Sequence[str], more: Mapping[str, str] = {}, *, stdout: int) -> subprocess.Popen[str]:
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # it finds all modules where its parent does
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "activestructure_gym.compiling.ahead", str(os.getpid()), *calls],
+        [sys.executable, "-P", "-m", __package__, str(os.getpid()), *calls],
         env={**os.environ, **more, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"},
         stdin=subprocess.DEVNULL,
         stdout=stdout,
@@ -150,7 +150,3 @@ def main(parent: int, calls: Sequence[str]) -> None:
             name, _, argument = call.partition(" ")
             module, _, function = name.partition(":")
             getattr(import_module(module), function)(*([json.loads(argument)] if argument else []))
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:])

@@ -75,6 +75,7 @@ def test_the_strip_holds_the_truth_and_the_renderings_pixel_by_pixel():
 
 
 def test_the_growth_figure_is_written(tmp_path):
+    pytest.importorskip("matplotlib", reason="needs the extra `dev`")
     rows = [GrowthRow(n, 800 * n, 5000, 24.0, 27.0, 200.0 + n, 300.0) for n in (10, 20, 400)]
     plot_growth(rows, tmp_path / "growth.jpg", title="growth")
     with Image.open(tmp_path / "growth.jpg") as image:

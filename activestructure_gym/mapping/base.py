@@ -1,7 +1,7 @@
 """The interface of a mapper, and the configuration that every mapper has.
 
-A mapper turns posed RGB-D frames into a Gaussian map. The environment, the features and the metrics use the six names
-of `MapperProtocol` and nothing else.
+A mapper turns posed RGB-D frames into a Gaussian map. An object with the six names of `MapperProtocol` plugs in;
+`adapted` derives from them what features and observations need besides.
 """
 
 from __future__ import annotations
@@ -13,18 +13,10 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import unknown_name
+from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.gaussian_map import (
-    COLOR,
-    LOG_SCALE,
-    MEAN,
-    OPACITY_LOGIT,
-    QUATERNION,
-    ROWS,
-    GaussianMap,
-)
+from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.tracking import TrackingConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import Rendering
@@ -97,7 +89,9 @@ class BaseMapperConfig:
         check_ranges(self, {"iterations": "[0, 100000]", "keyframe_reduction": "[1, 64]"})
 
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
-        """Return an empty mapper. The base calls the class `made_by` with this configuration, ``rng`` and ``bounds``.
+        """Return an empty mapper: an object of the class `made_by`, from this configuration, ``rng`` and ``bounds``.
+
+        Raises `InputError` without such a class.
 
         Parameters
         ----------
@@ -108,15 +102,9 @@ class BaseMapperConfig:
         depth_noise_scale
             Factor on a Kinect's axial depth noise that the sensor has; 0 without noise.
         """
+        if not self.made_by:
+            raise InputError(
+                f"{type(self).__name__} makes no mapper: set made_by = 'package.module:Class' or define make"
+            )
         module, _, name = self.made_by.partition(":")
         return getattr(import_module(module), name)(self, rng, bounds)
-
-
-def learning_rates(
-    *, mean: float, quaternion: float, log_scale: float, opacity: float, color: float
-) -> np.ndarray:  # [14] float32
-    """Return the step size of every row of the map's parameters."""
-    rates = np.zeros(ROWS, dtype=np.float32)
-    rates[MEAN], rates[QUATERNION], rates[LOG_SCALE] = mean, quaternion, log_scale
-    rates[OPACITY_LOGIT], rates[COLOR] = opacity, color
-    return rates

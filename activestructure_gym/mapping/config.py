@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, learning_rates
+from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol
+from activestructure_gym.mapping.gaussian_map import learning_rates
 from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.ranges import check_ranges
 

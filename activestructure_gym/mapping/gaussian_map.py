@@ -224,6 +224,16 @@ class GaussianMap:
         return loaded
 
 
+def learning_rates(
+    *, mean: float, quaternion: float, log_scale: float, opacity: float, color: float
+) -> np.ndarray:  # [14] float32
+    """Return the step size of every row of the map's parameters."""
+    rates = np.zeros(ROWS, dtype=np.float32)
+    rates[MEAN], rates[QUATERNION], rates[LOG_SCALE] = mean, quaternion, log_scale
+    rates[OPACITY_LOGIT], rates[COLOR] = opacity, color
+    return rates
+
+
 def _empty_rows(capacity: int) -> np.ndarray:  # [14, capacity] float32 zeros
     # Every row begins on a cache line, since the capacity is a multiple of one.
     return aligned_zeros(ROWS * capacity).reshape(ROWS, capacity)

@@ -44,7 +44,7 @@ _ORDERED_AGAIN = 1.5
 
 
 class Mapper(KeyframeMapper):
-    """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
+    """Map online from known poses. Equal configuration, generator and frames give equal parameters.
 
     The map grows with the surface that was seen (`activestructure_gym.mapping.density`). ``max_gaussians`` bounds it
     for those who must: a frame then gets an even choice of the seeds it asks for, and nothing that is mapped goes
@@ -83,14 +83,14 @@ class Mapper(KeyframeMapper):
 
     @property
     def scene_radius(self) -> float:
-        """Half the size of the scene in metres, roughly: what lengths are compared with."""
+        """Return about half the size of the scene, in metres; limits on lengths are shares of it."""
         if self.config.scene_radius is not None:
             return self.config.scene_radius
-        # The largest so far and not the first frame's: that one may look at a wall from close by.
+        # The largest depth so far: the first frame may be close to a wall.
         return self._largest_depth / 3.0 if self._largest_depth > 0 else 2.0
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Make ``frame`` a keyframe, seed what the map lacks there and optimise (default: ``config.iterations``)."""
+        """Add a keyframe, seed where the map lacks surface, and optimise (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
@@ -100,10 +100,10 @@ class Mapper(KeyframeMapper):
         replaced, added, left_out, new_share = self._seed(frame, unseen)
         index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
         views: list[int] = []
-        if iterations:  # choosing them costs as much as drawing one
+        if iterations:  # choosing views costs as much as rendering one
             views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views)
-        # The new keyframe itself, which has no value yet, and those that have waited longest.
+        # The new keyframe has no PSNR yet; the others are those with the oldest PSNR.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return summed_up(
             self.map.count,
@@ -120,7 +120,7 @@ class Mapper(KeyframeMapper):
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
         """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune.
 
-        Learns colours alone, unless ``config.refine_shapes``.
+        Only colours are optimised, unless ``config.refine_shapes``.
         """
         views = self._rounds(iterations, keyframe_indices)
         self.events += 1
@@ -128,10 +128,10 @@ class Mapper(KeyframeMapper):
         return summed_up(self.map.count, views, losses, pruned)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
-        """Insert Gaussians where the map lacks them; what is coarser than they would be makes way.
+        """Insert Gaussians where the map lacks them, in place of Gaussians coarser than the new ones.
 
-        ``unseen``: chunks of the map that the frame cannot show. Returns how many were replaced, were added and found
-        no room, and the share of new pixels.
+        ``unseen``: chunks of the map outside of the frame's view. Returns the numbers of Gaussians removed, added and
+        left out for lack of room, and the share of new pixels.
         """
         config, replaced = self.config, 0
         if config.seed_spacing is None:
@@ -149,7 +149,7 @@ class Mapper(KeyframeMapper):
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             leaving = np.flatnonzero(coarse)
             if len(leaving) and not self._room_for(len(sigma) - len(leaving)):
-                coarse[:], leaving = False, leaving[:0]  # the finer ones would not close the gap that these leave
+                coarse[:], leaving = False, leaving[:0]  # without room for the finer ones a gap would stay
                 seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             replaced = self.map.remove(leaving)
         count = len(sigma)
@@ -166,18 +166,18 @@ class Mapper(KeyframeMapper):
         return replaced, len(sigma), count - len(sigma), new_share
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
-        """The depth behind which nothing takes part in a keyframe, where seeds stand for the surface from the start."""
+        """Return the measured depth: seeds by spacing are opaque from the start and hide all Gaussians behind it."""
         return None if self.config.seed_spacing is None else frame.depth
 
     def _room_for(self, more: int) -> bool:
-        """Whether the bound, if there is one, lets the map grow by so many."""
+        """Return whether ``max_gaussians`` allows ``more`` further Gaussians."""
         bound = self.config.max_gaussians
         return bound is None or self.map.count + more <= bound
 
     def _seeds_by_rendering(
         self, frame: Frame, unseen: np.ndarray | None
     ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
-        """SplaTAM's rule: pixels of a grid where the rendered map is transparent or lies behind what is measured."""
+        """Choose grid pixels where the rendered map is transparent or behind the measured depth (SplaTAM's rule)."""
         config, camera, pose = self.config, frame.camera, frame.world_from_camera
         if self.map.count:
             rendering = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen)
@@ -200,7 +200,7 @@ class Mapper(KeyframeMapper):
     def _seeds_by_spacing(
         self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None, leaving: np.ndarray
     ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
-        """Samples of the surface that have no mean within the spacing [H, W] wanted there."""
+        """Choose samples of the surface without a mean within the wanted spacing [H, W]."""
         samples = surface_samples(frame, spacing)
         states = states_of_samples(
             samples, spacing, self.map.parameters, self.map.count, frame, unseen=unseen, leaving=leaving
@@ -225,7 +225,7 @@ class Mapper(KeyframeMapper):
         )
 
     def _coarse(self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None) -> np.ndarray:  # [count] bool
-        """Gaussians on the surface in view that are wider than the seeds this frame would put there."""
+        """Return a mask of visible surface Gaussians that are wider than the seeds of this frame."""
         ratio, count = self.config.coarse_ratio, self.map.count
         if ratio is None or not count:
             return np.zeros(count, dtype=bool)
@@ -233,7 +233,7 @@ class Mapper(KeyframeMapper):
         return too_wide(self.map.parameters, count, chunks_to_skip(unseen, count), measured_depth(frame), largest)
 
     def _local_views(self, index: int) -> list[int]:
-        """The current keyframe, the one before it, and keyframes that overlap with the current one."""
+        """Return the current keyframe, the previous one, and keyframes that overlap with the current one."""
         local = [index] if index == 0 else [index, index - 1]
         overlapping = self._store.overlapping(
             index, self._rng, pixels=self.config.overlap_pixels, limit=self.config.window - 1
@@ -246,7 +246,7 @@ class Mapper(KeyframeMapper):
         return [k for k in poor if k != index]
 
     def _slack(self, iterations: int, *, refining: bool = False) -> dict[str, float]:
-        """Upper bounds of a Gaussian's movement and growth in so many steps of the optimiser."""
+        """Return upper bounds of a Gaussian's displacement (m) and growth (factor) in ``iterations`` steps."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(refining=refining)
@@ -255,7 +255,7 @@ class Mapper(KeyframeMapper):
         return {"shift": float(farthest[MEAN].max()), "growth": growth}
 
     def _optimize(self, views: Sequence[int], *, refining: bool = False) -> tuple[np.ndarray, int]:
-        """One event: a step for every entry of ``views`` and the pruning that goes with it.
+        """Take one optimiser step per entry of ``views``, and prune.
 
         Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and how many Gaussians were pruned.
         """
@@ -311,7 +311,7 @@ class Mapper(KeyframeMapper):
         return losses, pruned
 
     def _prune(self, changed: np.ndarray) -> int:
-        """Remove Gaussians that are transparent, too large, or were driven to values that are not finite.
+        """Remove Gaussians that are transparent, too large or not finite.
 
         ``changed [chunks]``: where to look; elsewhere all have passed before, and the limits only rise.
         """
@@ -324,7 +324,7 @@ class Mapper(KeyframeMapper):
 
 
 def largest_adam_step(beta1: float, beta2: float) -> float:
-    """Upper bound of |first moment| / sqrt(second moment), that is of a step in units of the rate.
+    """Return an upper bound of |first moment| / sqrt(second moment), the length of a step in units of the rate.
 
     By Cauchy and Schwarz over all past gradients: (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)); inf where that diverges.
     """

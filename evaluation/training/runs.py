@@ -33,6 +33,7 @@ from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
 from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
+from activestructure_gym.mapping.registry import MAPPERS, mapper_names
 from activestructure_gym.policies.learned.checkpoint import MAX_WEIGHT_BYTES
 from activestructure_gym.registry import refuse_code
 from activestructure_gym.sources import SOURCES, sources_in
@@ -75,6 +76,9 @@ def read_config(directory: Path) -> TrainingConfig:
     for name in sources_in(dict(config.world.overrides)):
         if SOURCES.imports(name):
             refuse_code("candidate source", name, file)
+    for name in mapper_names(dict(config.world.overrides)):
+        if MAPPERS.imports(name):
+            refuse_code("mapper", name, file)
     return config
 
 

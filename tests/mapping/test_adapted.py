@@ -62,6 +62,10 @@ class Same(MapperConfig):
         return Plain(MapperConfig.make(self, rng, bounds, depth_noise_scale=depth_noise_scale))
 
 
+class Nothing(BaseMapperConfig):
+    pass
+
+
 @dataclass(frozen=True)
 class Half(BaseMapperConfig):
     def make(self, rng, bounds, *, depth_noise_scale=0.0):
@@ -120,6 +124,10 @@ def test_what_is_no_mapper_is_refused_in_one_sentence(own):
         configure("fast", {"mapper.name": f"{own}:Own"})
     with pytest.raises(InputError, match="has no observe, refine, render, render_depth_alpha, keyframes, map"):
         ReconstructionEnv(scene="box", preset="fast", config={"mapper.name": f"{own}:Half"}).reset(seed=0)
+    with pytest.raises(
+        InputError, match="Nothing makes no mapper: set made_by = 'package.module:Class' or define make"
+    ):
+        ReconstructionEnv(scene="box", preset="fast", config={"mapper.name": f"{own}:Nothing"}).reset(seed=0)
 
 
 def test_every_registered_mapper_is_a_configuration_under_its_name():

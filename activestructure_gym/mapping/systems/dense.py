@@ -33,20 +33,20 @@ _REFINING = LossWeights(image=1.0, l1_share=0.8, depth=0.0, normalised_depth=Fal
 
 
 class DenseMapper(KeyframeMapper):
-    """A mapper whose steps move every Gaussian by torch's Adam. Subclasses seed, and say what an event learns from."""
+    """Move every Gaussian in every step, by Adam. Subclasses define the seeds and the loss of an event."""
 
     config: DenseConfig
 
     @abstractmethod
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
-        """New Gaussians [14, n] for a keyframe that is not stored yet, and the share of its pixels the map lacked."""
+        """Return new Gaussians [14, n] for a frame before it is stored, and its share of pixels missing in the map."""
 
     @abstractmethod
     def _event(self, index: int, iterations: int) -> tuple[list[int], np.ndarray, int]:
-        """Learn from the newest keyframe: those looked at, the losses of every look [looks, 3], how many went."""
+        """Optimise after keyframe ``index``; return the views, their losses [views, 3] and the number pruned."""
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Make ``frame`` a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
+        """Add a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
@@ -70,7 +70,7 @@ class DenseMapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise the whole map over all keyframes (or the given ones), in shuffled rounds, by their colours alone."""
+        """Optimise the whole map on the colours of all keyframes (or the given ones), in shuffled rounds."""
         views = self._rounds(iterations, keyframe_indices)
         self.events += 1
         losses = np.full((len(views), 3), np.nan)
@@ -85,7 +85,7 @@ class DenseMapper(KeyframeMapper):
         return summed_up(self.map.count, views, losses, 0)
 
     def _append(self, block: np.ndarray) -> tuple[int, int]:
-        """Insert what there is room for, an even choice of it; how many those are, and how many found none."""
+        """Insert an evenly spaced choice of what fits; return the numbers inserted and left out."""
         bound, count = self.config.max_gaussians, block.shape[1]
         room = count if bound is None else min(count, max(0, bound - self.map.count))
         if room < count:
@@ -94,7 +94,7 @@ class DenseMapper(KeyframeMapper):
         return room, count - room
 
     def _look(self, rows: torch.Tensor, view: int, compare: LookLoss) -> tuple[float, float, float]:
-        """Add to the gradient of ``rows`` what a keyframe says; its colour and depth error and SSIM."""
+        """Add the loss of a keyframe to the gradient of ``rows``; return colour error, depth error and SSIM."""
         frame = self.keyframes[view]
         shown = drawn(rows, frame, self.config)
         loss = compare(
@@ -125,7 +125,7 @@ class DenseMapper(KeyframeMapper):
         gaussians.touched()
 
     def _transparent(self, threshold: float, start: int = 0) -> np.ndarray:  # [count] bool
-        """Gaussians from a column on whose opacity is below the threshold, or not a number."""
+        """Return a mask of Gaussians from column ``start`` whose opacity is below the threshold or not finite."""
         logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least = np.log(threshold) - np.log1p(-threshold)
@@ -137,7 +137,7 @@ def _refining_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor)
 
 
 def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
-    """A copy that autograd follows, laid out as the kernels read it."""
+    """Return a copy that requires a gradient, in the memory layout of the kernels."""
     count = parameters.shape[1]
     padded = np.zeros((ROWS, -(-max(1, count) // 16) * 16), np.float32)
     padded[:, :count] = parameters
@@ -145,7 +145,7 @@ def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
 
 
 def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterization:
-    """Gaussians [14, n] as the camera of a keyframe sees them."""
+    """Render Gaussians [14, n] from the pose of a keyframe."""
     pose = torch.from_numpy(invert_rigid(frame.world_from_camera)).to(rows)
     if config.backend == "gsplat":
         rows, pose = rows.cuda(), pose.cuda()
@@ -163,7 +163,7 @@ def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterizatio
 
 
 def roundness(rows: torch.Tensor) -> torch.Tensor:  # [14, n] -> metres
-    """Mean deviation of an axis from the mean axis of its Gaussian: 0 for balls ([monogs, code])."""
+    """Return the mean deviation of an axis from the mean axis of its Gaussian: 0 for balls ([monogs, code])."""
     scales = rows[7:10].exp()
     return (scales - scales.mean(dim=0)).abs().mean()
 
@@ -179,7 +179,7 @@ def adam_step(
     betas: tuple[float, float],
     epsilon: float,
 ) -> None:
-    """One step of Adam with its bias correction ([adam], algorithm 1), as `torch.optim.Adam` takes it."""
+    """Take one step of Adam with bias correction ([adam], algorithm 1), equal to `torch.optim.Adam`."""
     first, second = betas
     count = np.broadcast_to(np.asarray(number, np.float64), ROWS)[:, None]
     first_moment += np.float32(1.0 - first) * (gradient - first_moment)
@@ -190,7 +190,7 @@ def adam_step(
 
 
 def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n, 3], [m, 3] -> [n] m^2
-    """Mean squared distance of every point to its three nearest others among ``around``, which holds it, too."""
+    """Return every point's mean squared distance to its three nearest others in ``around``, which contains it."""
     if len(around) < 2:
         return np.full(len(points), np.nan)
     nearest = min(_NEIGHBOURS + 1, len(around))
@@ -200,7 +200,7 @@ def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Sums of torch in one order, whatever the number of cores; the kernels are the same with any."""
+    """Run torch on one thread, so that its sums do not depend on the number of cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.mapping.base import BaseMapperConfig, learning_rates
+from activestructure_gym.mapping.base import BaseMapperConfig
+from activestructure_gym.mapping.gaussian_map import learning_rates
 from activestructure_gym.ranges import check_ranges
 
 HARMONIC = 0.28209479177387814  # degree 0: systems that learn colour as its factor have this colour step per step

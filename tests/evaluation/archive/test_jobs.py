@@ -174,6 +174,8 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"policy": "os:system?command=touch hacked"}, "policy"),
         ({"conditions": Conditions(overrides={"gains": ["pixel", "os:system"]})}, "feature"),
         ({"conditions": Conditions(overrides={"gains": "os:system"})}, "feature"),
+        ({"conditions": Conditions(overrides={"mapper.name": "os:system"})}, "mapper"),
+        ({"conditions": Conditions(overrides={"mapper": {"name": "os:system"}})}, "mapper"),
     ],
 )
 def test_what_a_record_names_is_not_imported(change, what, monkeypatch):

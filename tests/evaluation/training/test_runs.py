@@ -235,6 +235,7 @@ def test_damage_names_the_file(change: Any, words: str, tmp_path: Path) -> None:
          "config.json' names the feature 'os:system', and to load it would run code"),
         ({"teacher": "os:system"}, "config.json' names the feature 'os:system', and to load it would run code"),
         ({"world": {"overrides": {"gains": ["os:system"]}}}, "names the feature 'os:system'"),
+        ({"world": {"overrides": {"mapper.name": "os:system"}}}, "names the mapper 'os:system'"),
         ({"world": {"overrides": 3}}, "overrides of a training world are names with values"),
         ({"world": {"preset": ["a"]}}, "preset of a training run is a text"),
         ({"world": {"noise": 3}}, "noise of a training run is true or false"),

@@ -60,6 +60,7 @@ INSIDE = (
 USERS_INSIDE = {
     "activestructure_gym/compiling/decorator.py": {"check_compiling"},
     "activestructure_gym/mapping/adapted.py": {"keyframe_mapper"},
+    "activestructure_gym/mapping/base.py": {"BaseMapperConfig.make"},
     "activestructure_gym/mapping/systems/co_slam/mapper.py": {"CoSLAMMapper.persistent_map"},
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},

@@ -110,7 +110,7 @@ class Bench:
         | Annotated[Splatting, tyro.conf.subcommand("splatting")]
         | Annotated[Env, tyro.conf.subcommand("env")]
     )
-    """The part to measure."""
+    """Measure this part."""
 
     def run(self) -> int:
         """Measure and print."""

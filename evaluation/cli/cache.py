@@ -18,8 +18,8 @@ from activestructure_gym.streams import escape
 class Cache:
     """Show or remove files that are kept between runs.
 
-    These are computed facts about scenes, and compiled kernels. The cache of scenes stays below ASG_CACHE_MAX (default:
-    4GiB); the least recently used files are removed first.
+    These are computed facts about scenes, and compiled kernels. The cache of scenes stays below ASG_CACHE_MAX, by
+    default 4GiB; the least recently used files are removed first.
     """
 
     what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"

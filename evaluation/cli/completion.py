@@ -23,7 +23,7 @@ class Completion:
     """
 
     shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], tyro.conf.Positional]
-    """The shell."""
+    """Print the script for this shell."""
 
     def run(self) -> int:
         """Print the script."""

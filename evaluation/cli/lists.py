@@ -24,7 +24,7 @@ class List:
         | Annotated[Features, tyro.conf.subcommand("features")]
         | Annotated[Config, tyro.conf.subcommand("config")]
     )
-    """The kind of names to list."""
+    """List these."""
 
     def run(self) -> int:
         """Print the list."""

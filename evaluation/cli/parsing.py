@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
+import textwrap
 import typing
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -16,9 +18,10 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.cli.commands import parts_of
-from activestructure_gym.streams import flat, raw, write_line
+from activestructure_gym.streams import Stream, flat, raw, write_line
 
 T = TypeVar("T")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _HELP_COLUMNS = 110  # where no terminal says how wide it is
 _MAX_NUMBER = 2.0**63  # what a number of an option may be; each has limits of its own besides
 _MAX_CHARACTERS = 160  # characters of a word in a message
@@ -38,7 +41,7 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     words = gathered(words, _lists(kind))
     helped = any(word in ("-h", "--help") for word in words)
     try:
-        with redirect_stdout(raw(sys.stdout) if helped else _Uncoloured()), redirect_stderr(io.StringIO()):
+        with redirect_stdout(_Folded(raw(sys.stdout)) if helped else _Uncoloured()), redirect_stderr(io.StringIO()):
             return _read(kind, f"asg {name}", words)
     except SystemExit as end:
         if not end.code:
@@ -49,6 +52,23 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
         _read(kind, f"asg\xa0{name}", [_printable(word) for word in words])
     write_line(sys.stderr, message.getvalue().rstrip().replace("\xa0", " "))
     raise SystemExit(2)
+
+
+class _Folded(Stream):
+    """A standard output on which lines of help fit the terminal: tyro folds neither usage nor description."""
+
+    def write(self, text: str) -> int:
+        """Write the text with line breaks in lines that are too wide."""
+        super().write("\n".join(line for whole in text.split("\n") for line in _folded(whole, _columns_of_help())))
+        return len(text)
+
+
+def _folded(line: str, width: int) -> list[str]:
+    plain = _COLOUR.sub("", line)
+    if len(plain) <= width:
+        return [line]
+    indent = "    " if plain.startswith("usage:") else ""
+    return textwrap.wrap(plain, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class _Uncoloured(io.StringIO):

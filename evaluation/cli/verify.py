@@ -25,9 +25,9 @@ _NOT_COMPARABLE = 3  # exit code
 class Verify:
     """Play finished runs again and compare them byte for byte.
 
-    A run is identical, differs, or is damaged. It is not comparable here where other bytes came out on another
-    processor or with other versions than it names: that confirms nothing. Exit codes: 0, all runs are identical; 1, a
-    run differs, is damaged or cannot be played; 3, a run is not comparable here.
+    A run is identical, differs, or is damaged. Other bytes on another processor or with other versions than the run
+    names confirm and refute nothing: the run is not comparable here. Exit codes: 0, all runs are identical; 1, a run
+    differs, is damaged or cannot be played; 3, a run is not comparable here.
     """
 
     runs: Runs = ()

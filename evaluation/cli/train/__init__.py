@@ -16,8 +16,8 @@ from activestructure_gym.evaluation.cli.train.methods import Bc, Ppo, Rank
 class Train:
     """Train a learned policy, or evaluate policies.
 
-    Layouts are procedural apartments; evaluation uses others than training. asg train bc --help, and so on, prints the
-    options of a method. Start ppo from a checkpoint of bc.
+    Layouts are procedural apartments; evaluation uses others than training. Start ppo from a checkpoint of bc. The
+    options of a method are printed by its own help, as asg train bc --help.
     """
 
     method: (
@@ -26,7 +26,7 @@ class Train:
         | Annotated[Ppo, tyro.conf.subcommand("ppo")]
         | Annotated[Eval, tyro.conf.subcommand("eval")]
     )
-    """The method, or eval."""
+    """Train by this method, or evaluate."""
 
     def run(self) -> int:
         """0 when done, 1 if nothing came of it, 130 if stopped."""

@@ -32,7 +32,9 @@ from activestructure_gym.policies.schedule import Terms
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.running.comparison import Comparison
+    from activestructure_gym.evaluation.running.sharding import Shard
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
     retries: int = 1
     """Try a run again this many times if it was killed or timed out."""
     replay: Switch = False
-    """Write replay.html, a page to watch, for every run. This takes as long again as the runs explored."""
+    """Write replay.html, a page to watch, for every run. This takes as long as the runs themselves explored."""
     baseline: Text = None
     """Measure the other policies against this one in the report; see `asg report --help`."""
     wide: Switch = False
@@ -122,6 +124,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
+    from activestructure_gym.evaluation.running.resuming import recorded_jobs
     from activestructure_gym.evaluation.running.sharding import Shard
 
     limits = Limits(options.workers, options.timeout_min, options.retries)
@@ -140,7 +143,8 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
         options = _with_baseline(options, comparison.everybody())
     if options.dry_run:
-        return _print_plan(console, comparison, directory, demo=demo)
+        recorded = recorded_jobs(directory) if as_recorded else None
+        return _print_plan(console, comparison, recorded, shard, directory, demo=demo)
     with working(console, "loading") as notify:
         jobs = jobs_to_resume(directory, comparison, notify) if as_recorded else comparison.prepare(notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
@@ -280,16 +284,27 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
     return typed
 
 
-def _print_plan(console: Console, comparison: Comparison, directory: Path, *, demo: bool) -> int:
-    """Print the runs of a comparison, which loads no scene; return 0."""
+def _print_plan(
+    console: Console,
+    comparison: Comparison,
+    recorded: Sequence[Job] | None,  # the jobs of a comparison that is resumed as it is
+    shard: Shard | None,
+    directory: Path,
+    *,
+    demo: bool,
+) -> int:
+    """Print the runs of a comparison, or those of a shard, without loading a scene; return 0."""
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.archive.store import completion_markers
 
     policies = comparison.everybody()
-    cells = [(scene, policy, seed) for seed in comparison.seeds for scene in comparison.scenes for policy in policies]
-    _announce(console, comparison, directory, len(cells), len(policies), demo=demo)
-    for scene, policy, seed in cells:
-        console.print(escape(Job(scene, policy, seed).title))
+    comparison.check_scene_names()
+    jobs = recorded or [
+        Job(scene, policy, seed) for seed in comparison.seeds for scene in comparison.scenes for policy in policies
+    ]
+    _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
+    for job in jobs if shard is None else shard.part(jobs):
+        console.print(escape(job.title))
     finished = len(completion_markers(directory)) if directory.is_dir() else 0
     kept = f"; {counted(finished, 'run')} of the directory finished before and kept" if finished else ""
     console.print(f"Nothing was run (--dry-run){kept}")

@@ -87,6 +87,14 @@ class Comparison:
 
         return [*(policies or self._check_policies()), *map(reference_job, self.references)]
 
+    def check_scene_names(self) -> None:
+        """Raise `InputError` where a scene has an unknown name or a missing file; loads none."""
+        from activestructure_gym.scenes.library import check_scene_name
+
+        for spec in self.scenes:
+            if not self.recorded.get(spec):  # a file that has moved since is found by `scene_as_recorded`
+                check_scene_name(spec)
+
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
         """Check everything a job could fail on, and compute what all jobs of a scene share.
 
@@ -94,13 +102,9 @@ class Comparison:
         views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
-        from activestructure_gym.scenes.library import check_scene_name
-
         policies = self._check_policies()
         everybody = self.everybody(policies)
-        for spec in self.scenes:
-            if not self.recorded.get(spec):  # a file that has moved since is found by `scene_as_recorded`
-                check_scene_name(spec)
+        self.check_scene_names()
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
         with warming_up(planners or ["random"], self.conditions.overrides, notify):
@@ -185,7 +189,7 @@ class Result:
 def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None:
     """Refuse a directory that cannot be written, or that holds something else; raises `InputError`.
 
-    ``shared`` with others, it may hold what they have begun.
+    With ``shared``, it may hold a comparison that others have begun.
     """
     if directory.is_symlink() and not directory.exists():
         raise InputError(f"the output '{directory}' is a link that leads nowhere: mend it, or choose another --out")
@@ -249,19 +253,18 @@ def run_comparison(
     listener: Listener,
     *,
     engine: str = "local",
-    limits: Limits | None = None,  # the usual ones
+    limits: Limits | None = None,
     resume: bool = False,
-    command: str = "",  # how the comparison was asked for; kept in the archive
-    held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
-    shard: Shard | None = None,  # which of the jobs to run; others run the rest at the same time
-    tell: Callable[[str], None] = lambda _: None,  # hears of every run that is not left as it is
+    command: str = "",
+    held: int | None = None,
+    shard: Shard | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
-    Unfinished jobs are never counted, finished ones never repeated unless their files are damaged or their own code
-    (`archive.plugin_code`) has changed. Jobs of earlier
-    sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see
-    `resuming.merged`. Call `check_output` first, and hold the directory.
+    Unfinished jobs are never counted. Finished ones are repeated only if their files are damaged or their plug-in code
+    (`archive.plugin_code`) has changed. Jobs of earlier sittings stay part of the comparison. Call `check_output`
+    first, then hold the directory.
 
     Parameters
     ----------
@@ -270,11 +273,11 @@ def run_comparison(
     directory
         Where results go; see `archive.store`.
     listener
-        Who is told how the jobs get on.
+        Receives the progress of the jobs.
     engine
         ``"local"``, ``"inline"`` or ``"ray"``.
     limits
-        Jobs at a time, minutes per job, further attempts.
+        Jobs at a time, minutes per job, further attempts; the defaults if not given.
     resume
         Whether there may be a comparison in the directory.
     command
@@ -284,7 +287,7 @@ def run_comparison(
     shard
         Run only these of the jobs. Other programs may run the rest at the same time; hold the directory ``shared``.
     tell
-        Hears of every run that is damaged, or was played by own code that has changed since, and so is played again.
+        Called with a message about every run that is played again: its files are damaged, or its code has changed.
 
     Returns
     -------
@@ -294,7 +297,7 @@ def run_comparison(
     Raises
     ------
     InputError
-        The jobs cannot stand beside those that the directory records, or the engine is unknown.
+        The jobs do not fit those that the directory records (`resuming.merged`), or the engine is unknown.
     """
     chosen, limits = get_engine(engine), limits or Limits()
     recorded = recorded_jobs(directory)

@@ -22,7 +22,7 @@ class Shard:
         """Read ``2/8``; raises `InputError` for anything else."""
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise InputError(f"--shard is a number of how many, from 1/N to N/N, as in 2/8; got {shown(text)}")
+            raise InputError(f"--shard is I/N with I from 1 to N, as in 2/8 for the second of eight; got {shown(text)}")
         return cls(int(found[1]), int(found[2]))
 
     def part(self, jobs: Sequence[Job]) -> list[Job]:

@@ -47,5 +47,7 @@ class Episodes:
 
 def check_empty(directory: Path) -> None:
     """Raise `InputError` if the directory holds anything."""
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"the output '{directory}' is a file; give a directory")
     if directory.exists() and any(path.name != ".lock" for path in directory.iterdir()):
         raise InputError(f"'{directory}' holds other files: choose another --out")

@@ -45,6 +45,7 @@ class Eval(Episodes):
         from activestructure_gym.evaluation.training.world import world_config
         from activestructure_gym.files import replaced
         from activestructure_gym.policies import canonical_policy, make_policy
+        from activestructure_gym.scenes.library import check_scene_name
 
         console = make_console()
         policies = [canonical_policy(name) for name in split_policies(self.policies)]
@@ -59,7 +60,10 @@ class Eval(Episodes):
         )  # fmt: skip
         for name in policies:
             world_config(world, tuple(make_policy(name).required_gains))
-        cells = scoring.cells(self.layouts, world.rooms, split_scenes(self.scenes), parse_seeds(self.seeds))
+        scenes = split_scenes(self.scenes)
+        for scene in scenes:
+            check_scene_name(scene)
+        cells = scoring.cells(self.layouts, world.rooms, scenes, parse_seeds(self.seeds))
         directory = Path(self.out or time.strftime("runs/eval-%Y%m%d-%H%M%S"))
         if not (directory / scoring.RECORD).is_file():
             check_empty(directory)

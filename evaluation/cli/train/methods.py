@@ -138,10 +138,8 @@ def training_config(options: Learning) -> TrainingConfig:
     if given.get("start") is not None:
         chosen = learned_from(given["start"].removeprefix("learned:"))
         if options.features != type(options)().features and feature_columns(*given["gains"]) != chosen.required_gains:
-            told = ", ".join(chosen.required_gains)
-            raise InputError(
-                f"the checkpoint to begin from is told {told}, not {', '.join(given['gains'])}: leave --features out"
-            )
+            has = ", ".join(chosen.required_gains)
+            raise InputError(f"leave out --features, or give those of --start: {has}; got {', '.join(given['gains'])}")
         given |= {"start": chosen.spec.removeprefix("learned:"), "gains": chosen.required_gains}
     if options.layouts is None:
         del given["layouts"]

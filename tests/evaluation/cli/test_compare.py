@@ -392,4 +392,9 @@ def test_a_dry_run_lists_the_runs_and_writes_nothing(asked, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "2 scenes x 2 policies x 2 seeds" in said and "40 frames per run, into here" in said
     assert said.count("hole_area") == 4 and said.count("oracle") == 4 and "Nothing was run (--dry-run)" in said
+    assert main(["compare", *words.split(), "--shard", "2/4"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("oracle") == 2 and "hole_area" not in said and not list(tmp_path.iterdir())
     assert main(["compare", "--policies", "nobody", "-n"]) == 2
+    assert main(["compare", "--scenes", "nowhere", "-n"]) == 2
+    assert "unknown scene 'nowhere'" in capsys.readouterr().err

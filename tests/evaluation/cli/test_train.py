@@ -60,6 +60,8 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["bc", "--set", "gains=pixel"], ["--features"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
         (["eval", "--out", "foreign"], ["holds other files"]),
+        (["eval", "--out", "foreign/thesis.tex"], ["is a file; give a directory"]),
+        (["eval", "--scenes", "nowhere", "--dry-run"], ["unknown scene 'nowhere'"]),
     ],
 )
 def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_path, capsys) -> None:
@@ -98,7 +100,7 @@ def test_options_become_a_configuration() -> None:
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
     listed = training_config(Bc(set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
-    with pytest.raises(InputError, match="is told pixel, hole_area, unknown_volume, unknown_volume_way, not pixel"):
+    with pytest.raises(InputError, match="those of --start: pixel, hole_area, .*, unknown_volume_way; got pixel"):
         training_config(Ppo(start=str(SHIPPED), features=("pixel,structure",)))
     assert set(training_config(Ppo(start=str(SHIPPED))).world.gains) > {"pixel", "unknown_volume"}
     with pytest.raises(InputError, match="belongs to ppo"):

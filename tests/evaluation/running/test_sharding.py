@@ -80,7 +80,7 @@ def test_shards_are_a_partition() -> None:
     assert Shard(2, 3).part(JOBS) == [JOBS[1], JOBS[4]]
     assert str(Shard.parse("2/8")) == "2/8"
     for text in ("0/2", "3/2", "1", "a/b", "1/0", "-1/2", "1/2/3"):
-        with pytest.raises(InputError, match="--shard is a number of how many"):
+        with pytest.raises(InputError, match="--shard is I/N with I from 1 to N"):
             Shard.parse(text)
 
 

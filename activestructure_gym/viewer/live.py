@@ -93,9 +93,10 @@ class LiveView:
             ip_address(address)
             self._server = _Server((address, port), self)
         except (OSError, OverflowError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error).rstrip(".")
             raise InputError(
-                f"cannot serve at {shown(address)} port {shown(port)}: {error}. 127.0.0.1 with port 0 (a free "
-                "port) always works"
+                f"cannot serve at {shown(address)} port {shown(port)}: {reason}; 127.0.0.1 with port 0 (a free port) "
+                "always works"
             ) from None
         host, port = str(self._server.server_address[0]), self._server.server_address[1]
         host = f"[{host}]" if ":" in host else host

@@ -34,7 +34,7 @@ _BYTE = 1 << 20  # which one Windows locks: it lets nobody read a locked byte
 def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
     """Make ``directory`` and hold it while the block runs; gives the descriptor that keeps the hold.
 
-    ``shared`` holds let each other in, and nobody who wants the directory for himself.
+    A ``shared`` hold admits other shared ones and excludes all others.
 
     Raises `InputError` where another supervisor lives that holds it. Where only the workers of one that was killed are
     left, waits for them to end. Without effect on file systems that know no locks.
@@ -59,7 +59,10 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
 
 
 def check_free(directory: Path, *, shared: bool = False) -> None:
-    """Raise `InputError` where a supervisor holds ``directory``, if need be but a ``shared`` one; writes nothing."""
+    """Raise `InputError` where a supervisor holds ``directory``; for a ``shared`` hold, only where not shared.
+
+    Writes nothing.
+    """
     try:
         descriptor = os.open(directory / LOCK, os.O_RDWR | _NO_LINK)
     except OSError:

@@ -64,7 +64,7 @@ def print_end(
         what = counted(len(result.failed), "run")
         kept = sum(is_played(run_directory(directory, outcome.job)) for outcome in result.failed)
         left = f"; {counted(kept, 'episode')} kept, which --resume measures without playing again" if kept else ""
-        complain(f"{what} failed; what was said is in {directory / 'logs'}{left}")
+        complain(f"{what} failed; the messages are in {directory / 'logs'}{left}")
     return 1 if result.failed else 0
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.cli.compare import Compare, compare_with, comparison_of
 from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
 from activestructure_gym.evaluation.cli.fields import NoNames, Switch, option
@@ -53,6 +53,8 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
         use_trust(self.trust_code)
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
+            if not Path(self.trajectory).exists():
+                raise InputError(f"there is no trajectory {shown(self.trajectory)}")
             raise InputError(f"'{self.trajectory}' is no finished run, which would name its scene: give --scene")
         return compare_with(*_asked(self, run))
 

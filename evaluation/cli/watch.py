@@ -33,7 +33,7 @@ class Watch:
     """Play an episode in a browser while it runs.
 
     The page shows the map as it grows, planes, candidates, the camera. It pauses, goes step by step and back in time;
-    a click on a candidate sends the agent there. Only this machine can open it, at the printed address. Ctrl+C ends it.
+    a click on a candidate sends the agent there. Without --host only this machine can open it. Ctrl+C ends it.
     """
 
     scene: Annotated[str, option("SCENE")] = "room"

@@ -78,7 +78,7 @@ def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequ
     for spec in scenes:
         found += [Cell(absolute_spec(spec), seed, labels[spec], start) for start, seed in enumerate(seeds)]
     if not found:
-        raise InputError("a score needs episodes: give --layouts, or --scenes with --seeds")
+        raise InputError("an evaluation needs episodes: give --layouts, or --scenes with --seeds")
     return found
 
 

@@ -38,7 +38,7 @@ def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> Reco
             f"{', '.join(drawn)}: every training episode draws its own noise; --no-noise keeps one for all"
         )
     if "gains" in dict(world.overrides):
-        raise InputError("what the policy is told is said by --features, not by --set gains=...")
+        raise InputError("the policy's features are set by --features, not by --set gains=...")
     if world.frames is not None:
         changes["frame_budget"] = world.frames
     return configure(world.preset, dict(world.overrides) | changes)

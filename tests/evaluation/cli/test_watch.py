@@ -30,6 +30,7 @@ def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -
     for wrong, message in (
         (["--policy", "nobody"], "unknown policy 'nobody'"),
         (["--host", "here"], "cannot serve at"),
+        (["--port", "99999"], "port 99999: bind(): port must be 0-65535; 127.0.0.1"),
         (["--scene", "nowhere"], "nowhere"),
         (["--scene", ","], "--scene names a scene to explore, got ','"),
     ):

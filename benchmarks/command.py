@@ -19,7 +19,7 @@ from activestructure_gym.streams import complain
 
 
 class Command(Protocol):
-    """Options of a benchmark as a dataclass."""
+    """Hold the options of a benchmark; a dataclass."""
 
     def run(self) -> int:
         """Measure and print; return the exit code."""
@@ -47,7 +47,7 @@ def write_rows(out: str, name: str, settings: Mapping[str, Any], rows: Sequence[
 
 @contextmanager
 def measuring(console: Console, steps: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar; gives the function that advances it by one step."""
+    """Show a progress bar; yield the function that advances it by one step."""
     with progress_bar(console, disable=not console.is_terminal) as bar:
         task = bar.add_task("measuring", total=steps)
         yield lambda: bar.advance(task)

@@ -1,4 +1,4 @@
-"""How much of the best on offer the picks of features and policies reach."""
+"""Measure which share of the best view on offer the choices of features and policies reach."""
 
 from __future__ import annotations
 
@@ -27,35 +27,35 @@ _RECORDS, _RESULT = "decisions.jsonl", "decisions.json"
 
 @dataclass(frozen=True)
 class Decisions:
-    """Frozen decisions of episodes: the true newly observed area of every candidate, and whose pick comes near it."""
+    """Freeze decisions of episodes and compare choices by the true newly observed area of every candidate."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes that are explored, space or comma between them; a room and an apartment if not given."""
+    """Use these scenes, separated by commas or spaces; by default a room and an apartment."""
     seeds: tuple[str, ...] = ("0",)
-    """Whole numbers from 0 on, an episode each."""
+    """Play one episode per seed; whole numbers from 0 on."""
     played: str = "hole_area"
-    """The policy whose episodes are frozen."""
+    """Play the episodes with this policy."""
     features: tuple[str, ...] = ("hole_area", "pixel")
-    """Features (columns, see `asg features`) that are scored, each times the shared travel term."""
+    """Score these features (columns, see `asg list features`), each times the shared travel term."""
     policies: tuple[str, ...] = ()
-    """Policies that are scored, beside those."""
+    """Score these policies too."""
     preset: str = "default"
-    """What `asg config PRESET` prints."""
+    """Use this preset; `asg config PRESET` prints it."""
     frames: int = 300
-    """Frame budget of an episode."""
+    """Play episodes of this many frames."""
     first: int = 1
-    """The frame from which on decisions are frozen."""
+    """Freeze decisions from this frame on."""
     every: int = 4
-    """Of so many decisions one is frozen."""
+    """Freeze one of this many decisions."""
     pool: int | None = None
-    """Views of the pool that the best is sought among, drawn; all of it if not given."""
+    """Draw this many views of the pool to find the best one; by default use all."""
     quality: int = 0
-    """Views of each frozen table that are mapped in a copy, for what they change on held-out views; 0 is none."""
+    """Map this many views of each frozen decision in a copy, for their effect on held-out views; 0 maps none."""
     out: str | None = None
-    """Directory for decisions.json; finished episodes in it, of the same settings, are kept. Only printed if not
-    given."""
+    """Write decisions.json to this folder, where finished episodes of the same settings are kept; by default print
+    only."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

@@ -109,12 +109,12 @@ def _timed(work: Callable[[], T]) -> tuple[T, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What the evaluation of an episode costs, by stages."""
+    """Measure the cost of evaluating an episode, by stages."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes that are explored, space or comma between them; a room and an apartment if not given."""
+    """Use these scenes, separated by commas or spaces; by default a room and an apartment."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

@@ -122,12 +122,12 @@ def _processor_seconds() -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Grid:
-    """What the supervisor of a comparison costs: the same jobs by hand and through it."""
+    """Measure the cost of a comparison's supervisor: the same jobs by hand and through it."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes that are explored, space or comma between them; room if not given."""
+    """Use these scenes, separated by commas or spaces; by default room."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

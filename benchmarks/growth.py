@@ -252,14 +252,14 @@ def processor_ms(action: Callable[[], object]) -> float:
 
 @dataclass(frozen=True)
 class Growth:
-    """What one place costs while the map grows elsewhere, to millions of Gaussians, and the map's memory."""
+    """Measure the cost of one place while the map grows elsewhere to millions of Gaussians, and the map's memory."""
 
     scene: str | None = None
-    """The scene that is mapped; an apartment if not given."""
+    """Map this scene; by default an apartment."""
     out: str | None = None
-    """Directory for growth.jpg and growth.json; only printed if not given."""
+    """Write growth.jpg and growth.json to this folder; by default print only."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

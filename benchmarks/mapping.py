@@ -170,14 +170,14 @@ def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of maps on held-out views, by every recipe of the mapper."""
+    """Measure the quality of maps on held-out views, with every recipe of the mapper."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes that are mapped, space or comma between them; two apartments if not given."""
+    """Use these scenes, separated by commas or spaces; by default two apartments."""
     out: str | None = None
-    """Directory for mapping.jpg and mapping.json; only printed if not given."""
+    """Write mapping.jpg and mapping.json to this folder; by default print only."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

@@ -352,12 +352,12 @@ def _measured(detect: Detector, frames: Sequence[Frame], truths: Sequence[TruePl
 
 @dataclass(frozen=True)
 class Planes:
-    """Planes found in depth pictures, beside those of OpenCV, and what the graph of planes costs a decision."""
+    """Measure plane detection in depth images next to OpenCV's, and the cost of the plane graph per decision."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes whose planes are sought, space or comma between them; a room and an apartment if not given."""
+    """Use these scenes, separated by commas or spaces; by default a room and an apartment."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""

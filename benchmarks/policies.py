@@ -143,20 +143,20 @@ def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Policies:
-    """Seconds of a decision by every policy, in one state of an episode."""
+    """Measure the seconds of a decision by each policy, in one state of an episode."""
 
     scenes: tuple[str, ...] = ()
-    """The scenes where they decide, space or comma between them; apartment?rooms=3 if not given."""
+    """Use these scenes, separated by commas or spaces; by default apartment?rooms=3."""
     policies: tuple[str, ...] = ()
-    """Who decides; everybody if nobody is named."""
+    """Time these policies, separated by commas or spaces; by default all."""
     gaussians: int | None = None
-    """The state is taken when the map has as many and 256 views are on offer; 30,000 if not given."""
+    """Take the state when the map has this many Gaussians and 256 views are offered; by default 30,000."""
     frames: int | None = None
-    """Or after so many frames; 400 if not given."""
+    """Take the state after this many frames at the latest; by default 400."""
     repeats: int | None = None
-    """Decisions of everybody that are timed, beside a first one that is not; 7 if not given."""
+    """Time this many decisions per policy, after one that does not count; by default 7."""
     quick: bool = False
-    """In small, to see that it runs."""
+    """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -171,7 +171,7 @@ class Policies:
         size |= {name: value for name, value in given.items() if value is not None}
         names = split_policies(self.policies)
         for name in names:
-            make_policy(name)  # it refuses what there is not, before anything is explored
+            make_policy(name)  # refuses an unknown name before exploring
         with console.status("measuring the policies") as status:
             rows = [
                 row | {"scene": spec}

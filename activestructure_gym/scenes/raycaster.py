@@ -102,10 +102,11 @@ class RayCaster:
         )
 
     def _close_vertices(self, hits: Hits, missed: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> None:
-        """Cast missed rays again, displaced by a micrometre to both sides, and correct ``hits`` in place.
+        """Cast missed rays again, shifted by about a micrometre, and enter those that hit into ``hits``.
 
-        Embree misses some rays that meet a vertex exactly. Such a ray hits on both sides. A ray along the edge of an
-        open mesh does not, and remains a miss.
+        Embree misses some rays that go exactly through a vertex. If such a ray is shifted, it hits, and if it is
+        shifted the opposite way, it hits too. A ray along the border of an open mesh hits only one way and stays a
+        miss.
         """
         shift = np.maximum(_ASIDE, 4.0 * np.spacing(np.abs(origins).max(axis=1, keepdims=True))) * _ASIDE_DIRECTION
         shift = shift.astype(np.float32)

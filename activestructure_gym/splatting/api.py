@@ -131,10 +131,8 @@ def rasterize(
     Notes
     -----
     Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
-    6;
-    cut-offs are those of [gsplat, code] 1.5.3. A ray meets a Gaussian at its highest density along the ray, to first
-    order
-    in the pixel, as in Zhang et al., "RaDe-GS: Rasterizing Depth in Gaussian Splatting", 2024.
+    6; cut-offs are those of [gsplat, code] 1.5.3. A ray meets a Gaussian at its highest density along the ray, to first
+    order in the pixel, as in Zhang et al., "RaDe-GS: Rasterizing Depth in Gaussian Splatting", 2024.
 
     Examples
     --------

@@ -52,10 +52,10 @@ def take_tickets(typingctx, counters, index, count):
 
 @inner
 def all_done(tickets, counter, units):
-    """Wait until ``units`` units of work are done; return False on timeout.
+    """Wait until ``units`` units of work are done; return False if the calling thread must leave the kernel.
 
-    After a timeout, a thread that holds a unit has lost its core, and the waiting thread leaves the kernel to free a
-    core. The counters are unchanged, so the kernel continues when called again.
+    It must leave after a long wait: another thread holds a unit but has no core, and leaving frees one. It must also
+    leave if any other thread has left. The counters of work are unchanged, so the kernel continues when called again.
     """
     for _ in range(_PATIENCE):
         if _read_ticket(tickets, counter) >= units:

@@ -77,7 +77,11 @@ class Told(NamedTuple):
 
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
-    """Convert blending's final state to the second pass's: transmittance, no colour behind, pixel values."""
+    """Replace the state that blending leaves by the state from which the tile is processed back to front.
+
+    Stopped pixels get their positive transmittance back. The colour behind is 0, as nothing has been passed yet. The
+    pixel values are loaded if there are any.
+    """
     zero, width = spread(F(0.0)), grid[layout.WIDTH]
     x, y = blending.corner_of(tile, grid)
     for block in range(grid[layout.TILE_BLOCKS]):

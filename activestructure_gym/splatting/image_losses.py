@@ -97,7 +97,11 @@ def _load_at(context, builder, sig, args, offset):
 
 
 def _taps(builder):
-    """Return the blur weights by distance as shared values; literal vectors would dominate the code LLVM reads."""
+    """Return a vector per weight of the blur, by the distance from the pixel, 0 to 5.
+
+    Each vector is built once from one number and used for all sums. Written out as literals at every use, the vectors
+    would be most of the code that LLVM has to read.
+    """
     return [spread_value(builder, ir.Constant(F32, float(tap))) for tap in _TAPS[5:]]
 
 

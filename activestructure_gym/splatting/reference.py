@@ -143,11 +143,11 @@ def depth_slopes(
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [..., N, 2] metres per pixel
-    """Return the change of the ray intersection's depth per pixel, around the Gaussian's mean.
+    """Return by how much the depth at which a ray meets a Gaussian changes from pixel to pixel, at its mean.
 
-    The intersection is the highest density along the ray ([yu2024]). To first order of the projection its depth is
-    linear in the pixel: the covariance of image and depth over that of the image ([zhang2024]). For a flat Gaussian it
-    is its plane's.
+    A ray meets a Gaussian at its highest density along the ray ([yu2024]). To first order of the projection, this depth
+    is a linear function of the pixel. Its slope is the covariance of pixel and depth divided by the covariance of the
+    pixel ([zhang2024]). For a flat Gaussian this is the slope of its plane.
     """
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]

@@ -17,7 +17,7 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 Tensors = Mapping[str, Tensor]
 
 _REACH = 5.0  # metres that count as 1: the farthest a plane may be to be seen
-_MAX_DISTANCE_M = 4.0  # of those; what is farther away is as good as there
+_MAX_DISTANCE = 4.0  # in units of the reach; larger distances count as this one
 _TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
 _MIN_GAIN = 1e-3  # gains are told apart above a thousandth of an image
 
@@ -56,7 +56,7 @@ def turned(vectors: Tensor, yaw: Tensor) -> Tensor:  # [B, N, 3], [B, 2] -> [B, 
 
 def near(offsets: Tensor) -> Tensor:
     """Metres in units of the reach, cut off far away."""
-    return (offsets / _REACH).clamp(-_MAX_DISTANCE_M, _MAX_DISTANCE_M)
+    return (offsets / _REACH).clamp(-_MAX_DISTANCE, _MAX_DISTANCE)
 
 
 def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]

@@ -4,7 +4,7 @@ A planner is a folder: `policy.py`, the features and the candidate sources that 
 `sources.py`, and whatever else these need. `POLICIES`, `FEATURES` and `SOURCES` find them there, so nothing else names
 it. Its class is imported from its folder, ``from activestructure_gym.policies.naruto import Naruto``.
 
-`policy.py`, and what it imports, never sees the map; `features.py` and `sources.py` do.
+`policy.py`, and what it imports, never reads the map; `features.py` and `sources.py` do.
 """
 
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount

@@ -29,7 +29,7 @@ class Policy(ABC):
     """
 
     decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
-    travel_term: ClassVar[str] = "none"  # how the way to a view counts natively, for lists
+    travel_term: ClassVar[str] = "none"  # how the path to a view counts in the original, for lists
     source: ClassVar[str] = ""  # the paper, for lists
     brings: ClassVar[Schedule] = Schedule()  # what it brings where planners are compared on their own terms
     # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.

@@ -20,7 +20,7 @@ class ActiveGS(Greedy):
     """
 
     decides_by = "unexplored voxels in sight, surface without confidence"
-    travel_term = "share of the way subtracted"
+    travel_term = "share of the path length subtracted"
     source = "Jin et al., ActiveGS, RA-L 2025"
     required_gains = ("confidence",)
     brings = Schedule(

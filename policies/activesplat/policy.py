@@ -37,7 +37,7 @@ class ActiveSplat(Planner):
     """
 
     decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"
-    travel_term = "present subregion first, ties by way, late at random"
+    travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
     brings = replace(SPLATAM, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees")
     required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")

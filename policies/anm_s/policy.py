@@ -38,7 +38,7 @@ class AnmS(Planner):
     """
 
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
-    travel_term = "ties by way"
+    travel_term = "ties by path length"
     source = "Kuang et al., ANM-S, IROS 2024"
     brings = Schedule(
         stages=(("nodes?rows=504", "turns?count=8"),),

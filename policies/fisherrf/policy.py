@@ -37,7 +37,7 @@ class FisherRFPath(Greedy):
     """
 
     decides_by = "information of a view and, each look counted as known to the next, of the way there"
-    travel_term = "the gain of the way"
+    travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_gains = ("fisherrf_path",)
     brings = Schedule(

@@ -14,7 +14,7 @@ class ViewAngle(Planner):
     """
 
     decides_by = "directions from which the map was not seen"
-    travel_term = "none, equals by way"
+    travel_term = "none; ties by path length"
     source = "COVER, arXiv 2604.05259"
     required_gains = ("view_angle",)
 

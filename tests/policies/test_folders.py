@@ -108,6 +108,14 @@ def test_a_name_is_found_without_a_list_being_read(folder: None, ask) -> None:
     ask()
 
 
+def test_a_class_is_imported_from_its_folder() -> None:
+    for name in POLICIES:
+        kind = POLICIES.get(name)
+        if kind.__module__.startswith(f"{policies.__name__}."):
+            folder = importlib.import_module(kind.__module__.rpartition(".")[0])
+            assert issubclass(kind, getattr(folder, kind.__name__)), name  # a checkpoint has a class of its own
+
+
 def test_without_the_folder_there_is_no_such_name() -> None:
     assert "upward" not in POLICIES and "height_of_axis" not in FEATURES and "upward_turns" not in SOURCES
 

@@ -19,7 +19,7 @@ Tensors = Mapping[str, Tensor]
 _REACH = 5.0  # metres that count as 1: the farthest a plane may be to be seen
 _MAX_DISTANCE = 4.0  # in units of the reach; larger distances count as this one
 _TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-_MIN_GAIN = 1e-3  # gains are told apart above a thousandth of an image
+_MIN_GAIN = 1e-3  # gains below a thousandth of an image count linearly, larger ones by their logarithm
 
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
 _PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))

@@ -33,6 +33,7 @@ def print_end(
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
     from activestructure_gym.evaluation.report.tables.planning import rich_planning_table
+    from activestructure_gym.evaluation.running.measuring import draw_missing_pictures
 
     if result.skipped:
         console.print(f"{counted(result.skipped, 'run')} finished before and kept")
@@ -43,6 +44,8 @@ def print_end(
     if result.runs:
         try:
             with console.status("drawing"):
+                for run in result.runs:  # of a process that was killed between a run and its pictures
+                    draw_missing_pictures(run)
                 files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         except FullDisk as error:
             again = f"asg report {shlex.quote(str(directory))}"

@@ -56,7 +56,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
         # Last: a directory without it is not a result.
         store.finish(part, job)
     run = store.read_run(directory)
-    _draw_pictures(run)
+    draw_missing_pictures(run)
     return run
 
 
@@ -116,10 +116,12 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
     store.write_json(part / "timing.json", timing)
 
 
-def _draw_pictures(run: store.Run) -> None:
-    """Draw the pictures of a finished run. A failure is a warning, since the run is complete without them."""
-    from activestructure_gym.evaluation.report.pictures.run import draw_run
+def draw_missing_pictures(run: store.Run) -> None:
+    """Draw the pictures of a finished run that has none. A failure is a warning, since the run is complete without."""
+    from activestructure_gym.evaluation.report.pictures.run import VIEWS, draw_run
 
+    if (run.directory / VIEWS).exists():
+        return
     try:
         with atomic_files(run.directory) as part:
             draw_run(run, part)

@@ -9,11 +9,13 @@ from activestructure_gym.evaluation.report.pictures.canvas import save_with_pane
 from activestructure_gym.evaluation.report.pictures.planes_pages import run_planes_3d, run_planes_plan
 from activestructure_gym.evaluation.report.pictures.views_and_plans import run_plan, run_views
 
+VIEWS = "views.png"
+
 
 def draw_run(run: Run, directory: Path) -> None:
     """Draw views, plan and Plane Scene Graph of a finished run into ``directory``."""
     title = run.job.title
-    run_views(run.pictures, title=title).save(directory / "views.png")
+    run_views(run.pictures, title=title).save(directory / VIEWS)
     run_plan(run.pictures, run.trajectory, run.graph, title=title).save(directory / "plan.png")
     if run.graph is not None:
         plan, plan_panels = run_planes_plan(run.graph, run.pictures, title=title)

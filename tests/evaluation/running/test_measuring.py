@@ -13,12 +13,14 @@ from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.cli.closing import print_end
 from activestructure_gym.evaluation.cli.evaluate import Evaluate
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.report.pictures import run as pictures
 from activestructure_gym.evaluation.running import episode, measuring
 from activestructure_gym.evaluation.running.api import NullListener
-from activestructure_gym.evaluation.running.comparison import run_comparison
+from activestructure_gym.evaluation.running.comparison import Result, run_comparison
 from activestructure_gym.scenes import load_scene
 
 CLOCKS = ("timing.json", store.DONE)  # which holds the checksum of the other
@@ -159,6 +161,21 @@ def test_a_picture_that_fails_does_not_fail_the_run(kept, finished, job, monkeyp
     with pytest.warns(InputWarning, match="no pictures of box · random · seed 0: no font"):
         episode.run_job(job, kept)
     _check_equal(finished, kept)
+
+
+def test_pictures_that_a_killed_process_has_not_drawn_are_drawn_once(finished, tmp_path, monkeypatch):
+    drawn = list[Path]()
+
+    def draw(run: store.Run, directory: Path) -> None:
+        drawn.append(run.directory)
+        (directory / pictures.VIEWS).touch()
+
+    monkeypatch.setattr(pictures, "draw_run", draw)
+    run = store.read_run(shutil.copytree(finished, tmp_path / "run"))
+    result = Result([run], [], 0)
+    for _ in range(2):
+        print_end(make_console(), result, tmp_path, 1.0, None, wide=False)
+    assert drawn == [run.directory] and (run.directory / pictures.VIEWS).exists()
 
 
 def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path, monkeypatch):

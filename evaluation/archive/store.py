@@ -15,7 +15,7 @@ A comparison's directory::
         steps.jsonl              one line per decision
         trajectory.npz           every executed pose, keyframe indices, the camera
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
-        graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
+        graph.npz                the Plane Scene Graph at the end; see `planes.record.graph_arrays`
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
         replay.html              the run to watch, where somebody asked for it
     logs/<job name>.log          what a worker wrote to its standard error
@@ -130,7 +130,7 @@ class Run:
 
     @cached_property
     def graph(self) -> dict[str, np.ndarray] | None:
-        """The Plane Scene Graph, see `plane_record.graph_arrays`; None if the run kept none."""
+        """The Plane Scene Graph, see `planes.record.graph_arrays`; None if the run kept none."""
         if GRAPH not in self.checksums and not (self.directory / GRAPH).exists():
             return None
         return _read(self.directory, GRAPH, self.checksums, _arrays_that(run_files.check_graph))

@@ -1,5 +1,6 @@
 """``asg list``: the names that options take."""
 
+# Not called list.py: as a name in the package it would hide the builtin.
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -202,10 +202,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         check_free(directory, shared=shared)
         if (directory / store.COMPARISON).is_file():
             if not (resume or shared):
-                raise InputError(
-                    f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or "
-                    "choose another one"
-                )
+                raise _begun(directory)
         elif resume and (directory / store.JOBS).is_dir():
             pass  # its record is lost, its runs are not
         elif any(not _is_ours(path) for path in directory.iterdir()):
@@ -221,6 +218,12 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         os.rmdir(tempfile.mkdtemp(prefix=f".{store.COMPARISON}.", dir=parent))
     except OSError as error:
         raise InputError(f"the output '{directory}' cannot be written: {error.strerror} in '{parent}'") from None
+
+
+def _begun(directory: Path) -> InputError:
+    return InputError(
+        f"'{directory}' holds a comparison already; add --resume (in Python resume=True), or choose another directory"
+    )
 
 
 def _is_ours(path: Path) -> bool:
@@ -302,10 +305,7 @@ def run_comparison(
     chosen, limits = get_engine(engine), limits or Limits()
     recorded = recorded_jobs(directory)
     if recorded and not resume and shard is None:
-        raise InputError(
-            f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or choose "
-            "another one"
-        )
+        raise _begun(directory)
     everything = merged(recorded, jobs, directory)
     if shard is None:
         temporary.remove_parts(directory / store.JOBS)

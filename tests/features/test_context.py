@@ -50,6 +50,7 @@ def test_an_object_is_made_once_per_episode_and_another_one_in_the_next() -> Non
     assert step_of(Mapper(mapper.config, np.random.default_rng(0))).episode(calls) is not kept
 
 
+# co_slam makes its Gaussians anew after every event, so no feature can follow them.
 @pytest.mark.parametrize("name", sorted(name for name in MAPPERS if name != "co_slam"))
 def test_it_is_called_around_the_steps_of_every_event_from_then_on(name: str) -> None:
     mapper = mapper_config(name).make(np.random.default_rng(0), np.array([[-3.0] * 3, [3.0] * 3]))

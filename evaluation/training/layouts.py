@@ -21,7 +21,7 @@ def layout_specs(use: str, count: int, rooms: Sequence[int], *, lit: bool = True
     Layouts that are not ``lit`` are the same triangles without light and textures; an eighth to a quarter of the time.
     """
     if not 0 <= count <= _MAX_LAYOUTS:
-        raise InputError(f"the number of layouts is from 0 to {_MAX_LAYOUTS}, got {count}")
+        raise InputError(f"the number of layouts must be from 0 to {_MAX_LAYOUTS}, got {count}")
     first, ending = FIRST_SEED[use], "" if lit else "&lit=false"
     return tuple(f"apartment?rooms={rooms[i % len(rooms)]}&seed={first + i}{ending}" for i in range(count))
 

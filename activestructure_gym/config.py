@@ -32,7 +32,7 @@ class ReconstructionConfig:
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
     revisit_rounds: int = 4  # factor on the mapper's iterations at a revisited keyframe (own choice)
-    gains: tuple[str, ...] = ("pixel",)  # features computed for every candidate; stored as column names
+    features: tuple[str, ...] = ("pixel",)  # features computed for every candidate; stored as column names
     sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
     mapper: BaseMapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
     volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
@@ -62,7 +62,7 @@ class ReconstructionConfig:
                 f"{self.motion.min_clearance}: the clearance may drop this much between the samples of a path, and no "
                 "path would be blocked; raise min_clearance or use smaller voxels"
             )
-        object.__setattr__(self, "gains", column_names(self.gains))
+        object.__setattr__(self, "features", column_names(self.features))
         make_stages(self.views.stages, self.views.max_candidates)
 
 

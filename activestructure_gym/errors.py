@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import difflib
 import unicodedata
+import warnings
 from collections.abc import Iterable
+from typing import TypeVar
+
+T = TypeVar("T")
 
 MAX_NAMES = 5  # maximum number of names in a message
 # Commands that list the names of each kind.
@@ -75,6 +79,14 @@ class InputWarning(UserWarning):
 
     def __init__(self, *said: object) -> None:
         super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
+
+
+def renamed(old: str, given: T | None, new: str, value: T) -> T:
+    """Return the value of keyword ``new``; a value given under its former name ``old`` replaces it and warns."""
+    if given is None:
+        return value
+    warnings.warn(f"{old} is now called {new}; the old name will be removed in 0.2", FutureWarning, stacklevel=3)
+    return given
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:

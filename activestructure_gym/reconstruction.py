@@ -79,7 +79,7 @@ class Reconstruction:
     planes: PlaneSceneGraph
     pool: CandidatePool
     candidates: CandidateTable
-    gains: np.ndarray  # [n, G] features; one column per name in config.gains
+    features: np.ndarray  # [n, G] features; one column per name in config.features
     visible: np.ndarray  # [n, N] bool: planes of the graph visible from each candidate
 
     def __init__(self, config: ReconstructionConfig) -> None:
@@ -402,14 +402,14 @@ class Reconstruction:
             if not len(self.candidates):  # no candidates: offer again every stage not known to be empty
                 self._empty.add(self.stage)
                 self.candidates = rows_with(self._empty)
-        with self._timed("gains"):
+        with self._timed("features"):
             views = self.candidates.views
             context = self.feature_context(self.candidates.world_from_camera[:views], self.candidates.revisit[:views])
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
-            self.gains = np.pad(evaluate_features(config.gains, context), asks)
+            self.features = np.pad(evaluate_features(config.features, context), asks)
             self.visible = np.pad(context.visible, asks)
             # A row that ends the episode has a pose but gets no features.
-            self.gains[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
+            self.features[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
 
     def feature_context(
         self,

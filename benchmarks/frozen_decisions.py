@@ -57,19 +57,19 @@ def frozen_decisions(
 
     truth = ground_truth_of(load_scene(scene))
     played, scored = make_policy(settings.played), {name: make_policy(name) for name in settings.policies}
-    gains = dict.fromkeys(n for policy in (played, *scored.values()) for n in policy.required_gains)
+    features = dict.fromkeys(n for policy in (played, *scored.values()) for n in policy.required_features)
     env = ReconstructionEnv(
         scene=truth,
         preset=settings.preset,
         frame_budget=settings.frames,
-        gains=tuple(gains | dict.fromkeys(settings.features)),
+        features=tuple(features | dict.fromkeys(settings.features)),
         coverage_target=None,
     )
     judge = _Judge(truth, settings)
     records = []
     try:
         for policy in (played, *scored.values()):
-            policy.bind(env.config.gains)
+            policy.bind(env.config.features)
             policy.reset(seed)
         observation, info = env.reset(seed=seed)
         ended = not observation["action_mask"].any()
@@ -97,7 +97,7 @@ def _picks(
     """Rows by falling score of everybody who is scored; a policy tells its first row alone."""
     from activestructure_gym.policies import Candidates, travel_discount
 
-    candidates = Candidates(observation, env.config.gains, "the benchmark of decisions")
+    candidates = Candidates(observation, env.config.features, "the benchmark of decisions")
     valid = np.flatnonzero(candidates.valid)
     found = {name: np.array([int(policy.act(observation))]) for name, policy in policies.items()}
     discount = travel_discount(observation)

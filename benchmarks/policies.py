@@ -1,4 +1,4 @@
-"""Benchmark of a decision by each policy: gains of all candidates and the choice, on one real state of an episode."""
+"""Time one decision of each policy: the features of all candidates and the choice, on one real state of an episode."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def run_policy_benchmark(
     repeats: int = 7,
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """A row per policy: seconds per decision as medians with quartiles, `gains` and `policy` apart.
+    """A row per policy: seconds per decision as medians with quartiles, `features` and `policy` apart.
 
     The state is that of an episode of `pixel_only`. ``offer`` (ways, candidates, revisits) is the same work for all;
-    a decision is offer, gains and policy together. Each is decided on a mapper as the last keyframes left it, of which
+    a decision is offer, features and policy together. Each is made on a mapper as the last keyframes left it, of which
     nobody has asked anything since: what planners measure of new keyframes is part of their cost. Policies take turns,
     and the first round, in which kernels are compiled, is not counted. ``limit`` says whether the median
     keeps to `LIMIT_S`.
@@ -80,9 +80,9 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
 
     policy = make_policy("pixel_only")
     env = ReconstructionEnv(
-        scene=scene, preset=preset, frame_budget=frames + 1, gains=policy.required_gains, coverage_target=None
+        scene=scene, preset=preset, frame_budget=frames + 1, features=policy.required_features, coverage_target=None
     )
-    policy.bind(env.config.gains)
+    policy.bind(env.config.features)
     observation, _ = env.reset(seed=_SEED)
     policy.reset(_SEED)
     ended = False
@@ -110,13 +110,13 @@ def _decision(env: Any, name: str) -> dict[str, float]:
 
     policy = make_policy(name)
     reconstruction = env.reconstruction
-    reconstruction.config = dataclasses.replace(reconstruction.config, gains=tuple(policy.required_gains))
+    reconstruction.config = dataclasses.replace(reconstruction.config, features=tuple(policy.required_features))
     before, processor = dict(reconstruction.seconds), time.process_time()
     reconstruction._refresh()
-    spent = {key: reconstruction.seconds[key] - before.get(key, 0.0) for key in ("planning", "gains")}
+    spent = {key: reconstruction.seconds[key] - before.get(key, 0.0) for key in ("planning", "features")}
     processor = time.process_time() - processor
     observation = encode(reconstruction, reconstruction.mapper.keyframes[-1], env.max_planes)
-    policy.bind(reconstruction.config.gains)
+    policy.bind(reconstruction.config.features)
     policy.reset(_SEED)
     began, processor_began = time.perf_counter(), time.process_time()
     policy.act(observation)
@@ -125,15 +125,17 @@ def _decision(env: Any, name: str) -> dict[str, float]:
 
 
 def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
-    offer, gains, policy, cpu = (np.array([t[key] for t in times]) for key in ("planning", "gains", "policy", "cpu"))
-    decision = offer + gains + policy
+    offer, features, policy, cpu = (
+        np.array([t[key] for t in times]) for key in ("planning", "features", "policy", "cpu")
+    )
+    decision = offer + features + policy
     limit = LIMITS_S.get(Spec.of(name).name, LIMIT_S)
     median = float(np.median(decision))
     return {
         "policy": name,
         "decision_s": median,
         "quartiles": tuple(float(q) for q in np.quantile(decision, [0.25, 0.75])),
-        "gains_s": float(np.median(gains)),
+        "features_s": float(np.median(features)),
         "policy_s": float(np.median(policy)),
         "offer_s": float(np.median(offer)),
         "processor_s": float(np.median(cpu)),

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.sensors import Frame
 
-CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
+CANDIDATE_COLUMNS = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 # Columns that follow where `ViewConfig.stages` names more than the shared pool, behind one for every source and every
 # stage; see `row_columns`.
-HOOK_FEATURES = ("stay", "fixates", "at_x", "at_y", "at_z")
+HOOK_COLUMNS = ("stay", "fixates", "at_x", "at_y", "at_z")
 MAX_DISTANCE_M = 1000.0  # bound of every position and length in the observation, and of rounds in place
 MAX_FRAMES = 10 * MAX_DISTANCE_M  # and of every number of frames
-MAX_GAIN = 1e6  # bound of every feature
+MAX_FEATURE = 1e6  # bound of every feature
 MAX_BYTES = 1 << 27  # of one observation; its space, which holds both bounds of every number, takes three times that
 
 
 def candidate_columns(*names: str) -> list[int]:
-    """Columns of ``observation["candidates"]`` by name (`CANDIDATE_FEATURES`)."""
-    return [CANDIDATE_FEATURES.index(name) for name in names]
+    """Columns of ``observation["candidates"]`` by name (`CANDIDATE_COLUMNS`)."""
+    return [CANDIDATE_COLUMNS.index(name) for name in names]
 
 
 def row_columns(stages: Sequence[Sequence[str]]) -> tuple[str, ...]:
@@ -43,10 +43,10 @@ def row_columns(stages: Sequence[Sequence[str]]) -> tuple[str, ...]:
     stands in ``at_x``, ``at_y``, ``at_z``. The shared pool alone has none of them.
     """
     if tuple(map(tuple, stages)) == (("pool",),):
-        return CANDIDATE_FEATURES
+        return CANDIDATE_COLUMNS
     sources = tuple(dict.fromkeys(f"from_{name}" for stage in stages for name in stage))
     asks = tuple(f"ask_{stage}" for stage in range(len(stages))) if len(stages) > 1 else ()
-    return (*CANDIDATE_FEATURES, *sources, *asks, *HOOK_FEATURES)
+    return (*CANDIDATE_COLUMNS, *sources, *asks, *HOOK_COLUMNS)
 
 
 def feature_columns(*names: str) -> tuple[str, ...]:
@@ -81,26 +81,26 @@ class Table(spaces.Box):
         return bool(super().__eq__(other)) and getattr(other, "names", self.names) == self.names
 
 
-def gain_names(source: Any) -> tuple[str, ...]:
-    """Names of the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
+def feature_names(source: Any) -> tuple[str, ...]:
+    """Names of the columns of ``observation["candidate_features"]``, in order, as ``source`` tells.
 
     ``source``: an env, wrapped or not; a vector env of Gymnasium or stable-baselines3; an observation space; or the
-    names themselves, such as ``info["gains"]``. Raises `InputError` if it does not say.
+    names themselves, such as ``info["features"]``. Raises `InputError` if it does not say.
     """
     if isinstance(source, list | tuple) and all(isinstance(name, str) for name in source):
         return tuple(source)
     space = _space_of(source)
-    table = space.spaces.get("candidate_gains") if isinstance(space, spaces.Dict) else space
+    table = space.spaces.get("candidate_features") if isinstance(space, spaces.Dict) else space
     if isinstance(table, Table):
         return table.names
     if isinstance(table, spaces.Space):
         raise InputError(
-            "this observation space does not say which features stand in the columns of candidate_gains, as one that a "
-            "wrapper made anew; give the names instead, as in info['gains']"
+            "this observation space does not name the columns of candidate_features, as one that a wrapper made anew; "
+            "give the names instead, as in info['features']"
         )
     raise InputError(
         f"which features stand in which column is told by an env, by its observation space or by a list of their names "
-        f"as in info['gains'], got {shown(source)}"
+        f"as in info['features'], got {shown(source)}"
     )
 
 
@@ -108,7 +108,7 @@ def row_names(source: Any) -> tuple[str, ...]:
     """Names of the columns of ``observation["candidates"]`` where ``source`` tells them; else the shared pool's."""
     space = _space_of(source)
     table = space.spaces.get("candidates") if isinstance(space, spaces.Dict) else None
-    return table.names if isinstance(table, Table) else CANDIDATE_FEATURES
+    return table.names if isinstance(table, Table) else CANDIDATE_COLUMNS
 
 
 def _space_of(source: Any) -> Any:
@@ -146,7 +146,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW, PLANE_FEATURES
 
     height, width = config.sensor.height, config.sensor.width
-    K, G, P, F = config.views.max_candidates, len(config.gains), max_planes, len(PLANE_FEATURES)
+    K, G, P, F = config.views.max_candidates, len(config.features), max_planes, len(PLANE_FEATURES)
     far = MAX_DISTANCE_M
     columns = row_columns(config.views.stages)
     known = dict.fromkeys(("x", "y", "z", "at_x", "at_y", "at_z"), (-far, far))
@@ -168,8 +168,14 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
             ", ".join(columns),
             columns,
         ),
-        "candidate_gains": Key(
-            (K, G), f32, -MAX_GAIN, MAX_GAIN, "-", "the features asked for, a column each or more", config.gains
+        "candidate_features": Key(
+            (K, G),
+            f32,
+            -MAX_FEATURE,
+            MAX_FEATURE,
+            "-",
+            "the features asked for, a column each or more",
+            config.features,
         ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "fidelity": Key(
@@ -230,10 +236,10 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     frames = least_frames(reconstruction.pose, table.world_from_camera, table.path_length, config.motion)
     candidates[:count, 7] = np.minimum(frames, MAX_FRAMES)
     candidates[:count, 8] = table.revisit
-    if columns != CANDIDATE_FEATURES:
+    if columns != CANDIDATE_COLUMNS:
         _fill_hooks(candidates[:count], columns, reconstruction)
-    gains = np.zeros((size, len(config.gains)), np.float32)
-    gains[:count] = np.clip(reconstruction.gains, -MAX_GAIN, MAX_GAIN)
+    features = np.zeros((size, len(config.features)), np.float32)
+    features[:count] = np.clip(reconstruction.features, -MAX_FEATURE, MAX_FEATURE)
     mask = np.zeros(size, np.int8)
     mask[:count] = 1
 
@@ -252,7 +258,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
         "pose": np.clip(pose, [-MAX_DISTANCE_M] * 3 + [-1] * 4, [MAX_DISTANCE_M] * 3 + [1] * 4).astype(np.float32),
         "budget": np.array([left], np.float32),
         "candidates": candidates,
-        "candidate_gains": gains,
+        "candidate_features": features,
         "action_mask": mask,
         "fidelity": np.clip([_quantile(fidelity, 0.1), _quantile(fidelity, 0.5)], 0.0, 200.0).astype(np.float32),
         "plane_features": planes.features,

@@ -17,7 +17,7 @@ from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.envs.turn import Turn
-from activestructure_gym.errors import InputError, InputWarning, shown
+from activestructure_gym.errors import InputError, InputWarning, renamed, shown
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import is_level, unrounded_start
@@ -39,13 +39,14 @@ class EnvOptions(TypedDict, total=False):
 
     preset: Preset
     frame_budget: int | None
-    gains: Sequence[str] | None
+    features: Sequence[str] | None
     config: ReconstructionConfig | Mapping[str, Any] | None
     reward: RewardConfig | Mapping[str, Any] | None
     coverage_target: float | None
     max_planes: int
     start_pose: Sequence[float] | np.ndarray | None
     render_mode: RenderMode | None
+    gains: Sequence[str] | None
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -64,7 +65,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their features and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
     arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands
-    in the columns: `observation_space["candidate_gains"].names`; `policy.bind(env)` reads them there.
+    in the columns: `observation_space["candidate_features"].names`; `policy.bind(env)` reads them there.
 
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
@@ -85,13 +86,14 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
     | `preset` | str | `"default"` | `fast`, `default`, `full` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
-    | `gains` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
+    | `features` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
     | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |
     | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | where every episode starts |
     | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a page to watch |
+    | `gains` | tuple of str | none | former name of `features`; it warns |
 
     ## Reset options
     | option | meaning |
@@ -100,9 +102,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `start_pose` | the start of this episode only |
 
     ## Info
-    `action_mask`, `gains` (names of the columns of `candidate_gains`), `frames`, `metres`, `keyframes`, `gaussians`,
-    `planes`, `reached`, `invalid_action`, `is_success` and the reward's terms. No wall-clock times and no ground truth
-    beyond what the reward itself tells.
+    `action_mask`, `features` (names of the columns of `candidate_features`), `frames`, `metres`, `keyframes`,
+    `gaussians`, `planes`, `reached`, `invalid_action`, `is_success` and the reward's terms. No
+    wall-clock times, and no ground truth beyond what the reward itself tells.
 
     ## Version History
     * v0: first version
@@ -122,14 +124,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         *,
         preset: Preset = "default",
         frame_budget: int | None = None,
-        gains: Sequence[str] | None = None,
+        features: Sequence[str] | None = None,
         config: ReconstructionConfig | Mapping[str, Any] | None = None,
         reward: RewardConfig | Mapping[str, Any] | None = None,
         coverage_target: float | None = 0.99,
         max_planes: int = 64,
         start_pose: Sequence[float] | np.ndarray | None = None,
         render_mode: RenderMode | None = None,
+        gains: Sequence[str] | None = None,
     ) -> None:
+        features = renamed("gains", gains, "features", features)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]
             raise InputError(f"render_mode must be one of {modes} or None, got {shown(render_mode)}")
@@ -148,10 +152,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         changes: dict[str, Any] = {}
         if frame_budget is not None:
             changes["frame_budget"] = frame_budget
-        if gains is not None:
-            if isinstance(gains, str) or not isinstance(gains, Sequence | np.ndarray):
-                raise InputError(f"gains must be a list of names, got {shown(gains)}")
-            changes["gains"] = tuple(gains)
+        if features is not None:
+            if isinstance(features, str) or not isinstance(features, Sequence | np.ndarray):
+                raise InputError(f"features must be a list of names, got {shown(features)}")
+            changes["features"] = tuple(features)
         self.config = replaced(config, changes)
         self.reward_config = (
             reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), _fields("reward", reward))
@@ -306,7 +310,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
             self._view = LiveView(type(self).__name__ if self.spec is None else self.spec.id)
             write_line(sys.stderr, f"watch this environment at {self._view.url}")
-        self._view.begin(self.reconstruction, self.config.gains[0] if self.config.gains else "")
+        self._view.begin(self.reconstruction, self.config.features[0] if self.config.features else "")
         self._view.show()
         self._view.wait()
 
@@ -334,7 +338,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         episode = self.reconstruction
         return {
             "action_mask": self.action_masks().astype(np.int8),
-            "gains": self.config.gains,
+            "features": self.config.features,
             "frames": episode.frames,
             "metres": float(episode.metres),
             "keyframes": len(episode.keyframe_indices),

@@ -2,8 +2,8 @@
 
     python examples/play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
 
-The env offers the gains that the policy asks for, and the policy knows by name in which column of the observation each
-stands: nothing else has to fit.
+The env offers the features that the policy asks for, and the policy knows by name in which column each stands.
+Nothing else has to fit.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 import activestructure_gym  # noqa: F401  (registers the environments)
 
-KEYS = ("pose", "budget", "candidates", "candidate_gains", "action_mask", "plane_features", "candidate_planes")
+KEYS = ("pose", "budget", "candidates", "candidate_features", "action_mask", "plane_features", "candidate_planes")
 
 
 @dataclass
@@ -28,7 +28,7 @@ class Args:
 
     env_id: str = "activestructure_gym:ActiveStructure/Room-v0"
     preset: str = "fast"
-    gains: tuple[str, ...] = ("pixel", "hole_area")
+    features: tuple[str, ...] = ("pixel", "hole_area")
     frames: int | None = None
     """Frame budget of an episode; the preset's if not given."""
     seed: int = 0
@@ -53,10 +53,12 @@ class Args:
 class Agent(nn.Module):
     """A score per candidate from its own row, what all rows have in common, and the planes it would see."""
 
-    def __init__(self, gains: int, plane_columns: int, width: int = 64) -> None:
+    def __init__(self, features: int, plane_columns: int, width: int = 64) -> None:
         super().__init__()
         self.planes = nn.Sequential(nn.Linear(plane_columns, 24), nn.ReLU())
-        self.rows = nn.Sequential(nn.Linear(7 + 2 * gains + 24, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.rows = nn.Sequential(
+            nn.Linear(7 + 2 * features + 24, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
         self.score = nn.Sequential(nn.Linear(3 * width + 1, width), nn.ReLU(), nn.Linear(width, 1))
         self.critic = nn.Sequential(nn.Linear(2 * width + 1, width), nn.ReLU(), nn.Linear(width, 1))
         nn.init.normal_(self.score[-1].weight, std=0.01)
@@ -64,15 +66,17 @@ class Agent(nn.Module):
     def forward(self, observation: dict[str, Tensor]) -> tuple[torch.distributions.Categorical, Tensor]:
         """The distribution over rows, and the value [B]."""
         mask = observation["action_mask"] > 0  # [B, K]
-        table, gains = observation["candidates"], observation["candidate_gains"]
+        table, features = observation["candidates"], observation["candidate_features"]
         offset = (table[..., :3] - observation["pose"][:, None, :3]) / 5.0
         discount = 1.0 / (1.0 + table[..., 7:8] / 5.0)  # frames it costs
-        largest = (gains.abs() * mask[..., None]).amax(1, keepdim=True).clamp(min=1e-6)
+        largest = (features.abs() * mask[..., None]).amax(1, keepdim=True).clamp(min=1e-6)
         seen = observation["candidate_planes"]
         # Squashed, since areas and places have no common scale.
         planes = self.planes(observation["plane_features"].sign() * observation["plane_features"].abs().log1p())
         summary = seen @ planes / (1.0 + seen.sum(-1, keepdim=True))
-        row = torch.cat([offset, table[..., 3:6], discount, gains / largest, gains * discount / largest, summary], -1)
+        row = torch.cat(
+            [offset, table[..., 3:6], discount, features / largest, features * discount / largest, summary], -1
+        )
         tokens = self.rows(row) * mask[..., None]
         mean = tokens.sum(1) / mask.sum(1, keepdim=True).clamp(min=1)
         common = torch.cat([mean, tokens.amax(1), observation["budget"]], -1)  # tokens are 0 or more
@@ -94,7 +98,7 @@ def main(args: Args) -> list[float]:
     vector: dict[str, object] = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
     if args.processes:
         vector["context"] = "spawn"  # a forked child of a process that used numba's threads hangs
-    options: dict[str, object] = {"preset": args.preset, "gains": args.gains}
+    options: dict[str, object] = {"preset": args.preset, "features": args.features}
     if args.frames is not None:
         options["frame_budget"] = args.frames
     envs = gym.make_vec(
@@ -107,7 +111,7 @@ def main(args: Args) -> list[float]:
     )
     space = envs.single_observation_space
     assert isinstance(space, gym.spaces.Dict)
-    agent = Agent(space["candidate_gains"].shape[-1], space["plane_features"].shape[-1])
+    agent = Agent(space["candidate_features"].shape[-1], space["plane_features"].shape[-1])
     optimizer = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5)
 
     raw, _ = envs.reset(seed=args.seed)

@@ -37,7 +37,7 @@ class Args:
     preset: str = "fast"
     frames: int = 60
     """Frame budget of an episode."""
-    gains: tuple[str, ...] = ("pixel", "hole_area")
+    features: tuple[str, ...] = ("pixel", "hole_area")
     iterations: int = 50
     env_runners: int = 2
     """Processes that collect episodes; 0 collects in this one."""
@@ -82,7 +82,7 @@ def main(args: Args) -> list[float]:
                 "env_id": args.env_id,
                 "preset": args.preset,
                 "frame_budget": args.frames,
-                "gains": list(args.gains),
+                "features": list(args.features),
             },
         )  # fmt: skip
         .env_runners(num_env_runners=args.env_runners, rollout_fragment_length="auto", batch_mode="complete_episodes")
@@ -98,7 +98,7 @@ def main(args: Args) -> list[float]:
         )
         .rl_module(
             rl_module_spec=RLModuleSpec(
-                module_class=CandidateModule, model_config={"network": NetworkConfig(args.gains).as_dict()}
+                module_class=CandidateModule, model_config={"network": NetworkConfig(args.features).as_dict()}
             )
         )
         .debugging(seed=args.seed)

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, feature_columns, gain_names, row_names
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_columns, feature_names, row_names
+from activestructure_gym.errors import InputError, renamed, shown
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.policies.schedule import Schedule
 from activestructure_gym.registry import Registry
@@ -20,8 +20,8 @@ class Policy(ABC):
     """Chooses one row of the candidate table per step.
 
     A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
-    and pickles. The features of the candidates stand in columns of ``observation["candidate_gains"]``, and only the env
-    knows in which: `bind` tells the policy, and `candidates` is where it reads them by name; without the one the other
+    and pickles. The features of the candidates are the columns of ``observation["candidate_features"]``. Only the env
+    knows their order: `bind` tells the policy, and `candidates` reads them by name. Without `bind`, `candidates`
     refuses. `make_env_and_policy` makes both at once and binds them.
 
     Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
@@ -33,9 +33,14 @@ class Policy(ABC):
     source: ClassVar[str] = ""  # the paper, for lists
     brings: ClassVar[Schedule] = Schedule()  # what it brings where planners are compared on their own terms
     # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
-    required_gains: tuple[str, ...] = ()
+    required_features: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known
-    _rows: tuple[str, ...] = CANDIDATE_FEATURES  # columns of the candidate table
+    _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # columns of the candidate table
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        old = cls.__dict__.get("required_gains")
+        cls.required_features = renamed("required_gains", old, "required_features", cls.required_features)
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
@@ -45,11 +50,11 @@ class Policy(ABC):
 
         Raises `InputError` if a required feature is missing. A policy without any needs no binding.
         """
-        names, needed = gain_names(source), gains_of(self)
+        names, needed = feature_names(source), features_of(self)
         if missing := [name for name in needed if not _offered(name, names)]:
             raise InputError(
                 f"{type(self).__name__} needs the features {listed(missing)}, and the env offers {listed(names)}: make "
-                "the env with them in gains=..., or both at once with env, policy = make_env_and_policy(...)"
+                "the env with them in features=..., or both at once with env, policy = make_env_and_policy(...)"
             )
         self._columns, self._rows = names, row_names(source)
 
@@ -70,13 +75,13 @@ class Policy(ABC):
         return Candidates(observation, self._columns, type(self).__name__, self._rows)
 
 
-def gains_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
+def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
     """The features that a policy or its class asks an env for; raises `InputError` unless it is a tuple of names."""
-    gains = policy.required_gains
-    if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
+    features = policy.required_features
+    if not isinstance(features, tuple | list) or not all(isinstance(name, str) for name in features):
         name = (policy if isinstance(policy, type) else type(policy)).__name__
-        raise InputError(f"required_gains of {name} must be a tuple of names, got {shown(gains)}")
-    return tuple(gains)
+        raise InputError(f"required_features of {name} must be a tuple of names, got {shown(features)}")
+    return tuple(features)
 
 
 def _offered(name: str, columns: tuple[str, ...]) -> bool:

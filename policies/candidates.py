@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, candidate_columns, feature_columns
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, candidate_columns, feature_columns
 from activestructure_gym.errors import InputError
 
 Observation = dict[str, np.ndarray]
@@ -33,8 +33,8 @@ class Candidates:
     observation : mapping of str to array
         Of one env, as `ReconstructionEnv` returns it.
     columns : sequence of str, optional
-        Full names of the columns of ``candidate_gains``, in order: ``env.config.gains`` or ``info["gains"]``. Without
-        them there are no features to be read.
+        Full names of the columns of ``candidate_features``, in order: ``env.config.features`` or
+        ``info["features"]``. Without them no features can be read.
     reader : str
         Who reads, for the errors.
     rows : sequence of str
@@ -49,7 +49,7 @@ class Candidates:
     --------
     >>> import numpy as np
     >>> views = {"candidates": np.array([[0, 0, 1, 1, 0, 0, 2.5, 30, 0]]), "action_mask": np.array([1])}
-    >>> seen = Candidates(views | {"candidate_gains": np.array([[0.25]])}, ("pixel",))
+    >>> seen = Candidates(views | {"candidate_features": np.array([[0.25]])}, ("pixel",))
     >>> seen.path_length, seen.valid, seen["pixel"]
     (array([2.5]), array([ True]), array([0.25]))
     """
@@ -59,7 +59,7 @@ class Candidates:
         observation: Mapping[str, np.ndarray],
         columns: Sequence[str] | None = None,
         reader: str = "this policy",
-        rows: Sequence[str] = CANDIDATE_FEATURES,
+        rows: Sequence[str] = CANDIDATE_COLUMNS,
     ) -> None:
         check_observation(observation, reader)
         self._observation, self._columns, self._reader, self._rows = observation, columns, reader, rows
@@ -99,7 +99,7 @@ class Candidates:
 
     def offers(self, source: str) -> bool:
         """Whether the environment has this candidate source, at any stage: ``"stay"``, ``"lattice?spacing_m=1"``."""
-        return f"from_{source}" in self._rows or (source == "pool" and tuple(self._rows) == CANDIDATE_FEATURES)
+        return f"from_{source}" in self._rows or (source == "pool" and tuple(self._rows) == CANDIDATE_COLUMNS)
 
     def source(self, name: str) -> np.ndarray:  # [K] bool
         """Which rows come from this candidate source. Raises `InputError` if the environment does not have it."""
@@ -150,7 +150,7 @@ class Candidates:
 
     def _columns_of(self, asked: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]
         """The columns ``names``, or without them those of the feature ``asked``."""
-        known, table, who = self._columns, self._observation["candidate_gains"], self._reader
+        known, table, who = self._columns, self._observation["candidate_features"], self._reader
         if known is None:
             raise InputError(
                 f"{who} does not know which column of the observation is the feature '{asked}': call policy.bind(env) "
@@ -158,13 +158,13 @@ class Candidates:
             )
         if table.shape[1:] != (len(known),):
             raise InputError(
-                f"{who} is bound to an env with the gains {listed(known)}, but this observation's candidate_gains "
-                f"has the shape {table.shape}: call policy.bind(env) with the env that made it"
+                f"{who} is bound to an env with the features {listed(known)}, but this observation's "
+                f"candidate_features has the shape {table.shape}: call policy.bind(env) with the env that made it"
             )
         names = feature_columns(asked) if names is None else names
         if not set(names) <= set(known):
             raise InputError(
-                f"{who} reads the gain '{asked}', and the env offers {listed(known)}: name it in required_gains"
+                f"{who} reads the feature '{asked}', and the env offers {listed(known)}: name it in required_features"
             )
         return table[:, [known.index(name) for name in names]]
 

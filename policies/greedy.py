@@ -62,7 +62,7 @@ class Greedy(Planner):
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the first of equals."""
-        name = self.required_gains[0]
+        name = self.required_features[0]
         gain = self.candidates(observation)[name]
         choice = best_valid(self.scores(gain, observation), observation)
         self._trace = {name: float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, shown
-from activestructure_gym.policies.base import Policy, gains_of, is_policy, make_policy
+from activestructure_gym.errors import InputError, renamed, shown
+from activestructure_gym.policies.base import Policy, features_of, is_policy, make_policy
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Schedule, Terms, schedule_of
 
 if TYPE_CHECKING:
@@ -20,8 +20,9 @@ def make_env_and_policy(
     scene: Any = None,
     *,
     env_id: str = ROOM,
-    gains: Sequence[str] = (),
+    features: Sequence[str] = (),
     terms: Terms = "shared",
+    gains: Sequence[str] | None = None,
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """``gymnasium.make`` with the features that the policy asks for, and the policy bound to that env.
@@ -36,11 +37,13 @@ def make_env_and_policy(
         Without one that of ``env_id``, a furnished room.
     env_id
         The environment; that of a room takes any scene.
-    gains
+    features
         More features to put into the observation, behind those of the policy.
     terms
         ``"native"``: the policy brings its own candidate sources and schedule (`Schedule`), and the preset is ``full``
         where none is given; what ``config`` says goes before.
+    gains
+        The old name of ``features``; it warns.
     **options
         Everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
 
@@ -73,15 +76,16 @@ def make_env_and_policy(
             "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made, got "
             f"{shown(policy)}"
         )
-    if isinstance(gains, str) or not isinstance(gains, Sequence):
-        raise InputError(f"gains must be a list of names, got {shown(gains)}")
+    features = renamed("gains", gains, "features", features)
+    if isinstance(features, str) or not isinstance(features, Sequence):
+        raise InputError(f"features must be a list of names, got {shown(features)}")
     if scene is not None:
         options["scene"] = scene
     brought = schedule_of(policy, terms)
     if terms == "native":
         options = {"preset": NATIVE_PRESET, **options, "config": _with(brought, options.get("config"))}
-    wanted = gains_of(policy)
-    env = gym.make(env_id, gains=(*wanted, *(name for name in gains if name not in wanted)), **options)
+    wanted = features_of(policy)
+    env = gym.make(env_id, features=(*wanted, *(name for name in features if name not in wanted)), **options)
     policy.bind(env)
     return env, policy
 

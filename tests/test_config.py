@@ -51,7 +51,7 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
     mixed = configure("fast", {"sensor.depth_noise": "kinect", "sensor": {"width": 64}})
     assert nested == dotted == mixed
     assert nested.sensor == dataclasses.replace(configure("fast").sensor, depth_noise="kinect", width=64)
-    assert configure("default", {"gains": ["pixel", "hole_area"]}).gains == ("pixel", "hole_area")
+    assert configure("default", {"features": ["pixel", "hole_area"]}).features == ("pixel", "hole_area")
 
 
 def test_mixed_overrides_keep_each_others_fields_and_leave_the_callers_alone() -> None:
@@ -87,7 +87,7 @@ def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
         ("fast", {"sensor.depth_nois": "x"}, "unknown field of SensorConfig 'depth_nois'"),
         ("fast", {"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
         ("fast", {"keyframe_every": 0}, "keyframe_every must be a whole number from 1 to 1000000, got 0"),
-        ("fast", {"gains": ("pixl",)}, "unknown feature 'pixl'; did you mean 'pixel'"),
+        ("fast", {"features": ("pixl",)}, "unknown feature 'pixl'; did you mean 'pixel'"),
         ("fast", {"views.directions": 0}, "directions"),
         ("fast", {"sensor.width": 0}, "width"),
         ("fast", {"frame_budget": "many"}, "frame_budget must be a whole number, got 'many'"),
@@ -100,7 +100,7 @@ def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
         ("fast", {"motion": None}, "motion must be a group of fields, got None"),
         ("fast", {"frame_budget": 1, "frame_budget.x.y": 1}, "sets a field of frame_budget, which is also set"),
         ("fast", {"sensor": 3, "sensor.width": 96}, "sets a field of sensor, which is also set as a whole"),
-        ("fast", {"gains": "pixel"}, "gains must be a list, got 'pixel'"),
+        ("fast", {"features": "pixel"}, "features must be a list, got 'pixel'"),
     ],
 )
 def test_a_bad_configuration_gets_one_clear_sentence(preset: str, overrides: dict, message: str) -> None:

@@ -54,9 +54,9 @@ def test_third_party_policy_feature_and_scene_work_together(plugins: Path) -> No
         scene="my_scene:cube_room?side=5",
         preset="fast",
         frame_budget=15,
-        gains=("hole_area", "my_feature:thin_cover"),
+        features=("hole_area", "my_feature:thin_cover"),
     )
-    policy.bind(env.config.gains)
+    policy.bind(env.config.features)
     policy.reset(0)
     observation, info = env.reset(seed=0)
     np.testing.assert_allclose(np.ptp(env.reconstruction.scene.bounds, axis=0), (5.0, 5.0, 2.6), atol=1e-5)
@@ -98,7 +98,7 @@ def test_a_planner_with_a_feature_of_its_own_is_one_file(plugins: Path) -> None:
         env, policy = make_env_and_policy(spec, scene="box", preset="fast", frame_budget=40, **small)
         policy.reset(0)
         observation, info = env.reset(seed=0)
-        assert info["gains"] == ("gap_share", "gap_x", "gap_y", "gap_z")
+        assert info["features"] == ("gap_share", "gap_x", "gap_y", "gap_z")
         seen = policy.candidates(observation)
         direction = seen.feature("gap")[seen.valid, 1:]
         np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
@@ -144,14 +144,14 @@ def test_every_policy_plays_the_readme_s_episode(policy: str, capsys: pytest.Cap
 
 def test_the_page_of_the_observation_is_up_to_date() -> None:
     from activestructure_gym.config import configure
-    from activestructure_gym.envs.observation import CANDIDATE_FEATURES, observation_table
+    from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, observation_table
     from activestructure_gym.planes import PLANE_FEATURES
 
     page = (ROOT / "docs" / "guide" / "observation.md").read_text()
     assert observation_table(configure("default"), max_planes=64) in page, (
         "docs/guide/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
     )
-    for name in (*CANDIDATE_FEATURES, *PLANE_FEATURES):
+    for name in (*CANDIDATE_COLUMNS, *PLANE_FEATURES):
         assert f"`{name}`" in page
 
 

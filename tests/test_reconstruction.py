@@ -132,7 +132,7 @@ def test_same_seed_same_episode_and_choices_do_not_shift_other_streams(box: Scen
     wander(second)
     np.testing.assert_array_equal(np.stack(first.trajectory), np.stack(second.trajectory))
     np.testing.assert_array_equal(first.mapper.map.parameters, second.mapper.map.parameters)
-    np.testing.assert_array_equal(first.gains, second.gains)
+    np.testing.assert_array_equal(first.features, second.features)
     other = episode(box, 6, **noisy)
     wander(other)
     assert not np.array_equal(np.stack(other.trajectory)[0], np.stack(first.trajectory)[0])
@@ -258,10 +258,10 @@ def test_the_start_is_the_one_asked_for_and_is_checked(box: Scene) -> None:
 def test_the_map_improves_over_an_episode(box: Scene) -> None:
     run = episode(box, frames=150)
     share = run.volume.observed_share
-    holes = run.gains[:, 0].mean()
+    holes = run.features[:, 0].mean()
     wander(run)
     assert run.volume.observed_share > share
-    assert run.gains[:, 0].mean() < 0.5 * holes
+    assert run.features[:, 0].mean() < 0.5 * holes
     assert run.mapper.map.count > 1000
 
 
@@ -374,15 +374,15 @@ def test_a_camera_with_roll_is_followed_whatever_gains_are_told_and_views_offere
     box: Scene, stage: tuple[str, ...]
 ) -> None:
     views = {"max_candidates": 40, "max_revisits": 4, "stages": (stage,)}
-    gains = ("unknown_volume", "fisherrf_path")
-    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 20, "gains": gains, "views": views}))
+    features = ("unknown_volume", "fisherrf_path")
+    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 20, "features": features, "views": views}))
     run.start(ground_truth_of(box), 0)
     angle = np.radians(5.0)
     rolled = run.pose.copy()
     rolled[:3, :2] = rolled[:3, :2] @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    assert run.gains[:, 1].any()
+    assert run.features[:, 1].any()
     run.follow(Leg(np.stack([rolled, rolled]), (1, 1)))  # keyframes, which the pool offers again
-    assert run.gains[:, 0].any() and not run.gains[:, 1].any()  # nobody knows a way from a tilted camera
+    assert run.features[:, 0].any() and not run.features[:, 1].any()  # nobody knows a way from a tilted camera
     assert run.candidates.revisit.any()
 
 
@@ -433,9 +433,9 @@ def test_what_fails_beside_the_map_is_heard(box: Scene, monkeypatch: pytest.Monk
 
 
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:
-    run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "gains": ("unknown_volume",)})
+    run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "features": ("unknown_volume",)})
     for _ in range(3):
         run.visit(0)
     again = run.candidates.revisit
-    assert again.sum() >= 3 and run.gains[: len(again), 0][again].any()
-    assert not run.gains[: len(again), 1][again].any() and run.gains[:, 1].any()
+    assert again.sum() >= 3 and run.features[: len(again), 0][again].any()
+    assert not run.features[: len(again), 1][again].any() and run.features[:, 1].any()

@@ -147,7 +147,7 @@ def test_the_docs_show_this_order() -> None:
 
 @pytest.mark.parametrize("room", ["features", "views", "planes", "mapping", "volume"])
 def test_no_room_of_the_planners_side_knows_the_truth(room: str) -> None:
-    """What gains and observations are made of never imports a scene or its truth."""
+    """What features and observations are made of never imports a scene or its truth."""
     for found in every_import():
         if room_of(found.importer) == room:
             assert room_of(found.imported) not in ("scenes", "ground_truth"), found.place

@@ -6,7 +6,7 @@ A feature is a function of a `FeatureContext` that returns [K], or [K, C] with n
     def mine(context):
         return (1 - context.alpha).mean(axis=(1, 2))
 
-The env evaluates those it is asked for (``gains=("pixel", "mine")``); ``"package.module:function"`` works as a name
+The env evaluates those it is asked for (``features=("pixel", "mine")``); ``"package.module:function"`` works as a name
 without registering, in every worker process. This room holds the features that two planners or more use; `FEATURES`
 finds them and those in the planners' folders. The table in docs/guide/observation.md lists all of them.
 """

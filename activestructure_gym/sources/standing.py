@@ -32,7 +32,7 @@ class Stay(Source):
 class Finish(Source):
     """One row that ends the episode: no frame more is paid, and its ``frames`` are those that are given up.
 
-    Its gains are 0. Not offered before a frame was paid for a decision.
+    Its features are 0. Not offered before a frame was paid for a decision.
     """
 
     rows: int = 1

@@ -193,8 +193,8 @@ def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
     graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
     poses = episode.candidates.world_from_camera[: episode.candidates.views]
     worth = np.full(len(poses), np.nan)
-    if episode.config.gains:
-        worth = np.clip(episode.gains[: len(poses), 0], -1e6, 1e6)
+    if episode.config.features:
+        worth = np.clip(episode.features[: len(poses), 0], -1e6, 1e6)
     rendered = episode.mapper.render(frame.camera, frame.world_from_camera).color
     return Moment(
         frame=episode.frames,

@@ -80,14 +80,14 @@ def _page(name: str, told: dict) -> str:
         f"```\n\n```bash\nasg compare --policies {name},{base}    # against {words}\n"
         f"asg watch --policy {name}\n```\n"
     )
-    if kind.required_gains:
+    if kind.required_features:
         parts.append("## What it reads of every view\n")
-    for gain in dict.fromkeys(FEATURES.owner(asked) for asked in kind.required_gains):
-        feature = FEATURES.get(gain)
+    for name in dict.fromkeys(FEATURES.owner(asked) for asked in kind.required_features):
+        feature = FEATURES.get(name)
         units = ", ".join(dict.fromkeys(feature.units))
         columns = [f"`{column}`" for column in feature.columns if column]
         shape = f"[K, {len(feature.columns)}]: {', '.join(columns)}" if len(feature.columns) > 1 else "[K]"
-        parts.append(f"### `{gain}`\n\n{escaped(shape)}; unit: {escaped(units)}.\n")
+        parts.append(f"### `{name}`\n\n{escaped(shape)}; unit: {escaped(units)}.\n")
         parts.append(escaped(inspect.cleandoc(feature.__doc__ or "")) + "\n")
     return "\n".join(parts)
 

@@ -126,8 +126,8 @@ def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
 
     if not (is_reference(job.policy) or is_trajectory(job.policy)):
         yield POLICIES, job.policy
-    gains = job.conditions.overrides.get("gains", ())
-    for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
+    features = job.conditions.overrides.get("features", ())
+    for name in (features,) if isinstance(features, str) else features if isinstance(features, list | tuple) else ():
         if isinstance(name, str):
             yield FEATURES, name
     for name in sources_in(dict(job.conditions.overrides)):

@@ -68,7 +68,7 @@ CONFIG: Check = table(
         }, {
             "motion": table({}, {"max_step_m": _size, "max_turn_deg": _size, "candidate_clearance": _size}),
             "views": table({}, {"max_candidates": number(1, whole=True), "stages": each(each(text), least=1)}),
-            "mapper": table({}, {"name": text, "iterations": _count}), "gains": each(text),
+            "mapper": table({}, {"name": text, "iterations": _count}), "features": each(text),
             "keyframe_every": number(1, whole=True),
         }),
         "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
@@ -131,7 +131,7 @@ STEP: Check = table(
     {"frames": _size},
     {
         "decision": _count, "action": number(whole=True), "candidates": _count, "metres": _size, "gaussians": _count,
-        "planes": _count, "view": maybe(table(others=number())), "gains": maybe(_numbers), "trace": maybe(_TRACE),
+        "planes": _count, "view": maybe(table(others=number())), "features": maybe(_numbers), "trace": maybe(_TRACE),
         "graph": maybe(_numbers), "checkpoint": maybe(_numbers),
     },
 )  # fmt: skip

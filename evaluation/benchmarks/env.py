@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
 SCENES = ("apartment?rooms=3",)
-GAINS = ("pixel", "hole_area")  # what a learned policy is told
-STAGES = ("sensor", "volume", "mapping", "planes", "planning", "gains")
+FEATURES = ("pixel", "hole_area")  # what a learned policy is told
+STAGES = ("sensor", "volume", "mapping", "planes", "planning", "features")
 
 
 @dataclass(frozen=True)
@@ -157,9 +157,9 @@ class Episodes:
     def __init__(self, scene: str, preset: Preset, overrides: Mapping[str, Any], seed: int) -> None:
         from activestructure_gym.envs import ReconstructionEnv
 
-        config = {"gains": GAINS, **overrides}
+        config = {"features": FEATURES, **overrides}
         self._env = ReconstructionEnv(scene, preset=preset, config=config, coverage_target=None)
-        self._gain = self._env.config.gains.index("hole_area")
+        self._gain = self._env.config.features.index("hole_area")
         self._seed, self._rng = seed, np.random.default_rng(seed)
 
     def episode(self, until: float = np.inf) -> Round:
@@ -175,7 +175,7 @@ class Episodes:
         wall, processor, ended = list[float](), list[float](), False
         while not ended and (not wall or time.perf_counter() < until):
             valid = observation["action_mask"].astype(bool)
-            scores = observation["candidate_gains"][:, self._gain] * travel_discount(observation)
+            scores = observation["candidate_features"][:, self._gain] * travel_discount(observation)
             if len(wall) % 4 == 3:
                 scores = self._rng.random(len(valid))
             action = int(np.argmax(np.where(valid, scores, -1.0)))

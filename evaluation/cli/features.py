@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed, print_text
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import make_console
-from activestructure_gym.evaluation.cli.policies import gains_asked
+from activestructure_gym.evaluation.cli.policies import features_asked
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Features:
 
 _HINT = (
     "One with its columns and units: asg features NAME. A policy names those it needs; --features of asg train and "
-    "gains=... of an env take any."
+    "features=... of an env take any."
 )
 
 
@@ -75,7 +75,7 @@ def _described(name: str) -> str:
     from activestructure_gym.policies import POLICIES
 
     feature, columns = FEATURES.get(name), FEATURES.columns(name)
-    asking = [policy for policy in POLICIES if {name, *columns} & set(gains_asked(policy))]
+    asking = [policy for policy in POLICIES if {name, *columns} & set(features_asked(policy))]
     return "\n".join(
         [
             name,

@@ -63,7 +63,7 @@ _HINT = "One with its options: asg policies NAME; your own: asg policies MODULE:
 def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
     """A policy's line of the list: name, source, and what it decides by; the source is its first part if not wide."""
     if wide:
-        return [facts["name"], facts["source"], ", ".join(facts["gains"]), facts["decides_by"]]
+        return [facts["name"], facts["source"], ", ".join(facts["features"]), facts["decides_by"]]
     source = _QUALIFIED.sub("after ", facts["source"]).partition(",")[0]
     return [facts["name"], source, facts["decides_by"]]
 
@@ -73,7 +73,7 @@ def _describe(facts: dict[str, Any]) -> None:
     console = make_console()
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
     print_text(console, facts["about"])
-    console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}")
+    console.print(f"\nFeatures it needs: {escape(', '.join(facts['features']) or 'none')}")
     console.print(f"Its own travel term: {escape(facts['travel_term'])}.")
     console.print(escape(f"On native terms it brings {facts['native']}."))
     if not facts["options"]:
@@ -87,14 +87,14 @@ def _describe(facts: dict[str, Any]) -> None:
     console.print(escape(f"They are written as in '{example}', in quotes, or a shell reads the ? and the &"))
 
 
-def gains_asked(name: str) -> tuple[str, ...]:
+def features_asked(name: str) -> tuple[str, ...]:
     """The columns of features that a policy needs, with the options in its name or the defaults."""
     from activestructure_gym.policies import POLICIES, make_policy
-    from activestructure_gym.policies.base import gains_of
+    from activestructure_gym.policies.base import features_of
 
     kind: Any = POLICIES.get(Spec.of(name).name)
-    # Some ask for a gain more or less by their options; without those that must be given none can be made to be asked.
-    return gains_of(kind if _required(kind) and "?" not in name else make_policy(name))
+    # Options of some change which features they ask for; required options must be given before one can be made.
+    return features_of(kind if _required(kind) and "?" not in name else make_policy(name))
 
 
 def _required(kind: type) -> list[str]:
@@ -111,7 +111,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
     return {
         "name": name,
         "decides_by": kind.decides_by or about.partition("\n")[0],
-        "gains": list(gains_asked(name)),
+        "features": list(features_asked(name)),
         "travel_term": kind.travel_term,
         "source": kind.source,
         "native": schedule_of(kind, "native").told(),

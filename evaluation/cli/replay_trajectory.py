@@ -114,4 +114,4 @@ def _changes_of(run: Run) -> dict[str, Any]:
         brought = job.conditions.changes(None if alone else make_policy(job.policy))
     if is_trajectory(job.policy) and (mapper := TrajectorySpec.of(job.policy).mapper):
         brought["mapper.name"] = mapper
-    return {name: value for name, value in brought.items() if name not in ("gains", "frame_budget")}
+    return {name: value for name, value in brought.items() if name not in ("features", "frame_budget")}

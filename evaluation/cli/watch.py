@@ -126,7 +126,7 @@ def play(
     shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
     observation, info = env.reset(seed=seed)
     policy.reset(seed)
-    episode, names = shell.reconstruction, shell.config.gains
+    episode, names = shell.reconstruction, shell.config.features
     view.begin(episode, names[0] if names else "")
     ended = False
     while not ended:

@@ -279,7 +279,7 @@ def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryP
     changes = given.changes(job.conditions.overrides)
     config = configure(job.conditions.preset, changes)
     resolved = given.course(known, config.keyframe_every)
-    env = TrajectoryEnv(resolved, known, gains=(), **job.conditions.env_options(changes))
+    env = TrajectoryEnv(resolved, known, features=(), **job.conditions.env_options(changes))
     return TrajectoryPolicy(), env
 
 

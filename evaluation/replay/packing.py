@@ -31,11 +31,11 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
         }
         for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
-    gains = run.config["configuration"]["gains"]
+    features = run.config["configuration"]["features"]
     return {
         "title": f"{run.policy} · {run.scene} · seed {run.job.seed}",
         "budget": run.config["configuration"]["frame_budget"],
-        "worth": gains[0] if gains else "",
+        "worth": features[0] if features else "",
         "curve": curve,
         "steps": steps,
         "decisions": len(run.steps),

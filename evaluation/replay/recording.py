@@ -55,8 +55,8 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     from activestructure_gym.ground_truth import ground_truth_of
 
     job, stored = run.job, run.config["configuration"]
-    if "gains" not in stored or "max_candidates" not in stored.get("views", {}):
-        raise InputError(f"'{run.directory / CONFIG}' lacks gains or views.max_candidates: no replay without")
+    if "features" not in stored or "max_candidates" not in stored.get("views", {}):
+        raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates: no replay without")
     if not trusted:  # a policy is made on native terms alone, to learn what it brings
         refuse_code(
             [job if job.conditions.terms == "native" else replace(job, policy="random")], run.directory / CONFIG
@@ -68,8 +68,8 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     else:
         changes = {**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]}
         options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
-        gains = () if is_reference(job.policy) else _at_hand(stored["gains"])
-        env = ReconstructionEnv(scene=truth, gains=gains, **options)
+        features = () if is_reference(job.policy) else _at_hand(stored["features"])
+        env = ReconstructionEnv(scene=truth, features=features, **options)
     try:
         env.reset(seed=job.seed)
         yield env
@@ -108,8 +108,8 @@ def _changes(run: Run) -> dict[str, Any]:
     return run.job.conditions.changes(make_policy(run.job.policy))
 
 
-def _at_hand(gains: list[str]) -> tuple[str, ...]:
+def _at_hand(features: list[str]) -> tuple[str, ...]:
     """The features that can be evaluated here and run no code of others: only colours depend on them."""
     from activestructure_gym.features import FEATURES
 
-    return tuple(name for name in gains if ":" not in name and any(name.startswith(known) for known in FEATURES))[:1]
+    return tuple(name for name in features if ":" not in name and any(name.startswith(known) for known in FEATURES))[:1]

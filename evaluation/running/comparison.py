@@ -142,7 +142,7 @@ class Comparison:
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             brought = schedule_of(policy, self.conditions.terms).overrides()
-            configure(self.conditions.preset, brought | changes | {"gains": tuple(policy.required_gains)})
+            configure(self.conditions.preset, brought | changes | {"features": tuple(policy.required_features)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed)
         return list(dict.fromkeys(named))

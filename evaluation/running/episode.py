@@ -122,7 +122,7 @@ def _play(
 
 
 def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
-    """The job's policy and an env that offers the gains it asks for; or its reference, which alone gets the truth.
+    """The job's policy and an env that offers the features it asks for; or its reference, which alone gets the truth.
 
     Or who follows the job's trajectory, which decides nothing.
     """
@@ -133,7 +133,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
         from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
 
         changes = dict(job.conditions.overrides) | {"views.max_candidates": WHOLE_POOL}
-        env = ReconstructionEnv(scene=known, gains=(), **job.conditions.env_options(changes))
+        env = ReconstructionEnv(scene=known, features=(), **job.conditions.env_options(changes))
         return make_reference(job.policy, env, known, job.conditions.protocol), env
     if is_trajectory(job.policy):
         from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
@@ -141,7 +141,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
         return trajectory_policy_and_env(job, known)
     policy = make_policy(job.policy)
     options = job.conditions.env_options(job.conditions.changes(policy))
-    env = ReconstructionEnv(scene=known, gains=tuple(policy.required_gains), **options)
+    env = ReconstructionEnv(scene=known, features=tuple(policy.required_features), **options)
     policy.bind(env)
     return policy, env
 
@@ -242,15 +242,15 @@ class _Episode:
 
     def _describe(self, observation: dict[str, np.ndarray], action: int) -> dict[str, Any]:
         """The decision as the policy made it, before its consequences."""
-        from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+        from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 
         mask = observation["action_mask"]
         step: dict[str, Any] = {"decision": len(self.steps), "action": action, "candidates": int(np.sum(mask))}
         if is_trajectory(self.job.policy):
             return step | {"action": -1}
         if 0 <= action < len(mask):
-            step["view"] = dict(zip(CANDIDATE_FEATURES, observation["candidates"][action]))
-            step["gains"] = dict(zip(self.env.config.gains, observation["candidate_gains"][action]))
+            step["view"] = dict(zip(CANDIDATE_COLUMNS, observation["candidates"][action]))
+            step["features"] = dict(zip(self.env.config.features, observation["candidate_features"][action]))
         return step | {"trace": self.policy.trace()}
 
     def _checkpoint(self, *, last: bool = False) -> dict[str, float]:

@@ -52,12 +52,12 @@ _ALWAYS = {
 _OURS = __name__.partition(".")[0]
 
 
-def kernels_of(gains: Sequence[str]) -> set[str]:
+def kernels_of(features: Sequence[str]) -> set[str]:
     """Return the names of the kernels that a comparison compiles whose policies ask for these features."""
     from activestructure_gym.features import FEATURES
 
     names = {f"{_OURS}.{module}.{name}" for module, of_module in _ALWAYS.items() for name in of_module.split()}
-    return names.union(*(_kernels_in(FEATURES.get(FEATURES.owner(gain)).__module__) for gain in gains))
+    return names.union(*(_kernels_in(FEATURES.get(FEATURES.owner(name)).__module__) for name in features))
 
 
 def _kernels_in(module: str) -> set[str]:

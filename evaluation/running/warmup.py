@@ -44,14 +44,14 @@ def warming_up(
     from activestructure_gym.compiling.files import kernel_files
     from activestructure_gym.files import replaced
 
-    smallest, gains = smallest_job(policies, overrides), all_gains(policies)
-    mark = mark_of(smallest, gains)
+    smallest, features = smallest_job(policies, overrides), all_features(policies)
+    mark = mark_of(smallest, features)
     if mark is not None and holds(mark):
         yield
         return
-    tally = Tally(notify, not_compiled(kernels_of(gains), kernel_files()))
+    tally = Tally(notify, not_compiled(kernels_of(features), kernel_files()))
     world = [f"{FIRST_USE}:{part}" for part in ("sensing", "motion", "views")]
-    work = json.dumps({"job": smallest.as_dict(), "gains": gains})
+    work = json.dumps({"job": smallest.as_dict(), "features": features})
     calls = [[f"{__name__}:compile_map"], [*world, f"{__name__}:play {work}"]]
     with told_to(tally), compiling_beside(calls, tally, worker_environment(slots=core_count())) as succeeded:
         yield
@@ -72,7 +72,7 @@ def holds(mark: Path) -> bool:
     return all(is_whole(Path(file)) for file in listed)
 
 
-def mark_of(job: Job, gains: Sequence[str] = ()) -> Path | None:
+def mark_of(job: Job, features: Sequence[str] = ()) -> Path | None:
     """Return the file that says that this warm-up has succeeded; None if it is always made.
 
     Its name depends on the job, the features, all source files, the versions and the settings of the compiler. There is
@@ -84,14 +84,14 @@ def mark_of(job: Job, gains: Sequence[str] = ()) -> Path | None:
     from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import make_policy
 
-    origins = [type(make_policy(job.policy)), *(FEATURES.get(FEATURES.owner(name)) for name in gains)]
+    origins = [type(make_policy(job.policy)), *(FEATURES.get(FEATURES.owner(name)) for name in features)]
     ours = all(origin.__module__.startswith("activestructure_gym.") for origin in origins)
     place = cache_place()
     if not ours or ":" in str(job.conditions.overrides) or place is None:
         return None
     sources = {file for folder in package_folders() for file in folder.rglob("*.py")}
     content = [
-        job.as_dict(), list(gains), sorted((str(file), file.stat().st_mtime_ns) for file in sources),
+        job.as_dict(), list(features), sorted((str(file), file.stat().st_mtime_ns) for file in sources),
         sys.version, *(metadata.version(name) for name in ("numba", "llvmlite", "numpy")),
         binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten(),
         sorted((name, os.environ[name]) for name in os.environ if name.startswith("NUMBA_") and name not in _COUNTS),
@@ -137,7 +137,7 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
 
     return Job(
         scene="box",
-        policy=max(policies, key=lambda name: len(make_policy(name).required_gains)),
+        policy=max(policies, key=lambda name: len(make_policy(name).required_features)),
         seed=0,
         conditions=Conditions(
             preset="fast",
@@ -148,11 +148,11 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
     )
 
 
-def all_gains(policies: Sequence[str]) -> list[str]:
+def all_features(policies: Sequence[str]) -> list[str]:
     """Return the features that any of the policies needs."""
     from activestructure_gym.policies import make_policy
 
-    return sorted({gain for name in policies for gain in make_policy(name).required_gains})
+    return sorted({feature for name in policies for feature in make_policy(name).required_features})
 
 
 def compile_map() -> None:
@@ -174,7 +174,7 @@ def play(work: Mapping[str, Any]) -> None:
     with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
         run_job(job, Path(directory) / "run")
     env = ReconstructionEnv(
-        scene=job.scene, preset=job.conditions.preset, gains=work["gains"], config=dict(job.conditions.overrides)
+        scene=job.scene, preset=job.conditions.preset, features=work["features"], config=dict(job.conditions.overrides)
     )
     env.reset(seed=job.seed)
     env.step(0)

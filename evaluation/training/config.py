@@ -52,14 +52,14 @@ class WorldConfig:
     preset: Preset = "fast"
     frames: int | None = None  # frame budget; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
-    gains: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told
+    features: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told
     max_planes: int = 64
     noise: bool = True  # sensor noise, another one in every episode
     episodes_per_layout: int = 2  # of the expert, in a row; PPO keeps a layout for one iteration of one env
     reward: Reward = "rate"
 
     def __post_init__(self) -> None:
-        for name in ("rooms", "gains"):
+        for name in ("rooms", "features"):
             if not isinstance(getattr(self, name), list | tuple):
                 raise InputError(f"{name} of a training world is a list, got {shown(getattr(self, name))}")
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -86,7 +86,7 @@ class TrainingConfig:
     validation_layouts: int = 36  # one episode on each
     validate_every: int = 10  # epochs, or PPO iterations
     # Learning from an expert.
-    teacher: str = ORACLE  # one of WITH_TRUTH, or the gain a greedy expert goes by
+    teacher: str = ORACLE  # one of WITH_TRUTH, or the feature a greedy expert goes by
     episodes: int = 480  # of the expert
     explore: float = 0.25  # share of the expert's steps that are drawn at random, so that its mistakes are seen too
     # Of the soft labels, in shares of the best candidate's score. What PPO begins from draws from these probabilities:
@@ -121,14 +121,14 @@ class TrainingConfig:
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
             raise InputError(f"ppo_batch {self.ppo_batch} leaves a batch of one step over: choose another")
-        self._network(self.world.gains)
+        self._network(self.world.features)
 
     def network(self) -> NetworkConfig:
         """The shape of the network, with an input for every column of the features it is told."""
-        return self._network(feature_columns(*self.world.gains))
+        return self._network(feature_columns(*self.world.features))
 
-    def _network(self, gains: tuple[str, ...]) -> NetworkConfig:
-        return NetworkConfig(gains, self.planes, self.candidates, self.rounds, self.planes_told)
+    def _network(self, features: tuple[str, ...]) -> NetworkConfig:
+        return NetworkConfig(features, self.planes, self.candidates, self.rounds, self.planes_told)
 
     @property
     def rate(self) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
 from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
@@ -130,11 +130,12 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
     """Every array of a file: N states, K rows of candidates, of planes as many as the world has."""
-    planes, gains, columns = config.world.max_planes, len(config.network().gains), len(PLANE_FEATURES)
+    planes, features, columns = config.world.max_planes, len(config.network().features), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
-        "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_FEATURES)), "candidate_gains": ("K", gains),
-        "action_mask": ("K",), "plane_features": (planes, columns), "plane_mask": (planes,),
-        "plane_edges": (planes, planes), "candidate_planes": ("K", planes), "scores": ("K",), "rewards": (),
+        "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_COLUMNS)),
+        "candidate_features": ("K", features), "action_mask": ("K",), "plane_features": (planes, columns),
+        "plane_mask": (planes,), "plane_edges": (planes, planes), "candidate_planes": ("K", planes), "scores": ("K",),
+        "rewards": (),
     }  # fmt: skip
     dtypes = {"action_mask": "i1", "plane_mask": "i1", "candidate_planes": "i1", "rewards": "f8"}
     layout = {name: Array(dtypes.get(name, "f4"), ("N", *shape), least=1) for name, shape in shapes.items()}
@@ -145,14 +146,14 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     """The content of file ``number``: the episodes of the expert on one layout."""
     world = config.world
     extra = () if config.teacher in WITH_TRUTH else (config.teacher,)
-    layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
+    layouts = learning_layouts(world, "train", world.layouts, (*world.features, *extra))
     rng = np.random.default_rng([config.seed, number])
     truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
         noise = draw_noise(rng) if world.noise else None
-        env = make_env(world, truth, gains=(*world.gains, *extra), noise=noise)
+        env = make_env(world, truth, features=(*world.features, *extra), noise=noise)
         for state in _episode(config, env, rng):
             for key, value in state.items():
                 columns[key].append(value)
@@ -166,7 +167,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    told = config.network().gains
+    told = config.network().features
     for _ in range(STARTS):
         if observation["action_mask"].any():
             break
@@ -178,8 +179,8 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
         action = drawn if explores else expert_choice(scores, observation)
         state = {key: observation[key] for key in USED_KEYS}
-        candidates = Candidates(observation, env.config.gains)
-        state["candidate_gains"] = np.stack([candidates[name] for name in told], axis=1)
+        candidates = Candidates(observation, env.config.features)
+        state["candidate_features"] = np.stack([candidates[name] for name in told], axis=1)
         before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated

@@ -87,7 +87,7 @@ def expert_scores(teacher: str, env: ReconstructionEnv, observation: dict[str, n
         return newly_seen_per_frame(env)
     if teacher == ORACLE:
         return discounted(newly_seen(env), observation)
-    gain = Candidates(observation, env.config.gains, "the teacher")[teacher]
+    gain = Candidates(observation, env.config.features, "the teacher")[teacher]
     return discounted(gain.astype(np.float64), observation)
 
 

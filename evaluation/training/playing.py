@@ -49,15 +49,15 @@ def play_policy(
     world: WorldConfig, truth: GroundTruth, policy: Policy, seed: int, start: np.ndarray | None = None
 ) -> Played:
     """One episode of a policy, without sensor noise."""
-    env = make_env(world, truth, gains=policy.required_gains)
-    policy.bind(env.config.gains)
+    env = make_env(world, truth, features=policy.required_features)
+    policy.bind(env.config.features)
     policy.reset(seed)
     return _closed(env, lambda _, observation: policy.act(observation), seed, start)
 
 
 def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:
     """One episode of the reference that sees the truth."""
-    return _closed(make_env(world, truth, gains=()), oracle_greedy, seed, start)
+    return _closed(make_env(world, truth, features=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:

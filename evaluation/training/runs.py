@@ -69,8 +69,8 @@ def read_config(directory: Path) -> TrainingConfig:
         config = TrainingConfig.from_dict(content["training"])
     except InputError as error:
         raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
-    overrides = dict(config.world.overrides).get("gains", ())
-    for name in (*config.world.gains, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
+    overrides = dict(config.world.overrides).get("features", ())
+    for name in (*config.world.features, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
         if isinstance(name, str) and FEATURES.imports(name):
             refuse_code("feature", name, file)
     for name in sources_in(dict(config.world.overrides)):

@@ -23,22 +23,22 @@ _PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comp
 _DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
 _NOISE_RANGE = (0.5, 2.0)  # times the noise of a Kinect
 _RATE_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-# Gains that depend on no colour.
+# Features that depend on no colour.
 _COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")
 _SURFACE_SAMPLES = 12_000  # of a layout's surface, a quarter of the usual: they are found in a quarter of the time
 STARTS = 16  # without a candidate, then another layout
 
 
-def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> ReconstructionConfig:
+def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> ReconstructionConfig:
     """The configuration of its episodes without noise, with these features or the world's own."""
-    changes: dict[str, Any] = {"gains": tuple(world.gains if gains is None else gains)}
+    changes: dict[str, Any] = {"features": tuple(world.features if features is None else features)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
     if world.noise and drawn:
         raise InputError(
             f"{', '.join(drawn)}: every training episode draws its own noise; --no-noise keeps one for all"
         )
-    if "gains" in dict(world.overrides):
-        raise InputError("the policy's features are set by --features, not by --set gains=...")
+    if "features" in dict(world.overrides):
+        raise InputError("the policy's features are set by --features, not by --set features=...")
     if world.frames is not None:
         changes["frame_budget"] = world.frames
     return configure(world.preset, dict(world.overrides) | changes)
@@ -47,16 +47,18 @@ def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> Reco
 def sees_colour(config: ReconstructionConfig) -> bool:
     """Whether anything that a learned policy reads, or is paid for, depends on the colours of the scene.
 
-    Without map optimisation, revisits (chosen by how well keyframes are rendered) and tracking only gains could.
+    Without map optimisation, revisits (chosen by how well keyframes are rendered) and tracking only features could.
     """
     mapper = config.mapper
     optimised = mapper.iterations > 0 or mapper.tracking.iterations > 0 or config.views.max_revisits > 0
-    return optimised or not set(config.gains) <= set(_COLOUR_BLIND)
+    return optimised or not set(config.features) <= set(_COLOUR_BLIND)
 
 
-def learning_layouts(world: WorldConfig, use: str, count: int, gains: Sequence[str] | None = None) -> tuple[str, ...]:
+def learning_layouts(
+    world: WorldConfig, use: str, count: int, features: Sequence[str] | None = None
+) -> tuple[str, ...]:
     """The layouts for ``use``; without light and textures where nobody would see them."""
-    return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, gains)))
+    return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, features)))
 
 
 def learning_truth(spec: str) -> GroundTruth:
@@ -65,14 +67,18 @@ def learning_truth(spec: str) -> GroundTruth:
 
 
 def make_env(
-    world: WorldConfig, truth: GroundTruth, *, gains: Sequence[str] | None = None, noise: dict[str, Any] | None = None
+    world: WorldConfig,
+    truth: GroundTruth,
+    *,
+    features: Sequence[str] | None = None,
+    noise: dict[str, Any] | None = None,
 ) -> ReconstructionEnv:
     """The full env for one scene. It never ends by how much was seen: that is ground truth.
 
     What was seen is told without the sensor's noise: at 6 m and twice a Kinect's noise the error of a depth is as
     large as what the reward tolerates, and looking again would be paid as if it showed something new.
     """
-    config = replaced(world_config(world, gains), {"sensor": noise or {}})
+    config = replaced(world_config(world, features), {"sensor": noise or {}})
     return ReconstructionEnv(
         truth, config=config, coverage_target=None, max_planes=world.max_planes, reward={"noise_free": True}
     )

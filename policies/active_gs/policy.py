@@ -22,7 +22,7 @@ class ActiveGS(Greedy):
     decides_by = "unexplored voxels in sight, surface without confidence"
     travel_term = "share of the path length subtracted"
     source = "Jin et al., ActiveGS, RA-L 2025"
-    required_gains = ("confidence",)
+    required_features = ("confidence",)
     brings = Schedule(
         stages=(("roi?rows=30", "around?rows=70"),),
         candidates=100,
@@ -35,7 +35,7 @@ class ActiveGS(Greedy):
         """The valid row with the highest score; the trace says how far it is where that is no factor."""
         choice = super().act(only_new(observation))
         if self.travel == "native":
-            gain = self.required_gains[0]
+            gain = self.required_features[0]
             length = float(self.candidates(observation).path_length[choice])
             self._trace = {gain: self._trace[gain], "path_length": length}
         return choice

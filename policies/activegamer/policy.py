@@ -65,7 +65,7 @@ class ActiveGAMER(Planner):
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     travel_term = "1 - softmax(metres)"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
-    required_gains = ("uncovered",)
+    required_features = ("uncovered",)
     brings = Schedule(
         mapper="splatam",
         iterations=15,

@@ -44,7 +44,7 @@ class ActiveINR(Planner):
             raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
         self._feature = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
-        self.required_gains = (self._feature,)
+        self.required_features = (self._feature,)
         self.reset(0)
 
     def reset(self, seed: int) -> None:

@@ -32,7 +32,7 @@ class ActivePolicy(Planner):
     decides_by = "the most central of the 16 views with most disagreeing depth"
     travel_term = "none; ties by path length"
     source = "inspired by ActivePolicy, CVPR 2026"
-    required_gains = ("activepolicy",)
+    required_features = ("activepolicy",)
 
     def act(self, observation: Observation) -> int:
         """The most central of the best views."""

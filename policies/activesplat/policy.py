@@ -40,7 +40,7 @@ class ActiveSplat(Planner):
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
     brings = replace(SPLATAM, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees")
-    required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
+    required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)

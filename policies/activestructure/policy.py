@@ -74,7 +74,7 @@ class StructurePolicy(Policy):
             raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
         self._discovery, self._discovers = discovery, _DISCOVERY[discovery]
         self._weights = self.weights if discovery == "pixel" else self.on_base
-        self.required_gains = (*self._discovers, *(("deficiency",) if self.deficiencies else ()))
+        self.required_features = (*self._discovers, *(("deficiency",) if self.deficiencies else ()))
         self._trace: dict[str, Any] = {}
 
     def act(self, observation: Observation) -> int:

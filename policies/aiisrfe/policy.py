@@ -29,7 +29,7 @@ class Aiisrfe(Planner):
     decides_by = "frontiers, and by turns with them surface of unsure colour"
     travel_term = "shortest tour of tasks"
     source = "by a digest of Zeng et al., ICRA 2024"
-    required_gains = ("aiisrfe",)
+    required_features = ("aiisrfe",)
     # Views are drawn for tasks there, too; how many, and how far apart, are own choices.
     brings = Schedule(
         stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),

@@ -52,7 +52,7 @@ class AnmS(Planner):
             raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
         self._feature = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
-        self.required_gains = ("voronoi_node", "visited_distance", "in_horizon", self._feature)
+        self.required_features = ("voronoi_node", "visited_distance", "in_horizon", self._feature)
         self.reset(0)
 
     def reset(self, seed: int) -> None:

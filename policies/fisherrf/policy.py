@@ -13,7 +13,7 @@ class FisherRF(Greedy):
 
     decides_by = "information of a view over that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
-    required_gains = ("fisherrf",)
+    required_features = ("fisherrf",)
     brings = Schedule(budget=SELECTED_VIEWS.budget)
 
 
@@ -26,7 +26,7 @@ class FisherRFCov(Greedy):
 
     decides_by = "information of a view over that of all keyframes, and unseen space"
     source = "this project, with the gain of Jiang et al., FisherRF, ECCV 2024"
-    required_gains = ("fisherrf_cov",)
+    required_features = ("fisherrf_cov",)
 
 
 @POLICIES.register("fisherrf_path")
@@ -39,7 +39,7 @@ class FisherRFPath(Greedy):
     decides_by = "information of a view and, each look counted as known to the next, of the way there"
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
-    required_gains = ("fisherrf_path",)
+    required_features = ("fisherrf_path",)
     brings = Schedule(
         mapper="splatam",
         iterations=60,

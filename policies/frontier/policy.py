@@ -13,7 +13,7 @@ class Frontier(ActiveGS):
 
     decides_by = "unexplored voxels in sight"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
-    required_gains = ("unexplored",)
+    required_features = ("unexplored",)
     brings = Schedule(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),
         candidates=100,

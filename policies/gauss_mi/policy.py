@@ -13,7 +13,7 @@ class GaussMI(Greedy):
     decides_by = "how unreliable Gaussians are from a view's side"
     travel_term = "revisits discounted"
     source = "Xie et al., GauSS-MI, 2025"
-    required_gains = ("gauss_mi",)
+    required_features = ("gauss_mi",)
 
 
 @POLICIES.register("gauss_mi_cov")
@@ -26,4 +26,4 @@ class GaussMICov(Greedy):
     decides_by = "how unreliable Gaussians are from a view's side, and unseen space"
     travel_term = "revisits discounted"
     source = "this project, with the gain of Xie et al., GauSS-MI, 2025"
-    required_gains = ("gauss_mi_cov",)
+    required_features = ("gauss_mi_cov",)

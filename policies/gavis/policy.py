@@ -16,7 +16,7 @@ class Gavis(Planner):
     decides_by = "entropy of what a view shows, known only where it was seen from that side"
     travel_term = "none; ties by path length"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
-    required_gains = ("gavis",)
+    required_features = ("gavis",)
     brings = replace(SELECTED_VIEWS, budget="")
 
     def act(self, observation: Observation) -> int:

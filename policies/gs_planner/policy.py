@@ -62,7 +62,7 @@ class GSPlanner(Planner):
     decides_by = "unobserved volume behind transmittance, badly rendered surface"
     travel_term = "nearest places first, library of the rest"
     source = "by the text of Jin et al., GS-Planner, IROS 2024"
-    required_gains = ("gs_planner",)
+    required_features = ("gs_planner",)
     brings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native") -> None:

@@ -39,14 +39,14 @@ class HGSPlanner(Greedy):
     decides_by = "unseen space through transmittance, Fisher information"
     travel_term = "local window, then a tour"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
-    required_gains = ("hgs_planner", "hgs_coverage")
+    required_features = ("hgs_planner", "hgs_coverage")
     brings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native", sum: Sum = "ranked") -> None:
         super().__init__(travel)
         if sum not in get_args(Sum):
             raise InputError(f"option sum must be {' or '.join(get_args(Sum))}, got '{sum}'")
-        self.required_gains = ("hgs_planner" if sum == "ranked" else "hgs_planner_raw", "hgs_coverage")
+        self.required_features = ("hgs_planner" if sum == "ranked" else "hgs_planner_raw", "hgs_coverage")
 
     def act(self, observation: Observation) -> int:
         """The valid row of the present stage with the highest G."""
@@ -54,7 +54,7 @@ class HGSPlanner(Greedy):
         if self.travel == "shared":
             return super().act(observation)
         candidates = self.candidates(observation)
-        name = self.required_gains[0]
+        name = self.required_features[0]
         gain, coverage, valid = candidates[name], candidates["hgs_coverage"], candidates.valid
         worth = valid & (coverage > WORTH)
         near = worth & (np.abs(candidates.xyz[:, :2] - observation["pose"][:2]) <= LOCAL_M).all(axis=1)

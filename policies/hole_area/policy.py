@@ -12,4 +12,4 @@ class HoleArea(SharedGreedy):
 
     decides_by = "unseen area behind holes of the map"
     source = "this project"
-    required_gains = ("hole_area",)
+    required_features = ("hole_area",)

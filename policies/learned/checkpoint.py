@@ -91,7 +91,7 @@ def read_network_config(weights: Path) -> NetworkConfig:
         config = NetworkConfig.from_dict(content)
     except InputError as error:
         raise InputError(f"'{file}' describes no policy of ours: {error}") from error
-    for name in config.gains:
+    for name in config.features:
         if ":" in name:  # no registered feature has a colon in its name
             refuse_code("feature", name, file)
     return config

@@ -14,7 +14,7 @@ USED_KEYS = (
     "pose",
     "budget",
     "candidates",
-    "candidate_gains",
+    "candidate_features",
     "action_mask",
     "plane_features",
     "plane_mask",
@@ -27,26 +27,26 @@ PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
 
 # Least and most of every size: a checkpoint of a stranger must not fill the memory.
 LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
-MAX_GAINS = 64
+MAX_FEATURES = 64
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
     """Sizes of the candidate-set network. The numbers of candidates and planes are free: it is a function of sets."""
 
-    gains: tuple[str, ...] = ("pixel", "hole_area")  # columns of ``candidate_gains``, in this order
+    features: tuple[str, ...] = ("pixel", "hole_area")  # columns of ``candidate_features``, in this order
     planes: int = 32  # channels of a plane
     candidates: int = 48  # channels of a candidate
     rounds: int = 2  # of passing messages between neighbouring planes
     planes_told: bool = True  # False: the network is shown an empty Plane Scene Graph, for an ablation
 
     def __post_init__(self) -> None:
-        gains = self.gains
-        if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
-            raise InputError(f"a learned policy needs a list of gains by name, got {shown(gains)}")
-        if not 1 <= len(gains) <= MAX_GAINS:
-            raise InputError(f"a learned policy needs 1 to {MAX_GAINS} gains, got {len(gains)}")
-        object.__setattr__(self, "gains", tuple(gains))
+        features = self.features
+        if not isinstance(features, tuple | list) or not all(isinstance(name, str) for name in features):
+            raise InputError(f"a learned policy needs a list of features by name, got {shown(features)}")
+        if not 1 <= len(features) <= MAX_FEATURES:
+            raise InputError(f"a learned policy needs 1 to {MAX_FEATURES} features, got {len(features)}")
+        object.__setattr__(self, "features", tuple(features))
         for name, (least, most) in LIMITS.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
@@ -58,7 +58,7 @@ class NetworkConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        return {**dataclasses.asdict(self), "gains": list(self.gains)}
+        return {**dataclasses.asdict(self), "features": list(self.features)}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> NetworkConfig:

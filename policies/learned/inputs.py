@@ -19,7 +19,7 @@ Tensors = Mapping[str, Tensor]
 _REACH = 5.0  # metres that count as 1: the farthest a plane may be to be seen
 _MAX_DISTANCE = 4.0  # in units of the reach; larger distances count as this one
 _TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-_MIN_GAIN = 1e-3  # gains below a thousandth of an image count linearly, larger ones by their logarithm
+_MIN_GAIN = 1e-3  # features below a thousandth of an image count linearly, larger ones by their logarithm
 
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
 _PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
@@ -32,11 +32,11 @@ _UNIT_COLUMNS = (
 )  # fmt: skip
 
 PLANE_INPUTS = 3 + 3 + 1 + 4 + len(_UNIT_COLUMNS)
-CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # and INPUTS_PER_GAIN for every gain
+CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # and INPUTS_PER_FEATURE for every gain
 # Of the candidates' inputs: height above the camera and revisit. In the preset `fast` both are always 0, so weights
 # drawn for them would never be learnt and would only add noise in the presets where they vary.
 CONSTANT_IF_FAST = (2, 9)
-INPUTS_PER_GAIN = 3
+INPUTS_PER_FEATURE = 3
 GLOBAL_INPUTS = 3  # and one for every gain
 
 
@@ -82,8 +82,8 @@ def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
     return inputs * present[..., None]
 
 
-def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS + INPUTS_PER_GAIN G]
-    """Every candidate: where it is, what it costs, what it would see, and its gains; 0 in rows without one.
+def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS + INPUTS_PER_FEATURE G]
+    """Every candidate: where it is, what it costs, what it would see, and its features; 0 in rows without one.
 
     A gain g comes three times: its size as log(1 + g / 0.001) / 7, and as shares of the largest valid one without and
     with the travel discount, so that the greedy planners are simple functions of the inputs.
@@ -95,7 +95,7 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
     seen = observation["candidate_planes"]
     deficit, area = observation["plane_features"][..., plane_columns("deficit", "area")].unbind(-1)
     lacking = torch.stack([torch.ones_like(deficit), deficit, deficit * area], dim=-1)  # [B, P, 3]
-    gains = observation["candidate_gains"]
+    features = observation["candidate_features"]
     inputs = torch.cat(
         [
             near(turned(table[..., _XYZ] - position[:, None], yaw)),
@@ -105,30 +105,30 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
             discount,
             table[..., _REVISIT],
             (seen @ lacking).log1p() / 3,
-            gain_sizes(gains),
-            _shares(gains, valid),
-            _shares(gains * discount, valid),
+            feature_sizes(features),
+            _shares(features, valid),
+            _shares(features * discount, valid),
         ],
         dim=-1,
     )
     return inputs * valid
 
 
-def gain_sizes(gains: Tensor) -> Tensor:
+def feature_sizes(features: Tensor) -> Tensor:
     """About 1 for a gain of 1, 0 for none; the sign is kept."""
-    return gains.sign() * (gains.abs() / _MIN_GAIN).log1p() / 7
+    return features.sign() * (features.abs() / _MIN_GAIN).log1p() / 7
 
 
-def _shares(gains: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> [B, K, G] in -1..1
-    largest = (gains.abs() * valid).amax(dim=1, keepdim=True)
-    return gains / largest.clamp(min=1e-12) * (largest > 0)
+def _shares(features: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> [B, K, G] in -1..1
+    largest = (features.abs() * valid).amax(dim=1, keepdim=True)
+    return features / largest.clamp(min=1e-12) * (largest > 0)
 
 
 def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
     """Remaining budget, log counts of candidates and planes, and the largest valid value of every feature."""
     valid = observation["action_mask"]
     counts = [valid.sum(-1, keepdim=True).log1p() / 6, observation["plane_mask"].sum(-1, keepdim=True).log1p() / 4]
-    most = (gain_sizes(observation["candidate_gains"]) * valid[..., None]).amax(dim=1)
+    most = (feature_sizes(observation["candidate_features"]) * valid[..., None]).amax(dim=1)
     return torch.cat([observation["budget"], *counts, most], dim=-1)
 
 

@@ -42,14 +42,14 @@ class CandidateNetwork(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        planes, width, gains = config.planes, config.candidates, len(config.gains)
+        planes, width, features = config.planes, config.candidates, len(config.features)
         self.plane_in = nn.Linear(inputs.PLANE_INPUTS, planes)
         self.rounds = nn.ModuleList(nn.Linear(2 * planes, planes) for _ in range(config.rounds))
-        rows_in = nn.Linear(inputs.CANDIDATE_INPUTS + inputs.INPUTS_PER_GAIN * gains + planes, width)
+        rows_in = nn.Linear(inputs.CANDIDATE_INPUTS + inputs.INPUTS_PER_FEATURE * features + planes, width)
         with torch.no_grad():
             rows_in.weight[:, list(inputs.CONSTANT_IF_FAST)] = 0.0
         self.candidate_in = nn.Sequential(rows_in, nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        pooled = 2 * width + 2 * planes + inputs.GLOBAL_INPUTS + gains
+        pooled = 2 * width + 2 * planes + inputs.GLOBAL_INPUTS + features
         self.context = nn.Sequential(nn.Linear(pooled, width), nn.ReLU())
         self.scorer = _head(2 * width, width)
         self.critic = _head(pooled, width)

@@ -22,7 +22,7 @@ SHIPPED = Path(__file__).resolve().parent / "checkpoints" / "learned.safetensors
 class Learned(Policy):
     """row* = argmax f(row, all rows, planes), f the score of the network; no random choice, no state between steps.
 
-    A class for each checkpoint, made by `learned_from`, since an env is told by the class which gains to evaluate.
+    A class for each checkpoint, made by `learned_from`, since an env is told by the class which features to evaluate.
     """
 
     decides_by = "the score of a small network over all candidates"
@@ -51,8 +51,8 @@ class Learned(Policy):
         from activestructure_gym.policies.learned.network import as_tensors
 
         candidates = self.candidates(observation)
-        gains = np.stack([candidates[name] for name in self.required_gains], axis=-1)
-        entries = {key: observation[key][None] for key in USED_KEYS} | {"candidate_gains": gains[None]}
+        features = np.stack([candidates[name] for name in self.required_features], axis=-1)
+        entries = {key: observation[key][None] for key in USED_KEYS} | {"candidate_features": features[None]}
         with torch.no_grad():
             return self.network(as_tensors(entries))[0][0].numpy()
 
@@ -95,8 +95,13 @@ def learned_from(place: str) -> type[Learned]:
 
 
 def _policy_of(weights: Path, spec: str) -> type[Learned]:
-    gains = read_network_config(weights).gains
-    about = {"checkpoint": weights, "spec": spec, "required_gains": gains, "__module__": __name__}  # else it is "abc"
+    features = read_network_config(weights).features
+    about = {
+        "checkpoint": weights,
+        "spec": spec,
+        "required_features": features,
+        "__module__": __name__,
+    }  # else it is "abc"
     about["__doc__"] = Learned.__doc__
     return type("Learned", (Learned,), about)
 

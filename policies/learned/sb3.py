@@ -49,24 +49,24 @@ class CandidateExtractor(BaseFeaturesExtractor):
 
     def __init__(self, observation_space: spaces.Dict, network: Mapping[str, Any] | None = None) -> None:
         _refuse_others(observation_space)
-        table = observation_space["candidate_gains"]
+        table = observation_space["candidate_features"]
         names: tuple[str, ...] | None = getattr(table, "names", None)
-        rows, gains = table.shape  # type: ignore[misc]
+        rows, features = table.shape  # type: ignore[misc]
         super().__init__(observation_space, rows + 1)
         if network is not None:
             config = NetworkConfig.from_dict(network)
         elif names is not None:
-            config = NetworkConfig(gains=names)
+            config = NetworkConfig(features=names)
         else:
             raise InputError(
-                "this observation space does not say which features stand in the columns of candidate_gains: name them "
-                'with policy_kwargs={"network": NetworkConfig(gains=...).as_dict()}'
+                "this observation space does not name the columns of candidate_features: name them "
+                'with policy_kwargs={"network": NetworkConfig(features=...).as_dict()}'
             )
-        if len(config.gains) != gains or names not in (None, config.gains):
-            offered = f"{gains} gains" if names is None else ", ".join(names) or "none"
+        if len(config.features) != features or names not in (None, config.features):
+            offered = f"{features} features" if names is None else ", ".join(names) or "none"
             raise InputError(
-                f"the network was made for the gains {', '.join(config.gains)}, the env offers {offered}: "
-                f"make the env with gains={config.gains}"
+                f"the network was made for the features {', '.join(config.features)}, the env offers {offered}: "
+                f"make the env with features={config.features}"
             )
         self.network = CandidateNetwork(config)
 
@@ -102,7 +102,7 @@ class _Split(nn.Module):
 class CandidateHeads(BasePolicy):
     """Mixin before an actor-critic policy of stable-baselines3 that makes it one of the candidate-set network.
 
-    ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its gains;
+    ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its features;
     `begin_from` copies a checkpoint of ours, and `save_learned` writes one.
     """
 

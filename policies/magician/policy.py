@@ -27,7 +27,7 @@ class Magician(Planner):
     decides_by = "imagined surface that a plan of several views would see"
     travel_term = "frames bound the plan"
     source = "by a digest of Li et al., MAGICIAN, CVPR 2026"
-    required_gains = ("magician",)
+    required_features = ("magician",)
 
     def __init__(self, travel: Travel = "native", search: Search = "beam") -> None:
         super().__init__(travel)

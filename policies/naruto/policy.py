@@ -30,7 +30,7 @@ class Naruto(Planner):
 
     decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"
     source = "Feng et al., NARUTO, CVPR 2024"
-    required_gains = ("naruto", "naruto_look")
+    required_features = ("naruto", "naruto_look")
     brings = Schedule(
         stages=(("targets?rows=128", "turns?count=8"),),
         candidates=136,

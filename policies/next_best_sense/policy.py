@@ -15,7 +15,7 @@ class NextBestSense(Greedy):
 
     decides_by = "information of a view, above all of its depth, over that of all keyframes"
     source = "Strong et al., Next Best Sense, ICRA 2025"
-    required_gains = ("next_best_sense",)
+    required_features = ("next_best_sense",)
     brings = replace(SELECTED_VIEWS, budget="10 views by an arm, each the best of 10 poses around an object")
 
 
@@ -25,4 +25,4 @@ class NextBestSenseCov(Greedy):
 
     decides_by = "information of a view, above all of its depth, and unseen space"
     source = "this project, with the gain of Strong et al., Next Best Sense, ICRA 2025"
-    required_gains = ("next_best_sense_cov",)
+    required_features = ("next_best_sense_cov",)

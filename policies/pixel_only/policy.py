@@ -12,4 +12,4 @@ class PixelOnly(SharedGreedy):
 
     decides_by = "uncovered pixels, with the shared travel factor"
     source = "ActiveStructure, Eq. 15 with omega = rho = 0"
-    required_gains = ("pixel",)
+    required_features = ("pixel",)

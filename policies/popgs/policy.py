@@ -25,7 +25,7 @@ class LogDet(Greedy):
 
     decides_by = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet",)
+    required_features = ("popgs_logdet",)
     brings = SELECTED_VIEWS
 
 
@@ -35,7 +35,7 @@ class LogDetCov(Greedy):
 
     decides_by = "the volume of the map's uncertainty, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_cov",)
+    required_features = ("popgs_logdet_cov",)
 
 
 @POLICIES.register("popgs_cov_trace")
@@ -44,7 +44,7 @@ class CovTrace(Greedy):
 
     decides_by = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace",)
+    required_features = ("popgs_cov_trace",)
     brings = SELECTED_VIEWS
 
 
@@ -54,7 +54,7 @@ class CovTraceCov(Greedy):
 
     decides_by = "the sum of the map's variances, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_cov",)
+    required_features = ("popgs_cov_trace_cov",)
 
 
 @POLICIES.register("popgs_info_trace")
@@ -63,7 +63,7 @@ class InfoTrace(Greedy):
 
     decides_by = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_info_trace",)
+    required_features = ("popgs_info_trace",)
     brings = SELECTED_VIEWS
 
 
@@ -73,7 +73,7 @@ class InfoTraceCov(Greedy):
 
     decides_by = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_info_trace_cov",)
+    required_features = ("popgs_info_trace_cov",)
 
 
 @POLICIES.register("popgs_min_eig")
@@ -82,7 +82,7 @@ class MinEig(Greedy):
 
     decides_by = "the worst known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_min_eig",)
+    required_features = ("popgs_min_eig",)
     brings = SELECTED_VIEWS
 
 
@@ -92,7 +92,7 @@ class MinEigCov(Greedy):
 
     decides_by = "the worst known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_min_eig_cov",)
+    required_features = ("popgs_min_eig_cov",)
 
 
 @POLICIES.register("popgs_logdet_block")
@@ -101,7 +101,7 @@ class LogDetBlock(Greedy):
 
     decides_by = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_block",)
+    required_features = ("popgs_logdet_block",)
     brings = SELECTED_VIEWS
 
 
@@ -111,7 +111,7 @@ class LogDetBlockCov(Greedy):
 
     decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_block_cov",)
+    required_features = ("popgs_logdet_block_cov",)
 
 
 @POLICIES.register("popgs_cov_trace_block")
@@ -120,7 +120,7 @@ class CovTraceBlock(Greedy):
 
     decides_by = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_block",)
+    required_features = ("popgs_cov_trace_block",)
     brings = SELECTED_VIEWS
 
 
@@ -130,4 +130,4 @@ class CovTraceBlockCov(Greedy):
 
     decides_by = "the sum of the map's variances, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_block_cov",)
+    required_features = ("popgs_cov_trace_block_cov",)

@@ -13,7 +13,7 @@ class R3Recon(ActiveGS):
 
     decides_by = "unexplored voxels in sight, surface that could not be rendered from this side"
     source = "Jin et al., R3-RECON, arXiv 2601.07484"
-    required_gains = ("r3_recon",)
+    required_features = ("r3_recon",)
     # Frontier voxels alone are its regions of interest (`use_confidence: false`, [r3_recon, code]).
     brings = Schedule(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),

@@ -22,7 +22,7 @@ class RTGuide(Planner):
     decides_by = "Gaussians that still move, against those that do not"
     travel_term = "region by uncertainty / e^metres"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
-    required_gains = ("rt_guide",)
+    required_features = ("rt_guide",)
     # Goals and views of a robot that drives; the lattice stands for its motion primitives (own choice).
     brings = Schedule(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
 

@@ -12,4 +12,4 @@ class UnknownVolume(SharedGreedy):
 
     decides_by = "unknown space opened on the way"
     source = "this project, after [bircher2016] and [delmerico2018]"
-    required_gains = ("unknown_volume_way",)
+    required_features = ("unknown_volume_way",)

@@ -20,7 +20,7 @@ class Unseen(SharedGreedy):
 
     decides_by = "unknown space opened on the way and unseen sides"
     source = "this project"
-    required_gains = ("unknown_volume_way", "unseen_sides")
+    required_features = ("unknown_volume_way", "unseen_sides")
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the first of equals."""

@@ -16,7 +16,7 @@ class ViewAngle(Planner):
     decides_by = "directions from which the map was not seen"
     travel_term = "none; ties by path length"
     source = "COVER, arXiv 2604.05259"
-    required_gains = ("view_angle",)
+    required_features = ("view_angle",)
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; of equals the one with the fewest frames."""

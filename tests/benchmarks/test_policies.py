@@ -19,18 +19,18 @@ def test_a_row_per_policy_on_one_state():
     for row in rows:
         low, high = row["quartiles"]
         assert 0 < low <= row["decision_s"] <= high
-        assert row["decision_s"] >= max(row["gains_s"], row["policy_s"], row["offer_s"]) > 0
+        assert row["decision_s"] >= max(row["features_s"], row["policy_s"], row["offer_s"]) > 0
     assert any("exploring" in line for line in said) and said[-1] == "round 2 of 2: random"
 
 
 def test_the_row_by_hand():
     times = [
-        {"planning": 0.02, "gains": gains, "policy": 0.01, "cpu": 1.0} for gains in (0.05, 0.08, 0.09, 0.06, 9.0)
+        {"planning": 0.02, "features": f, "policy": 0.01, "cpu": 1.0} for f in (0.05, 0.08, 0.09, 0.06, 9.0)
     ]  # fmt: skip
     row = policy_benchmark._row("activestructure", times)
     assert row["decision_s"] == pytest.approx(0.11) and row["limit"] == "under 0.12"
-    assert row["quartiles"] == pytest.approx((0.09, 0.12)) and row["gains_s"] == pytest.approx(0.08)
-    times[0]["gains"] = times[3]["gains"] = 0.3
+    assert row["quartiles"] == pytest.approx((0.09, 0.12)) and row["features_s"] == pytest.approx(0.08)
+    times[0]["features"] = times[3]["features"] = 0.3
     assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.12"
     assert policy_benchmark._row("activestructure?discovery=unseen", times)["limit"] == "OVER 0.12"
     assert policy_benchmark._row("naruto", times)["limit"] == "under 2"

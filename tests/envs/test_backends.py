@@ -22,15 +22,15 @@ TINY = {
 
 def test_gains_of_the_same_map_agree() -> None:
     # Not optimised: a step of Adam's makes of a rounding as much as of a gradient (tests/mapping/test_backends.py).
-    gains = []
+    features = []
     for backend in ("cpu", "reference"):
-        names = {"gains": ["pixel", "hole_area", "gauss_mi_cov", "fisherrf_cov", "activeinr"]}
+        names = {"features": ["pixel", "hole_area", "gauss_mi_cov", "fisherrf_cov", "activeinr"]}
         overrides = {**TINY, **names, "mapper.backend": backend, "mapper.iterations": 0, "frame_budget": 30}
         episode = Reconstruction(configure("fast", overrides))
         episode.start(ground_truth_of(load_scene("box")), seed=0)
         episode.visit(0)
-        gains.append(episode.gains)
-    kernels, reference = gains
+        features.append(episode.features)
+    kernels, reference = features
     assert kernels.shape == reference.shape and (np.ptp(kernels[:, :2], axis=0) > 0.05).all()
     pixels = 16 * 9
     assert np.abs(kernels[:, 0] - reference[:, 0]).max() <= 1.5 / pixels  # a pixel at the limit may fall on either side

@@ -21,7 +21,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from activestructure_gym.envs import ENV_IDS, ReconstructionEnv, tasks
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, gain_names
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_names
 from activestructure_gym.envs.reconstruction_env import EnvOptions
 from activestructure_gym.envs.registration import TASKS
 from activestructure_gym.errors import InputError
@@ -98,22 +98,26 @@ def test_pickle_round_trip(env_id: str, options: dict[str, Any]) -> None:
 
 
 def test_the_names_of_the_columns_travel_with_the_space(env_id: str, options: dict[str, Any]) -> None:
-    env = gym.make(env_id, gains=("hole_area", "pixel"), **options)
+    env = gym.make(env_id, features=("hole_area", "pixel"), **options)
     space = env.observation_space
-    assert space["candidate_gains"].names == ("hole_area", "pixel")
-    assert space["candidates"].names == CANDIDATE_FEATURES and space["plane_features"].names == PLANE_FEATURES
+    assert space["candidate_features"].names == ("hole_area", "pixel")
+    assert space["candidates"].names == CANDIDATE_COLUMNS and space["plane_features"].names == PLANE_FEATURES
     for again in (
         pickle.loads(pickle.dumps(space)),
         copy.deepcopy(space),
         gym.wrappers.TimeLimit(env, 5).observation_space,
     ):
-        assert again == space and again["candidate_gains"].names == space["candidate_gains"].names
-    turned = gym.make(env_id, gains=("pixel", "hole_area"), **options).observation_space
+        assert again == space and again["candidate_features"].names == space["candidate_features"].names
+    turned = gym.make(env_id, features=("pixel", "hole_area"), **options).observation_space
     assert turned != space and turned["candidates"] == space["candidates"]
-    plain = gym.spaces.Box(-1e6, 1e6, space["candidate_gains"].shape)
-    assert plain == space["candidate_gains"] == plain  # of which nothing is known
+    plain = gym.spaces.Box(-1e6, 1e6, space["candidate_features"].shape)
+    assert plain == space["candidate_features"] == plain  # of which nothing is known
     _, info = env.reset(seed=0)
-    assert info["gains"] == ("hole_area", "pixel") == env.step(int(np.flatnonzero(info["action_mask"])[0]))[4]["gains"]
+    assert (
+        info["features"]
+        == ("hole_area", "pixel")
+        == env.step(int(np.flatnonzero(info["action_mask"])[0]))[4]["features"]
+    )
 
 
 def test_spec_survives_json(env_id: str, options: dict[str, Any]) -> None:
@@ -136,7 +140,7 @@ def test_observations_lie_in_their_space_and_masks_agree(env_id: str, options: d
         assert info["action_mask"].any()
         unused = observation["action_mask"] == 0
         assert (observation["candidates"][unused] == 0).all()
-        assert (observation["candidate_gains"][unused] == 0).all()
+        assert (observation["candidate_features"][unused] == 0).all()
         assert (observation["candidate_planes"][unused] == 0).all()
         observation, _, terminated, truncated, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
         if terminated or truncated:
@@ -147,7 +151,7 @@ def assert_vectorised(envs: gym.vector.VectorEnv, count: int) -> None:
     try:
         observation, info = envs.reset(seed=4)
         assert observation["rgb"].shape == (count, 36, 64, 3)
-        assert gain_names(envs) == ("pixel",) and info["gains"].tolist() == [("pixel",)] * count
+        assert feature_names(envs) == ("pixel",) and info["features"].tolist() == [("pixel",)] * count
         # Other seeds, other episodes.
         assert len({table.tobytes() for table in observation["candidates"]}) == count
         for _ in range(3):

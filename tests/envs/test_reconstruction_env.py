@@ -163,14 +163,14 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
         ({"preset": "fsat"}, "unknown preset 'fsat'; did you mean 'fast'"),
         ({"config": {"sensor.widht": 3}}, "unknown field of SensorConfig 'widht'; did you mean 'width'"),
-        ({"gains": ("pixle",)}, "unknown feature 'pixle'; did you mean 'pixel'"),
+        ({"features": ("pixle",)}, "unknown feature 'pixle'; did you mean 'pixel'"),
         ({"reward": {"coverag": 1.0}}, "unknown field of RewardConfig 'coverag'"),
         ({"coverage_target": 0.0}, "coverage_target is a share"),
         ({"scene": []}, "at least one scene"),
         ({"start_pose": (1.0, 2.0)}, "a start pose is"),
         ({"start_pose": (1.0, 2.0, float("nan"), 0.0)}, "finite"),
         ({"start_pose": "door"}, "a start pose is"),
-        ({"gains": "pixel"}, "gains must be a list of names, got 'pixel'"),
+        ({"features": "pixel"}, "features must be a list of names, got 'pixel'"),
         ({"scene": 3}, "scene must be a name, a path"),
         ({"max_planes": 1.5}, "max_planes must be a whole number"),
         ({"coverage_target": "all"}, "coverage_target is a share"),
@@ -181,13 +181,13 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"frame_budget": 10**5000}, "the frame budget must be at most 1000000, got something of the kind int"),
         ({"frame_budget": float("nan")}, "frame_budget must be a whole number, got nan"),
         ({"frame_budget": True}, "frame_budget must be a whole number, got True"),
-        ({"gains": [1]}, "a feature is given by its name, as a text, got 1"),
-        ({"gains": [["pixel"]]}, "a feature is given by its name"),
-        ({"gains": [b"pixel"]}, "a feature is given by its name"),
-        ({"gains": ["pi\nxel"]}, "unknown feature 'pi\\\\nxel'"),
-        ({"gains": ["os:sep"]}, "feature 'os:sep' must be a function of a FeatureContext, got '/'"),
-        ({"gains": 7}, "gains must be a list of names, got 7"),
-        ({"gains": {"pixel"}}, "gains must be a list of names"),
+        ({"features": [1]}, "a feature is given by its name, as a text, got 1"),
+        ({"features": [["pixel"]]}, "a feature is given by its name"),
+        ({"features": [b"pixel"]}, "a feature is given by its name"),
+        ({"features": ["pi\nxel"]}, "unknown feature 'pi\\\\nxel'"),
+        ({"features": ["os:sep"]}, "feature 'os:sep' must be a function of a FeatureContext, got '/'"),
+        ({"features": 7}, "features must be a list of names, got 7"),
+        ({"features": {"pixel"}}, "features must be a list of names"),
         ({"config": [("a", 1)]}, "config must be a dictionary with names as keys"),
         ({"config": {1: 2}}, "config must be a dictionary with names as keys"),
         ({"reward": "x"}, "reward must be a dictionary with names as keys, got 'x'"),
@@ -308,8 +308,8 @@ def test_tasks_that_need_a_scene_say_so() -> None:
 
 
 def test_ground_truth_stays_behind(box_options: dict[str, Any]) -> None:
-    """With the true mesh swapped after the frames are recorded, observation and gains stay the same."""
-    env = ReconstructionEnv(**{**box_options, "gains": tuple(FEATURES)})
+    """With the true mesh swapped after the frames are recorded, observation and features stay the same."""
+    env = ReconstructionEnv(**{**box_options, "features": tuple(FEATURES)})
     env.reset(seed=0)
     before = env._observe()
     env.reconstruction.scene = load_scene("box?seed=3")
@@ -393,3 +393,9 @@ def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -
     env.reset(seed=0)
     *_, truncated, info = env.step(env.action_space.n - 1)
     assert truncated and info["frames"] == 1
+
+
+def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
+    with pytest.warns(FutureWarning, match="gains is now called features"):
+        env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
+    assert env.config.features == ("hole_area",)

@@ -98,7 +98,7 @@ def test_decisions_path_and_curve_agree(runs):
         assert curve[-1]["completion_ratio"] > curve[0]["completion_ratio"]
     (pixel_only,) = (run for run in runs if run.policy == "pixel_only")
     step = pixel_only.steps[0]
-    assert step["gains"]["pixel"] == pytest.approx(step["trace"]["pixel"])
+    assert step["features"]["pixel"] == pytest.approx(step["trace"]["pixel"])
     assert {"x", "y", "z", "path_length"} <= step["view"].keys()
 
 

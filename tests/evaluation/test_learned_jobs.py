@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build
-from activestructure_gym.evaluation.running.warmup import all_gains, mark_of, smallest_job
+from activestructure_gym.evaluation.running.warmup import all_features, mark_of, smallest_job
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
@@ -29,7 +29,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A training run's directory, and the working directory above it."""
     torch.manual_seed(0)
     place = tmp_path / ("a_long_name_" * 8) / "run"
-    save_checkpoint(place / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    save_checkpoint(place / "best.safetensors", CandidateNetwork(NetworkConfig(features=("structure",))), {})
     monkeypatch.chdir(place.parent)
     return place
 
@@ -41,7 +41,7 @@ def test_a_job_knows_the_checkpoint_from_anywhere_and_its_content(run: Path, mon
     assert canonical_policy(spec) == spec
     first = Job(scene="box", policy=spec, seed=0)
     assert len(first.name.encode()) < 200
-    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(features=("structure",))), {})
     with pytest.raises(InputError, match="has changed"):
         canonical_policy(spec)
     assert Job(scene="box", policy=canonical_policy(f"learned:{run}"), seed=0).name != first.name
@@ -99,12 +99,12 @@ def test_a_checkpoint_spelt_in_two_ways_runs_once(run: Path, monkeypatch) -> Non
 def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None:
     def mark() -> Path | None:
         policies = [canonical_policy("learned:run"), "random"]
-        assert all_gains(policies) == ["structure"]
-        return mark_of(smallest_job(policies, {}), all_gains(policies))
+        assert all_features(policies) == ["structure"]
+        return mark_of(smallest_job(policies, {}), all_features(policies))
 
     first = mark()
     assert first is not None and first == mark()
-    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(features=("structure",))), {})
     assert mark() not in (None, first)
 
 
@@ -118,7 +118,7 @@ def test_its_env_offers_the_gains_of_the_checkpoint(run: Path) -> None:
         conditions=Conditions(preset="fast", frame_budget=10),
     )
     policy, env = build(job, load_scene("box"))
-    assert env.config.gains == ("structure",)
+    assert env.config.features == ("structure",)
     observation, _ = env.reset(seed=0)
     policy.reset(0)
     assert observation["action_mask"][policy.act(observation)] == 1

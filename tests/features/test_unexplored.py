@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.unexplored import unknown_cells
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
@@ -102,10 +102,12 @@ def test_where_all_has_been_seen_active_gs_goes_by_confidence_and_frontier_by_th
     east, west, _ = looks  # the west wall was seen once, the east wall three times
     gains = evaluate_features(("unexplored", "confidence"), two_walls.context(east, west))
     assert gains[:, 0].max() < 1e-4
-    table = np.zeros((2, len(CANDIDATE_FEATURES)), np.float32)
-    table[:, CANDIDATE_FEATURES.index("path_length")] = [1.0, 1.2]
+    table = np.zeros((2, len(CANDIDATE_COLUMNS)), np.float32)
+    table[:, CANDIDATE_COLUMNS.index("path_length")] = [1.0, 1.2]
     chosen = []
     for policy in (Frontier(), ActiveGS()):
         policy.bind(("unexplored", "confidence"))
-        chosen.append(policy.act({"candidates": table, "candidate_gains": gains, "action_mask": np.ones(2, np.int8)}))
+        chosen.append(
+            policy.act({"candidates": table, "candidate_features": gains, "action_mask": np.ones(2, np.int8)})
+        )
     assert chosen == [0, 1]

@@ -130,7 +130,7 @@ def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def episode() -> Reconstruction:
     config = configure(
-        "fast", {"frame_budget": 60, "gains": ("unknown_volume",), "views.max_candidates": 128, "keyframe_every": 5}
+        "fast", {"frame_budget": 60, "features": ("unknown_volume",), "views.max_candidates": 128, "keyframe_every": 5}
     )
     episode = Reconstruction(config)
     episode.start(ground_truth_of(load_scene("apartment?rooms=2&seed=1")), seed=0)
@@ -138,7 +138,7 @@ def episode() -> Reconstruction:
 
 
 def test_ways_of_the_shortlist_show_at_least_what_their_ends_show(episode: Reconstruction) -> None:
-    here, way = episode.gains.T
+    here, way = episode.features.T
     looked = way > 0
     assert len(here) > SHORTLIST and looked.sum() <= SHORTLIST
     assert (way[looked] >= here[looked] * (1 - 1e-6)).all() and (way[looked] > 1.2 * here[looked]).any()
@@ -147,8 +147,8 @@ def test_ways_of_the_shortlist_show_at_least_what_their_ends_show(episode: Recon
 
 
 def test_the_walk_that_was_looked_along_leaves_less_unknown(episode: Reconstruction) -> None:
-    row = int(episode.gains[:, 1].argmax())
-    foretold = float(episode.gains[row, 1])
+    row = int(episode.features[:, 1].argmax())
+    foretold = float(episode.features[row, 1])
     before = np.count_nonzero(episode.volume.unobserved)
     episode.visit(row)
     opened = (before - np.count_nonzero(episode.volume.unobserved)) * episode.volume.voxel_size**3

@@ -119,13 +119,13 @@ def training_run() -> Files:
 
 def _episode(config: Any) -> dict[str, np.ndarray]:
     """Three states of five candidates, made up."""
-    from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+    from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
     from activestructure_gym.planes import PLANE_FEATURES
 
     rng, planes = np.random.default_rng(0), config.world.max_planes
     shapes = {
-        "pose": (7,), "budget": (1,), "candidates": (5, len(CANDIDATE_FEATURES)),
-        "candidate_gains": (5, len(config.world.gains)), "plane_features": (planes, len(PLANE_FEATURES)),
+        "pose": (7,), "budget": (1,), "candidates": (5, len(CANDIDATE_COLUMNS)),
+        "candidate_features": (5, len(config.world.features)), "plane_features": (planes, len(PLANE_FEATURES)),
         "plane_edges": (planes, planes), "candidate_planes": (5, planes), "scores": (5,), "rewards": (),
     }  # fmt: skip
     state = {name: rng.random((3, *shape)).astype(np.float32) for name, shape in shapes.items()}

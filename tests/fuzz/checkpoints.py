@@ -19,7 +19,7 @@ from tests.fuzz._mutations import damaged_bytes, damaged_json
 CI_CASES = 25
 
 _SIZES = (0, -1, 1, 3, 5, 64, 1023, 1024, 1025, 4096, 10**5, 10**6, 2**31, 2**63, 10**30, 1.5, "4", None, True, [4])
-_GAINS: tuple[Any, ...] = (
+_FEATURES: tuple[Any, ...] = (
     [], "pixel", 5, None, [5], ["pixel"], ["pixel", "pixl"], ["pixel"] * 64, ["pixel"] * 10**5, {"pixel": 1},
     [["pixel"]],
 )  # fmt: skip
@@ -51,8 +51,8 @@ def _other_network(rng: np.random.Generator, content: bytes) -> bytes:
     """A description of another network, of any size."""
     described = json.loads(content)
     for _ in range(int(rng.integers(1, 3))):
-        key = str(rng.choice(["planes", "candidates", "rounds", "gains"]))
-        values = _GAINS if key == "gains" else _SIZES
+        key = str(rng.choice(["planes", "candidates", "rounds", "features"]))
+        values = _FEATURES if key == "features" else _SIZES
         described["network"][key] = values[rng.integers(len(values))]
     return json.dumps(described).encode()
 
@@ -111,8 +111,8 @@ def _decide() -> None:
 
     canonical_policy("learned:run")
     policy: Any = make_policy("learned:run")
-    policy.bind(policy.required_gains)
-    state = _episode(SimpleNamespace(world=SimpleNamespace(max_planes=4, gains=policy.required_gains)))
+    policy.bind(policy.required_features)
+    state = _episode(SimpleNamespace(world=SimpleNamespace(max_planes=4, features=policy.required_features)))
     policy.act({name: array[0] for name, array in state.items()})
 
 

@@ -50,7 +50,7 @@ _VALUES = (
     "", "[red]", "kinect", "a\nb", "caf\udce9", "[1, 2, 3]", '"\\ud800"', "1.5", "[[[]]]", "[0.0, 1e308]",
 )  # fmt: skip
 _PATHS = ("", ".", "..", "a", "a.b", ".a", "a.", "sensor", "sensor.", "sensor.x", "sensor.width.x", "frame_budget.x.y",
-          "gains", "gains.0", "__class__", "sensor.__init__", "[red]", "x" * 10_000, "a\nb",
+          "features", "features.0", "__class__", "sensor.__init__", "[red]", "x" * 10_000, "a\nb",
           "mapper.tracking")  # fmt: skip
 
 

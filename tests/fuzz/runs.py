@@ -63,7 +63,7 @@ def _name_code(rng: np.random.Generator, files: dict[str, bytes], run: str, evil
         elif kind == 1:
             job["policy"] = f"{evil}:make"
         else:
-            job["overrides"]["gains"] = [f"{evil}:make"]
+            job["overrides"]["features"] = [f"{evil}:make"]
     if name == "compare.json":  # names go with contents
         from activestructure_gym.evaluation.archive.jobs import Job
 

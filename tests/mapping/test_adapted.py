@@ -92,7 +92,7 @@ def test_it_is_found_by_its_name_and_has_its_own_fields(own):
 
 def test_an_episode_runs_on_it_with_features_that_follow_its_gaussians(own):
     env = ReconstructionEnv(
-        scene="box", preset="fast", frame_budget=25, gains=("pixel", "hole_area", "rt_guide"),
+        scene="box", preset="fast", frame_budget=25, features=("pixel", "hole_area", "rt_guide"),
         config={"mapper.name": f"{own}:OwnConfig", "sensor.width": 48, "sensor.height": 27, "views.max_revisits": 4},
     )  # fmt: skip
     _, info = env.reset(seed=0)
@@ -109,7 +109,7 @@ def test_an_episode_runs_on_it_with_features_that_follow_its_gaussians(own):
 def test_the_same_map_as_ours_behind_six_names(own):
     maps = []
     for name in ("default", f"{own}:Same"):
-        env = ReconstructionEnv(scene="box", preset="fast", frame_budget=60, gains=("pixel",),
+        env = ReconstructionEnv(scene="box", preset="fast", frame_budget=60, features=("pixel",),
                                 config={"mapper.name": name, "mapper.iterations": 1})  # fmt: skip
         env.reset(seed=0)
         env.step(0)

@@ -12,7 +12,7 @@ P = TypeVar("P", bound=Policy)
 
 def columns(policy: Policy | type[Policy]) -> tuple[str, ...]:
     """The columns of the features it asks for."""
-    return column_names(policy.required_gains)
+    return column_names(policy.required_features)
 
 
 def bound(policy: P) -> P:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, candidate_columns
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, candidate_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import column_names
 from activestructure_gym.policies import candidates
@@ -24,9 +24,9 @@ NAMES = column_names(("gs_planner_loss", "naruto_look", "pixel", "activeinr", "g
 @pytest.fixture
 def observation() -> dict[str, np.ndarray]:
     table = np.arange(45, dtype=np.float32).reshape(5, 9)
-    table[:, CANDIDATE_FEATURES.index("revisit")] = [0, 1, 0, 1, 0]
-    gains = 100.0 + np.arange(5 * len(NAMES), dtype=np.float32).reshape(5, -1)
-    return {"candidates": table, "candidate_gains": gains, "action_mask": np.array([1, 1, 1, 0, 0], np.int8)}
+    table[:, CANDIDATE_COLUMNS.index("revisit")] = [0, 1, 0, 1, 0]
+    features = 100.0 + np.arange(5 * len(NAMES), dtype=np.float32).reshape(5, -1)
+    return {"candidates": table, "candidate_features": features, "action_mask": np.array([1, 1, 1, 0, 0], np.int8)}
 
 
 def test_every_column_by_its_name(observation: dict[str, np.ndarray]) -> None:
@@ -36,17 +36,17 @@ def test_every_column_by_its_name(observation: dict[str, np.ndarray]) -> None:
     np.testing.assert_array_equal(np.column_stack([seen.path_length, seen.frames]), table[:, 6:8])
     assert seen.revisit.tolist() == [False, True, False, True, False]
     assert seen.valid.tolist() == [True, True, True, False, False]
-    assert candidate_columns(*CANDIDATE_FEATURES) == list(range(9))
+    assert candidate_columns(*CANDIDATE_COLUMNS) == list(range(9))
 
 
 def test_features_and_single_columns(observation: dict[str, np.ndarray]) -> None:
-    seen, gains = Candidates(observation, NAMES), observation["candidate_gains"]
+    seen, features = Candidates(observation, NAMES), observation["candidate_features"]
     for place, name in enumerate(NAMES):
-        np.testing.assert_array_equal(seen[name], gains[:, place])
-    np.testing.assert_array_equal(seen.feature("naruto_look"), gains[:, 1:31])
+        np.testing.assert_array_equal(seen[name], features[:, place])
+    np.testing.assert_array_equal(seen.feature("naruto_look"), features[:, 1:31])
     np.testing.assert_array_equal(seen.feature("pixel")[:, 0], seen["pixel"])
     # In the feature's order, wherever its columns stand; one is called like the feature.
-    np.testing.assert_array_equal(seen.feature("gs_planner"), gains[:, [len(NAMES) - 1, 0]])
+    np.testing.assert_array_equal(seen.feature("gs_planner"), features[:, [len(NAMES) - 1, 0]])
     np.testing.assert_array_equal(seen.feature("activeinr")[:, 0], seen["activeinr"])
 
 
@@ -54,9 +54,13 @@ def test_what_is_not_there_is_said_in_one_sentence(observation: dict[str, np.nda
     for read in (lambda seen: seen["hole_area"], lambda seen: seen.feature("hole_area")):
         with pytest.raises(InputError, match=r"^this policy does not know which column .* is the feature 'hole_area'"):
             read(Candidates(observation))
-        with pytest.raises(InputError, match=r"^Mine reads the gain 'hole_area', and the env offers gs_planner_loss, "):
+        with pytest.raises(
+            InputError, match=r"^Mine reads the feature 'hole_area', and the env offers gs_planner_loss, "
+        ):
             read(Candidates(observation, NAMES, "Mine"))
-        with pytest.raises(InputError, match=r"^Mine is bound to an env with the gains pixel, but this observation's"):
+        with pytest.raises(
+            InputError, match=r"^Mine is bound to an env with the features pixel, but this observation's"
+        ):
             read(Candidates(observation, ("pixel",), "Mine"))
     with pytest.raises(InputError, match="unknown feature 'naruto_looks'; did you mean 'naruto_look'"):
         Candidates(observation, NAMES).feature("naruto_looks")
@@ -66,7 +70,7 @@ def test_a_policy_is_bound_by_features_and_says_which_are_missing() -> None:
     policy = Naruto()
     with pytest.raises(InputError, match="^Naruto needs the features naruto_look, and the env offers naruto, naruto_"):
         policy.bind(("naruto", "naruto_look_0_x"))
-    policy.bind(column_names(("pixel", *reversed(policy.required_gains))))
+    policy.bind(column_names(("pixel", *reversed(policy.required_features))))
     with pytest.raises(InputError, match="^HoleArea needs the features hole_area, and the env offers none"):
         HoleArea().bind(())
 
@@ -78,7 +82,7 @@ def test_the_example_runs() -> None:
 
 def test_nobody_indexes_columns_by_hand() -> None:
     """Of the table and the features; `candidates.py` and the network's inputs name them."""
-    by_hand = re.compile(r'CANDIDATE_FEATURES\.index|"candidates"\]\[|"candidate_gains"\]\[:, *\w')
+    by_hand = re.compile(r'CANDIDATE_COLUMNS\.index|"candidates"\]\[|"candidate_features"\]\[:, *\w')
     rooms = [ROOT / "policies", ROOT / "evaluation" / "training"]
     found = [file.name for room in rooms for file in room.rglob("*.py") if by_hand.search(file.read_text())]
     assert found == []

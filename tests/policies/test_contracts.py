@@ -109,7 +109,7 @@ class Episode:
 @pytest.fixture(scope="module")
 def episode() -> Iterator[Episode]:
     env = ReconstructionEnv(
-        scene=make_scene(), preset="fast", gains=COLUMNS, frame_budget=120,
+        scene=make_scene(), preset="fast", features=COLUMNS, frame_budget=120,
         config={
             "sensor": {"width": 64, "height": 36},
             "views": {"max_candidates": 24, "max_revisits": 2},
@@ -183,7 +183,7 @@ REMEMBERING = ("activegamer", "activeinr", "activesplat", "anm_s", "gs_planner",
 def test_what_a_policy_remembers_goes_with_the_episode(spec: str, episode: Episode) -> None:
     policy, fresh, remembered = begun(spec), state(begun(spec)), False
     larger = {key: value.copy() for key, value in episode.played[-1].items()}  # whose views are far apart
-    larger["candidate_gains"][:, COLUMNS.index("gs_planner_volume")] += 0.5
+    larger["candidate_features"][:, COLUMNS.index("gs_planner_volume")] += 0.5
     larger["candidates"][:, 0] += 5.0 * np.arange(len(larger["candidates"]))  # so that some are worth storing
     for observation in [*episode.played, larger]:
         policy.act(observation)

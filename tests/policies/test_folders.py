@@ -31,7 +31,7 @@ class Upward(Greedy):
 
     decides_by = "how far up a view looks"
     source = "this test"
-    required_gains = ("height_of_axis",)
+    required_features = ("height_of_axis",)
     brings = Schedule(stages=(("upward_turns?rows=4",),), candidates=8)
 ''',
     "features.py": '''
@@ -93,7 +93,7 @@ def test_one_folder_is_found_listed_and_played(folder: None) -> None:
     env, policy = make_env_and_policy("upward", "box", preset="fast", frame_budget=12, terms="native", config=small)
     observation, info = env.reset(seed=0)
     policy.reset(0)
-    assert info["gains"] == ("height_of_axis",)
+    assert info["features"] == ("height_of_axis",)
     heights = policy.candidates(observation)["height_of_axis"]
     valid = observation["action_mask"].astype(bool)
     np.testing.assert_allclose(np.sort(heights[valid]), 1.0 + np.sin(np.radians([0, 10, 20, 30])), atol=1e-6)
@@ -102,7 +102,7 @@ def test_one_folder_is_found_listed_and_played(folder: None) -> None:
 
 
 @pytest.mark.parametrize(
-    "ask", [lambda: POLICIES.get("upward"), lambda: configure("fast", {"gains": ("height_of_axis",)})]
+    "ask", [lambda: POLICIES.get("upward"), lambda: configure("fast", {"features": ("height_of_axis",)})]
 )
 def test_a_name_is_found_without_a_list_being_read(folder: None, ask) -> None:
     ask()

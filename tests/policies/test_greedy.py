@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES, Greedy, canonical_policy, make_policy
 from activestructure_gym.policies.pixel_only import PixelOnly
 from tests.policies.binding import bound
 
-FRAMES = CANDIDATE_FEATURES.index("frames")
+FRAMES = CANDIDATE_COLUMNS.index("frames")
 
 
 class Plain(Greedy):
     """No travel term of its own."""
 
-    required_gains = ("pixel",)
+    required_features = ("pixel",)
 
 
 class Halving(Plain):
@@ -50,12 +50,12 @@ def registered():
         del POLICIES._entries[name]
 
 
-def observation(gains, frames, valid=None):
-    candidates = np.zeros((len(gains), len(CANDIDATE_FEATURES)), np.float32)
+def observation(features, frames, valid=None):
+    candidates = np.zeros((len(features), len(CANDIDATE_COLUMNS)), np.float32)
     candidates[:, FRAMES] = frames
-    mask = np.ones(len(gains), np.int8) if valid is None else np.array(valid, np.int8)
+    mask = np.ones(len(features), np.int8) if valid is None else np.array(valid, np.int8)
     return {
-        "candidates": candidates, "candidate_gains": np.array(gains, np.float32)[:, None], "action_mask": mask
+        "candidates": candidates, "candidate_features": np.array(features, np.float32)[:, None], "action_mask": mask
     }  # fmt: skip
 
 
@@ -82,10 +82,10 @@ def test_where_nothing_is_left_to_gain_the_nearest_valid_view_is_chosen(planner:
 
 
 def test_the_scale_of_a_gain_does_not_matter() -> None:
-    gains, frames = np.array([4.0, 6.3, 9.0]), [5.0, 10.0, 45.0]
+    features, frames = np.array([4.0, 6.3, 9.0]), [5.0, 10.0, 45.0]
     for scale in (1e-12, 1e12):
-        assert bound(Plain()).act(observation(scale * gains, frames)) == 2
-        assert bound(Plain("shared")).act(observation(scale * gains, frames)) == 1
+        assert bound(Plain()).act(observation(scale * features, frames)) == 2
+        assert bound(Plain("shared")).act(observation(scale * features, frames)) == 1
 
 
 def test_a_spec_makes_the_policy_it_says() -> None:

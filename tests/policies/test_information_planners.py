@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.hgs_planner import HGSPlanner
@@ -19,12 +19,12 @@ NAMES = ["fisherrf", "gauss_mi", "next_best_sense", *(f"popgs_{name}" for name i
 
 
 def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndarray]:
-    candidates = np.zeros((len(gains), len(CANDIDATE_FEATURES)), np.float32)
+    candidates = np.zeros((len(gains), len(CANDIDATE_COLUMNS)), np.float32)
     for name, values in {"frames": frames, **features}.items():
-        candidates[:, CANDIDATE_FEATURES.index(name)] = values
+        candidates[:, CANDIDATE_COLUMNS.index(name)] = values
     return {
         "candidates": candidates,
-        "candidate_gains": np.array(gains, np.float32).reshape(len(gains), -1),
+        "candidate_features": np.array(gains, np.float32).reshape(len(gains), -1),
         "action_mask": np.ones(len(gains), np.int8),
         "pose": np.array([0, 0, 0, 0.5, 0.5, 0.5, 0.5], np.float32),
     }
@@ -33,7 +33,7 @@ def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndar
 @pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_cov")])
 def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
     policy = bound(POLICIES.get(name)())
-    assert policy.required_gains == (name,) and name in FEATURES
+    assert policy.required_features == (name,) and name in FEATURES
     observed = observation([0.5, 0.6, 0.1], [5, 50, 1])
     assert policy.act(observed) == 1
     assert bound(POLICIES.get(name)(travel="shared")).act(observed) == 0

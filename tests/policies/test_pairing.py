@@ -51,12 +51,14 @@ def test_an_unbound_policy_refuses_instead_of_playing_as_another() -> None:
         HoleArea().bind(gym.make(ROOM, scene="box", **SMALL))
 
 
-@pytest.mark.parametrize("gains", [("hole_area", "pixel"), ("pixel", "hole_area"), ("structure", "hole_area", "pixel")])
+@pytest.mark.parametrize(
+    "features", [("hole_area", "pixel"), ("pixel", "hole_area"), ("structure", "hole_area", "pixel")]
+)
 def test_a_bound_policy_plays_as_it_does_alone_whatever_else_is_on_offer(
-    gains: tuple[str, ...], alone: dict[str, list[int]]
+    features: tuple[str, ...], alone: dict[str, list[int]]
 ) -> None:
     for name, choices in alone.items():
-        env, policy = gym.make(ROOM, scene="box", gains=gains, **SMALL), POLICIES.get(name)()
+        env, policy = gym.make(ROOM, scene="box", features=features, **SMALL), POLICIES.get(name)()
         policy.bind(env)
         assert played(env, policy) == choices
 
@@ -67,10 +69,10 @@ def test_a_name_a_class_and_a_policy_are_the_same(alone: dict[str, list[int]]) -
 
 
 def test_the_env_offers_what_is_asked_for_and_more_if_wanted() -> None:
-    env, policy = make_env_and_policy("activestructure", "box", gains=("pixel", "deficiency"), **SMALL)
-    names = env.observation_space["candidate_gains"].names  # type: ignore[index]
-    assert names == (*policy.required_gains, "pixel") == env.reset(seed=0)[1]["gains"]
-    assert make_env_and_policy("random", "box", **SMALL)[0].observation_space["candidate_gains"].names == ()  # type: ignore[index]
+    env, policy = make_env_and_policy("activestructure", "box", features=("pixel", "deficiency"), **SMALL)
+    names = env.observation_space["candidate_features"].names  # type: ignore[index]
+    assert names == (*policy.required_features, "pixel") == env.reset(seed=0)[1]["features"]
+    assert make_env_and_policy("random", "box", **SMALL)[0].observation_space["candidate_features"].names == ()  # type: ignore[index]
     options = make_env_and_policy("active_gs?travel=shared", "box", **SMALL)[1]
     assert options.travel == "shared"  # type: ignore[attr-defined]
 
@@ -95,9 +97,9 @@ def test_scenes_and_envs_as_everywhere(tmp_path: Path) -> None:
         (Policy, {}, "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made"),
         (dict, {}, "a policy is given by its name, as a class derived from Policy"),
         (None, {}, "a policy is given by its name, as a class derived from Policy"),
-        ("pixel_only", {"gains": "hole_area"}, "gains must be a list of names, got 'hole_area'"),
-        ("pixel_only", {"gains": ["hole_aera"]}, "unknown feature 'hole_aera'"),
-        ("pixel_only", {"gains": [["pixel"]]}, "a feature is given by its name"),
+        ("pixel_only", {"features": "hole_area"}, "features must be a list of names, got 'hole_area'"),
+        ("pixel_only", {"features": ["hole_aera"]}, "unknown feature 'hole_aera'"),
+        ("pixel_only", {"features": [["pixel"]]}, "a feature is given by its name"),
         ("pixel_only", {"preset": "fsat"}, "unknown preset 'fsat'"),
     ],
 )
@@ -108,11 +110,11 @@ def test_mistakes_are_said_in_one_sentence(policy: Any, options: dict[str, Any],
 
 
 def test_in_a_vector_env_one_binding_serves_every_row() -> None:
-    options = {"scene": "box", "gains": ("structure", "hole_area"), **SMALL}
+    options = {"scene": "box", "features": ("structure", "hole_area"), **SMALL}
     envs, policy = gym.make_vec(ROOM, num_envs=2, vectorization_mode="sync", **options), HoleArea()
     policy.bind(envs)
     observation, info = envs.reset(seed=[5, 6])
-    assert info["gains"].tolist() == [options["gains"]] * 2
+    assert info["features"].tolist() == [options["features"]] * 2
     single, other = make_env_and_policy("hole_area", "box", **SMALL)
     for row, seed in enumerate((5, 6)):
         alone, _ = single.reset(seed=seed)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, Table
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, Table
 from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, Policy, travel_discount
-from activestructure_gym.policies.base import best_valid, nearest_new
+from activestructure_gym.policies.base import best_valid, features_of, nearest_new
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
@@ -24,13 +24,13 @@ from tests.policies.binding import bound, columns
 ALL = sorted(POLICIES)
 
 
-def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, gains: int = 1) -> dict[str, np.ndarray]:
-    candidates = rng.uniform(0, 5, (rows, len(CANDIDATE_FEATURES))).astype(np.float32)
+def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, features: int = 1) -> dict[str, np.ndarray]:
+    candidates = rng.uniform(0, 5, (rows, len(CANDIDATE_COLUMNS))).astype(np.float32)
     mask = np.zeros(rows, np.int8)
     mask[:valid] = 1
     return {
         "candidates": candidates,
-        "candidate_gains": rng.uniform(0, 1, (rows, gains)).astype(np.float32),
+        "candidate_features": rng.uniform(0, 1, (rows, features)).astype(np.float32),
         "action_mask": mask,
         "candidate_planes": rng.integers(0, 2, (rows, 4)).astype(np.int8),
         "plane_mask": np.array([1, 1, 1, 0], np.int8),
@@ -48,7 +48,7 @@ def test_never_a_masked_row_deterministic_and_picklable(name: str, rng: np.rando
     first.reset(3)
     second.reset(3)
     for valid in (1, 2, 8, 12):
-        observed = observation(rng, valid=valid, gains=max(1, len(columns(first))))
+        observed = observation(rng, valid=valid, features=max(1, len(columns(first))))
         before = {key: value.copy() for key, value in observed.items()}
         choice = first.act(observed)
         assert isinstance(choice, int)
@@ -65,7 +65,7 @@ def test_no_valid_row_is_an_error(name: str, rng: np.random.Generator) -> None:
     policy = bound(POLICIES.get(name)())
     policy.reset(0)
     with pytest.raises(ValueError, match="no candidate is valid"):
-        policy.act(observation(rng, valid=0, gains=max(1, len(columns(policy)))))
+        policy.act(observation(rng, valid=0, features=max(1, len(columns(policy)))))
 
 
 def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -> None:
@@ -79,28 +79,28 @@ def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -
 
 @pytest.mark.parametrize(("greedy", "gain"), [(PixelOnly, "pixel"), (HoleArea, "hole_area")])
 def test_greedy_by_hand(greedy: type[Policy], gain: str, rng: np.random.Generator) -> None:
-    assert greedy.required_gains == (gain,)
+    assert greedy.required_features == (gain,)
     observed = observation(rng, rows=3, valid=3)
-    observed["candidate_gains"][:, 0] = [0.5, 0.6, 0.9]
-    observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [5.0, 10.0, 45.0]
+    observed["candidate_features"][:, 0] = [0.5, 0.6, 0.9]
+    observed["candidates"][:, CANDIDATE_COLUMNS.index("frames")] = [5.0, 10.0, 45.0]
     # 0.5 / 2 = 0.25, 0.6 / 3 = 0.2, 0.9 / 10 = 0.09
     policy = bound(greedy())
     policy.reset(0)
     assert policy.act(observed) == 0
     assert policy.trace() == {gain: pytest.approx(0.5), "travel": pytest.approx(0.5)}
-    observed["candidate_gains"][1, 0] = 0.9  # 0.3
+    observed["candidate_features"][1, 0] = 0.9  # 0.3
     assert policy.act(observed) == 1
-    observed["candidate_gains"][:, 0] = 0.0  # everything covered: the nearest
+    observed["candidate_features"][:, 0] = 0.0  # everything covered: the nearest
     assert policy.act(observed) == 0
 
 
 class Dull(gym.Env):
     """An env that does nothing but say what stands in its observation."""
 
-    def __init__(self, gains: tuple[str, ...] = ("hole_area", "other", "pixel"), said: bool = True) -> None:
-        low, high = np.zeros((12, len(gains)), np.float32), np.ones((12, len(gains)), np.float32)
-        table = Table(gains, low, high) if said else gym.spaces.Box(low, high)
-        self.observation_space = gym.spaces.Dict({"candidate_gains": table})
+    def __init__(self, features: tuple[str, ...] = ("hole_area", "other", "pixel"), said: bool = True) -> None:
+        low, high = np.zeros((12, len(features)), np.float32), np.ones((12, len(features)), np.float32)
+        table = Table(features, low, high) if said else gym.spaces.Box(low, high)
+        self.observation_space = gym.spaces.Dict({"candidate_features": table})
         self.action_space = gym.spaces.Discrete(12)
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[dict[str, np.ndarray], dict]:
@@ -113,21 +113,21 @@ class Dull(gym.Env):
         lambda: ("hole_area", "other", "pixel"),
         lambda: ["hole_area", "other", "pixel"],
         lambda: Dull(),
-        lambda: gym.wrappers.FilterObservation(gym.wrappers.TimeLimit(Dull(), 5), ["candidate_gains"]),
+        lambda: gym.wrappers.FilterObservation(gym.wrappers.TimeLimit(Dull(), 5), ["candidate_features"]),
         lambda: Dull().observation_space,
-        lambda: Dull().observation_space["candidate_gains"],
+        lambda: Dull().observation_space["candidate_features"],
         lambda: gym.vector.SyncVectorEnv([Dull, Dull]),
         lambda: VecMonitor(DummyVecEnv([Dull, Dull])),
     ],
 )
-def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
+def test_features_are_found_by_name_whatever_their_order_and_whoever_tells_it(
     told_by: Callable[[], Any], rng: np.random.Generator
 ) -> None:
-    observed = observation(rng, gains=3)
+    observed = observation(rng, features=3)
     policy = PixelOnly()
     policy.bind(told_by())
     for bound_one in (policy, pickle.loads(pickle.dumps(policy))):
-        np.testing.assert_array_equal(bound_one.candidates(observed)["pixel"], observed["candidate_gains"][:, 2])
+        np.testing.assert_array_equal(bound_one.candidates(observed)["pixel"], observed["candidate_features"][:, 2])
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
         ("pixel", "which features stand in which column is told by an env, by its observation space or by a list"),
         (None, "which features stand in which column is told by an env"),
         (("pixel", 3), "which features stand in which column is told by an env"),
-        (Dull(said=False), "this observation space does not say which features stand in the columns"),
+        (Dull(said=False), "this observation space does not name the columns"),
         (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which features stand in which column is told by an env"),
     ],
 )
@@ -152,31 +152,31 @@ def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_nobody_reads_a_gain_by_its_place(name: str, rng: np.random.Generator) -> None:
-    """Unbound, a policy that reads gains refuses; so does one that is bound to an env with more or fewer of them."""
+def test_nobody_reads_a_feature_by_its_place(name: str, rng: np.random.Generator) -> None:
+    """Unbound, a policy that reads features refuses; so does one that is bound to an env with more or fewer of them."""
     policy = POLICIES.get(name)()
     policy.reset(0)
-    observed = observation(rng, gains=max(1, len(columns(policy))))
-    if not policy.required_gains:
+    observed = observation(rng, features=max(1, len(columns(policy))))
+    if not policy.required_features:
         assert observed["action_mask"][policy.act(observed)] == 1
         return
     with pytest.raises(InputError, match=r"^\w+ does not know which column .* call policy.bind\(env\) before act"):
         policy.act(observed)
     policy.bind((*columns(policy), "more"))
-    with pytest.raises(InputError, match=r"^\w+ is bound to an env with the gains .*: call policy.bind\(env\) with"):
+    with pytest.raises(InputError, match=r"^\w+ is bound to an env with the features .*: call policy.bind\(env\) with"):
         policy.act(observed)
 
 
-def test_a_gain_that_was_not_asked_for_and_gains_that_are_no_names(rng: np.random.Generator) -> None:
+def test_a_feature_that_was_not_asked_for_and_features_that_are_no_names(rng: np.random.Generator) -> None:
     policy = bound(PixelOnly())
-    with pytest.raises(InputError, match="reads the gain 'structure', and the env offers pixel"):
+    with pytest.raises(InputError, match="reads the feature 'structure', and the env offers pixel"):
         policy.candidates(observation(rng))["structure"]
-    batch = np.stack([observation(rng)["candidate_gains"]] * 2)
-    with pytest.raises(InputError, match=r"candidate_gains has the shape \(2, 12, 1\)"):
-        policy.candidates({"candidate_gains": batch})["pixel"]
+    batch = np.stack([observation(rng)["candidate_features"]] * 2)
+    with pytest.raises(InputError, match=r"candidate_features has the shape \(2, 12, 1\)"):
+        policy.candidates({"candidate_features": batch})["pixel"]
     for wrong in ("pixel", (1,), None):
-        policy.required_gains = wrong  # type: ignore[misc]
-        with pytest.raises(InputError, match="required_gains of PixelOnly must be a tuple of names, got"):
+        policy.required_features = wrong  # type: ignore[misc]
+        with pytest.raises(InputError, match="required_features of PixelOnly must be a tuple of names, got"):
             policy.bind(("pixel",))
 
 
@@ -191,12 +191,12 @@ def test_a_policy_that_forgets_its_base_s_constructor_is_bound_all_the_same(rng:
 
 def test_travel_discount_best_valid_and_nearest_new(rng: np.random.Generator) -> None:
     observed = observation(rng, rows=3, valid=2)
-    observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [0.0, 5.0, 45.0]
+    observed["candidates"][:, CANDIDATE_COLUMNS.index("frames")] = [0.0, 5.0, 45.0]
     np.testing.assert_allclose(travel_discount(observed), [1.0, 0.5, 0.1], rtol=1e-6)
     assert best_valid(np.array([1.0, 1.0, 5.0]), observed) == 0
-    observed["candidates"][:, CANDIDATE_FEATURES.index("revisit")] = [1.0, 1.0, 0.0]
+    observed["candidates"][:, CANDIDATE_COLUMNS.index("revisit")] = [1.0, 1.0, 0.0]
     assert nearest_new(observed) == 0  # both revisits: row 2 is masked
-    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 0.0
+    observed["candidates"][1, CANDIDATE_COLUMNS.index("revisit")] = 0.0
     assert nearest_new(observed) == 1
 
 
@@ -216,7 +216,19 @@ def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator)
     try:
         policy = POLICIES.get("nearest_for_this_test")()
         observed = observation(rng)
-        lengths = observed["candidates"][:8, CANDIDATE_FEATURES.index("frames")]
+        lengths = observed["candidates"][:8, CANDIDATE_COLUMNS.index("frames")]
         assert policy.act(observed) == lengths.argmin()
     finally:
         del POLICIES._entries["nearest_for_this_test"]
+
+
+def test_the_former_name_of_required_features_works_and_warns() -> None:
+    with pytest.warns(FutureWarning, match="required_gains is now called required_features"):
+
+        class Old(Policy):
+            required_gains = ("pixel",)
+
+            def act(self, observation) -> int:
+                return 0
+
+    assert Old.required_features == ("pixel",) and features_of(Old()) == ("pixel",)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies import POLICIES, Planner
 from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.frontier import Frontier
@@ -13,30 +13,30 @@ from activestructure_gym.policies.rt_guide import RTGuide
 from activestructure_gym.policies.view_angle import ViewAngle
 from tests.policies.binding import bound, columns
 
-LENGTH, FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
+LENGTH, FRAMES = CANDIDATE_COLUMNS.index("path_length"), CANDIDATE_COLUMNS.index("frames")
 
 
-def observation(gains: list, length: list, valid: list | None = None) -> dict[str, np.ndarray]:
+def observation(features: list, length: list, valid: list | None = None) -> dict[str, np.ndarray]:
     """Ten frames per metre of path."""
-    table = np.array(gains, np.float32).reshape(len(length), -1)
-    candidates = np.zeros((len(length), len(CANDIDATE_FEATURES)), np.float32)
+    table = np.array(features, np.float32).reshape(len(length), -1)
+    candidates = np.zeros((len(length), len(CANDIDATE_COLUMNS)), np.float32)
     candidates[:, LENGTH], candidates[:, FRAMES] = length, 10 * np.array(length)
     mask = np.ones(len(length), np.int8) if valid is None else np.array(valid, np.int8)
-    return {"candidates": candidates, "candidate_gains": table, "action_mask": mask}
+    return {"candidates": candidates, "candidate_features": table, "action_mask": mask}
 
 
 @pytest.mark.parametrize(("kind", "gain"), [(ActiveGS, "confidence"), (Frontier, "unexplored")])
 def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Planner], gain: str) -> None:
-    assert kind.required_gains == (gain,)
+    assert kind.required_features == (gain,)
     # Shares of the gain 0.3, 0.3, 0.4; of the way 0.3, 0.1, 0.6: 0.15, 0.25, 0.1.
     seen = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0])
-    np.testing.assert_allclose(kind().native(seen["candidate_gains"][:, 0], seen), [0.15, 0.25, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(kind().native(seen["candidate_features"][:, 0], seen), [0.15, 0.25, 0.1], rtol=1e-6)
     assert bound(kind()).act(seen) == 1
     assert bound(kind()).act(observation([3.0, 3.0, 6.0], [3.0, 1.0, 6.0])) == 1  # 0.25 - 0.05, 0.5 - 0.3
     assert bound(kind()).act(observation([2.0, 2.0, 6.0], [3.0, 1.0, 6.0])) == 2  # 0.2 - 0.05, 0.6 - 0.3
     # What is masked takes no share: alone, the first two have 0.5 each.
     masked = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0], [1, 1, 0])
-    np.testing.assert_allclose(kind().native(masked["candidate_gains"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6)
+    np.testing.assert_allclose(kind().native(masked["candidate_features"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6)
     # With everybody's term the last one is worth 4 / 13, the second 3 / 3.
     shared, native = bound(kind("shared")), bound(kind())
     assert shared.act(seen) == native.act(seen) == 1
@@ -46,15 +46,15 @@ def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Planner], gain
 
 def test_active_gs_goes_far_for_a_little_more_where_all_ways_are_long() -> None:
     """Its pathology: a way costs by what it is of the mean way, and where most are long that is little."""
-    gains, length = np.full(100, 1.0), np.full(100, 8.0)
-    gains[0], length[0] = 0.9, 0.5  # beside the agent
-    gains[1], length[1] = 1.1, 12.0
-    seen = observation(gains.tolist(), length.tolist())
+    features, length = np.full(100, 1.0), np.full(100, 8.0)
+    features[0], length[0] = 0.9, 0.5  # beside the agent
+    features[1], length[1] = 1.1, 12.0
+    seen = observation(features.tolist(), length.tolist())
     assert bound(ActiveGS()).act(seen) == 0
-    gains[1] = 1.7
+    features[1] = 1.7
     # 24 times the way for twice the gain
-    assert bound(ActiveGS()).act(observation(gains.tolist(), length.tolist())) == 1
-    assert bound(ActiveGS("shared")).act(observation(gains.tolist(), length.tolist())) == 0
+    assert bound(ActiveGS()).act(observation(features.tolist(), length.tolist())) == 1
+    assert bound(ActiveGS("shared")).act(observation(features.tolist(), length.tolist())) == 0
 
 
 def test_without_any_gain_the_nearest_view_is_taken() -> None:
@@ -103,7 +103,7 @@ def test_rt_guide_shared_counts_xi_from_the_lowest() -> None:
     assert bound(RTGuide("shared")).act(seen) == 1
 
 
-REVISIT = CANDIDATE_FEATURES.index("revisit")
+REVISIT = CANDIDATE_COLUMNS.index("revisit")
 
 
 @pytest.mark.parametrize("name", ["active_gs", "frontier", "gs_planner", "hgs_planner", "rt_guide"])
@@ -127,7 +127,7 @@ def test_shares_are_those_among_the_views_that_are_no_revisits() -> None:
     seen = observation([3.0, 7.0, 0.0], [1.0, 9.0, 90.0])
     assert bound(Frontier()).act(seen) == 1
     seen["candidates"][2, REVISIT] = 1.0
-    seen["candidate_gains"][1] = 5.0  # 0.375 - 0.05, 0.625 - 0.45
+    seen["candidate_features"][1] = 5.0  # 0.375 - 0.05, 0.625 - 0.45
     assert bound(Frontier()).act(seen) == 0
 
 

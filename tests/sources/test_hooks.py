@@ -13,7 +13,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from activestructure_gym.config import configure
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, row_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import make_env_and_policy
@@ -67,9 +67,9 @@ def test_both_checkers_pass_and_chance_ends_the_episode(env: ReconstructionEnv) 
 
 
 def test_the_usual_table_has_no_further_columns() -> None:
-    assert make([["pool"]]).observation_space["candidates"].names == CANDIDATE_FEATURES
+    assert make([["pool"]]).observation_space["candidates"].names == CANDIDATE_COLUMNS
     assert row_columns([["pool", "stay"]]) == (
-        *CANDIDATE_FEATURES,
+        *CANDIDATE_COLUMNS,
         "from_pool",
         "from_stay",
         "stay",
@@ -88,7 +88,7 @@ def test_a_stage_is_asked_for_at_no_cost_and_once_until_a_frame_is_paid(env: Rec
     assert (
         rows.frames[rows.ask(1)] == 0
         and rows.valid[rows.ask(1)]
-        and not observation["candidate_gains"][rows.ask(1)].any()
+        and not observation["candidate_features"][rows.ask(1)].any()
     )
     observation, reward, *_, info = env.step(rows.ask(1))
     assert (info["frames"], info["metres"], info["invalid_action"], reward) == (1, 0.0, False, 0.0)
@@ -157,7 +157,7 @@ def test_finishing_ends_the_episode_once_something_was_paid(env: ReconstructionE
     (row,) = np.nonzero(rows.source("finish"))[0]
     paid = info["frames"]
     assert rows.frames[row] == 40 - paid
-    assert not observation["candidate_gains"][row].any() and not observation["candidate_planes"][row].any()
+    assert not observation["candidate_features"][row].any() and not observation["candidate_planes"][row].any()
     *_, terminated, truncated, info = env.step(int(row))
     assert terminated and not truncated and info["frames"] == paid and info["is_success"] is False
     with pytest.raises(gym.error.ResetNeeded):
@@ -239,13 +239,13 @@ def scribbling(context):  # [K]
     return np.zeros(len(context.world_from_camera))
 
 
-@pytest.mark.parametrize("scribble, gains", [("true", ("pixel",)), ("false", ("scribbling",))])
-def test_what_is_written_into_what_is_shown_moves_nobody(scribble, gains, monkeypatch) -> None:
+@pytest.mark.parametrize("scribble, features", [("true", ("pixel",)), ("false", ("scribbling",))])
+def test_what_is_written_into_what_is_shown_moves_nobody(scribble, features, monkeypatch) -> None:
     monkeypatch.setattr(FEATURES, "_entries", dict(FEATURES._entries))
     FEATURES.register("scribbling", unit="-")(scribbling)
     ways = []
-    for flag, asked in (("false", ("pixel",)), (scribble, gains)):
-        env = make([["pool", f"tests.sources.test_hooks:Scribbling?scribble={flag}"]], gains=asked)
+    for flag, asked in (("false", ("pixel",)), (scribble, features)):
+        env = make([["pool", f"tests.sources.test_hooks:Scribbling?scribble={flag}"]], features=asked)
         env.reset(seed=0)
         for row in (3, 2):
             env.step(row)

@@ -32,7 +32,7 @@ SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budg
 
 @pytest.fixture
 def episode() -> Reconstruction:
-    run = Reconstruction(configure("fast", {**SMALL, "gains": ("pixel",)}))
+    run = Reconstruction(configure("fast", {**SMALL, "features": ("pixel",)}))
     run.start(ground_truth_of(load_scene("box")), 0)
     return run
 

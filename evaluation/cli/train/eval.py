@@ -59,7 +59,7 @@ class Eval(Episodes):
             overrides=tuple(parse_overrides(self.set).items()),
         )  # fmt: skip
         for name in policies:
-            world_config(world, tuple(make_policy(name).required_gains))
+            world_config(world, tuple(make_policy(name).required_features))
         scenes = split_scenes(self.scenes)
         for scene in scenes:
             check_scene_name(scene)

@@ -24,7 +24,7 @@ def check(config: TrainingConfig) -> None:
     from activestructure_gym.evaluation.training.world import world_config
 
     extra = () if config.teacher in WITH_TRUTH or config.method == "ppo" else (config.teacher,)
-    world_config(config.world, (*config.world.gains, *extra))
+    world_config(config.world, (*config.world.features, *extra))
 
 
 def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:

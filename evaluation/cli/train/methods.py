@@ -134,13 +134,18 @@ def training_config(options: Learning) -> TrainingConfig:
     from activestructure_gym.policies.learned import learned_from
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    given["gains"] = split_list(options.features)
+    given["features"] = split_list(options.features)
     if given.get("start") is not None:
         chosen = learned_from(given["start"].removeprefix("learned:"))
-        if options.features != type(options)().features and feature_columns(*given["gains"]) != chosen.required_gains:
-            has = ", ".join(chosen.required_gains)
-            raise InputError(f"leave out --features, or give those of --start: {has}; got {', '.join(given['gains'])}")
-        given |= {"start": chosen.spec.removeprefix("learned:"), "gains": chosen.required_gains}
+        if (
+            options.features != type(options)().features
+            and feature_columns(*given["features"]) != chosen.required_features
+        ):
+            has = ", ".join(chosen.required_features)
+            raise InputError(
+                f"leave out --features, or give those of --start: {has}; got {', '.join(given['features'])}"
+            )
+        given |= {"start": chosen.spec.removeprefix("learned:"), "features": chosen.required_features}
     if options.layouts is None:
         del given["layouts"]
     given["overrides"] = tuple(parse_overrides(options.set).items())

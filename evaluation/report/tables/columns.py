@@ -10,7 +10,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import LEVELS
 
 # Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
-PLANNING = ("planning", "gains", "policy")
+PLANNING = ("planning", "features", "policy")
 MAPPING = ("mapping",)
 WORLD = ("volume", "planes")
 

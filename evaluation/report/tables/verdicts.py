@@ -254,7 +254,7 @@ def cost_table(results: Results) -> Table:
         rows.append(row)
     caption = (
         "Means over all runs; collisions: executed steps through the true mesh, in all runs together (must be 0). "
-        "Seconds of wall clock: planning = candidates, paths, gains and the policy; mapping = the Gaussian map"
+        "Seconds of wall clock: planning = candidates, paths, features and the policy; mapping = the Gaussian map"
     )
     return Table("costs", "Costs", [Heading("Policy", numeric=False), *map(Heading.of, columns)], rows, caption)
 

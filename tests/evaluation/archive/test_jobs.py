@@ -172,8 +172,8 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
         ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
         ({"policy": "os:system?command=touch hacked"}, "policy"),
-        ({"conditions": Conditions(overrides={"gains": ["pixel", "os:system"]})}, "feature"),
-        ({"conditions": Conditions(overrides={"gains": "os:system"})}, "feature"),
+        ({"conditions": Conditions(overrides={"features": ["pixel", "os:system"]})}, "feature"),
+        ({"conditions": Conditions(overrides={"features": "os:system"})}, "feature"),
         ({"conditions": Conditions(overrides={"mapper.name": "os:system"})}, "mapper"),
         ({"conditions": Conditions(overrides={"mapper": {"name": "os:system"}})}, "mapper"),
     ],
@@ -189,4 +189,4 @@ def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
 @pytest.mark.parametrize("scene", ["room?seed=3", "a/b.glb?up=y", "mesh:c:d.obj", "replica:room_0", "nothing_known"])
 @pytest.mark.parametrize("policy", ["random", "naruto?travel=shared", "learned:runs/bc@01234567"])
 def test_registered_names_and_files_are_taken_from_a_record(scene, policy):
-    refuse_code([Job(scene, policy, 0, conditions=Conditions(overrides=(("gains", ["pixel"]),)))], "compare.json")
+    refuse_code([Job(scene, policy, 0, conditions=Conditions(overrides=(("features", ["pixel"]),)))], "compare.json")

@@ -27,7 +27,9 @@ def test_what_is_registered_here_a_checkpoint_a_reference_and_a_scene_have_none(
         assert plugin_code_of(Job("my_scenes:cube", policy, 0), str) == {}
     assert (
         plugin_code_of(
-            Job("room?seed=3", "random", 0, conditions=Conditions(overrides=(("gains", ("pixel", "naruto_look_x")),))),
+            Job(
+                "room?seed=3", "random", 0, conditions=Conditions(overrides=(("features", ("pixel", "naruto_look_x")),))
+            ),
             str,
         )
         == {}
@@ -38,7 +40,7 @@ def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
     for name in ("mine_b", "mine_c", "mine_d", "mine_m"):
         (here / f"{name}.py").write_text(f"raise AssertionError('{name}')\n")
     stages = [["pool", "mine_d:views"]]
-    changes = {"gains": ("pixel", "mine_c:gain"), "views.stages": stages, "mapper.name": "mine_m:Config"}
+    changes = {"features": ("pixel", "mine_c:gain"), "views.stages": stages, "mapper.name": "mine_m:Config"}
     job = Job("box", "mine_b:Mine?depth=2", 0, conditions=Conditions(overrides=changes))
     found = plugin_code_of(job, checksum_of)
     assert list(found) == [
@@ -93,7 +95,7 @@ def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatc
         assert (
             len(
                 plugin_code_of(
-                    Job("box", "random", 0, conditions=Conditions(overrides=(("gains", (name,)),))), checksum_of
+                    Job("box", "random", 0, conditions=Conditions(overrides=(("features", (name,)),))), checksum_of
                 )
             )
             == found
@@ -131,7 +133,7 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
 def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     run, job = (
         here / "run",
-        Job("box", "mine_f:Mine", 0, conditions=Conditions(overrides=(("gains", ("mine_g:gain",)),))),
+        Job("box", "mine_f:Mine", 0, conditions=Conditions(overrides=(("features", ("mine_g:gain",)),))),
     )
     run.mkdir()
     checksums = {"mine_f": "a" * 64, "mine_g": "b" * 64}

@@ -49,13 +49,13 @@ def test_a_policy_s_options_stand_with_their_defaults(capsys):
     assert "activeinr_proxy" in out
     facts = json.loads(said(capsys, "policies", "activeinr", "--json"))
     assert facts["options"] == {"travel": "native", "uncertainty": "perturbation"}
-    assert facts["gains"][0] == "activeinr"
+    assert facts["features"][0] == "activeinr"
 
 
 def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
-    assert {"name", "decides_by", "gains", "travel_term", "source", "native", "options", "required", "about"} == set(
+    assert {"name", "decides_by", "features", "travel_term", "source", "native", "options", "required", "about"} == set(
         rows[0]
     )
 
@@ -123,7 +123,7 @@ def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):
 
 def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(capsys, monkeypatch):
     class Mute(Policy):
-        required_gains = "pixel"
+        required_features = "pixel"
 
         def __init__(self, where: str, far: int = 2) -> None: ...
 
@@ -132,8 +132,8 @@ def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(c
 
     monkeypatch.setitem(POLICIES._entries, "mute", Mute)
     assert main(["policies", "mute"]) == 2
-    assert "required_gains of Mute must be a tuple of names, got 'pixel'" in capsys.readouterr().err
-    Mute.required_gains = ("pixel",)
+    assert "required_features of Mute must be a tuple of names, got 'pixel'" in capsys.readouterr().err
+    Mute.required_features = ("pixel",)
     out = said(capsys, "policies", "mute")
     assert "Chooses one row" not in out and "pixel" in out
     assert [line.split() for line in out.splitlines()[-4:-2]] == [["where", "must", "be", "given"], ["far", "2"]]

@@ -83,7 +83,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "text.glb"], ["text.glb"]),
         (["compare", "--scenes", "inches.obj"], ["150 x 120 x 78 m", "units"]),
         (["compare", "--scenes", "box", "--set", "volume.voxel_size=0.001"], ["voxels of 0.001 m"]),
-        (["compare", "--scenes", "box", "--set", 'gains=["deep"]'], ["unknown feature 'deep'"]),
+        (["compare", "--scenes", "box", "--set", 'features=["deep"]'], ["unknown feature 'deep'"]),
         (["compare", "--scenes", "box", "--set", "sensor=3"], ["sensor must be a group of fields"]),
         (["compare", "--scenes", "box", "--workers", "-1"], ["--workers", "-1"]),
         (["compare", "--scenes", "box", "--seeds", "²"], ["whole number"]),

@@ -127,7 +127,7 @@ def test_a_part_has_its_own_options_alone():
     taken = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in (train | bench).items()}
     assert taken["bc"] - taken["rank"] == {"temperature"} and not taken["rank"] - taken["bc"]
     assert taken["ppo"] - taken["bc"] == {"start", "iterations", "steps", "envs"}
-    assert not taken["eval"] & {"seed", "gains", "noise", "resume", "gamma"}
+    assert not taken["eval"] & {"seed", "features", "noise", "resume", "gamma"}
     assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scenes"}
 
 

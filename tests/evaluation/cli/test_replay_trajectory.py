@@ -38,7 +38,7 @@ def test_a_run_names_its_scene_seed_and_configuration(tmp_path: Path) -> None:
         "box",
         "random",
         4,
-        conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7), ("gains", ("pixel",)))),
+        conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7), ("features", ("pixel",)))),
     )
     run = write_run(tmp_path / "run", job)
     wanted = asked(str(run), set=("revisit_rounds=2",))

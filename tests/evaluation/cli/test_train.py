@@ -57,7 +57,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["eval", "--baselines", "hole_are"], ["unknown policy 'hole_are'"]),
         (["eval", "--policies", "pixel_only", "--baselines", "hole_area"], ["--baselines are among"]),
         (["bc", "--set", "sensor.depth_noise=redwood"], ["sensor.depth_noise", "--no-noise"]),
-        (["bc", "--set", "gains=pixel"], ["--features"]),
+        (["bc", "--set", "features=pixel"], ["--features"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
         (["eval", "--out", "foreign"], ["holds other files"]),
         (["eval", "--out", "foreign/thesis.tex"], ["is a file; give a directory"]),
@@ -97,12 +97,12 @@ def test_options_become_a_configuration() -> None:
     config = training_config(options)
     assert training_config(Bc(temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
     assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
-    assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
+    assert config.world.features == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
     listed = training_config(Bc(set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
     with pytest.raises(InputError, match="those of --start: pixel, hole_area, .*, unknown_volume_way; got pixel"):
         training_config(Ppo(start=str(SHIPPED), features=("pixel,structure",)))
-    assert set(training_config(Ppo(start=str(SHIPPED))).world.gains) > {"pixel", "unknown_volume"}
+    assert set(training_config(Ppo(start=str(SHIPPED))).world.features) > {"pixel", "unknown_volume"}
     with pytest.raises(InputError, match="belongs to ppo"):
         TrainingConfig(method="bc", start="x")
 
@@ -114,7 +114,7 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "normalised" in said and "learned:bc" in said
     description = json.loads((tmp_path / "bc" / "best.json").read_text())
-    assert description["network"]["gains"] == ["pixel", "hole_area"]
+    assert description["network"]["features"] == ["pixel", "hole_area"]
     assert description["trained"]["configuration"]["episodes"] == 2
     rows = [json.loads(line) for line in (tmp_path / "bc" / "log.jsonl").read_text().splitlines()]
     assert [row["unit"] for row in rows] == [1, 2] and all("validation/normalised" in row for row in rows)

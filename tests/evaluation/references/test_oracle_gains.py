@@ -14,7 +14,7 @@ SMALL = {"sensor": {"width": 48, "height": 27}, "views.max_candidates": 12}
 @pytest.fixture
 def episode():
     truth = ground_truth_of(load_scene("box"))
-    env = ReconstructionEnv(truth, preset="fast", frame_budget=60, gains=(), config=SMALL, coverage_target=None)
+    env = ReconstructionEnv(truth, preset="fast", frame_budget=60, features=(), config=SMALL, coverage_target=None)
     env.reset(seed=3)
     yield env, truth
     env.close()

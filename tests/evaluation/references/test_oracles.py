@@ -72,7 +72,7 @@ def refining():
     """A box of which everything was seen, half of the frames spent: env and truth."""
     truth = ground_truth_of(load_scene("box"))
     config = {"sensor": {"width": 64, "height": 36}, "views.max_candidates": WHOLE_POOL}
-    env = ReconstructionEnv(truth, preset="fast", frame_budget=200, gains=(), config=config, coverage_target=None)
+    env = ReconstructionEnv(truth, preset="fast", frame_budget=200, features=(), config=config, coverage_target=None)
     env.reset(seed=3)
     while env.reconstruction.frames < 100:
         env.step(0)

@@ -19,7 +19,7 @@ def test_cells_and_strata(make_run):
     assert results.strata("a", "psnr") is None  # not defined on box
     (room,) = results.strata("a", "psnr", "room")
     assert room.tolist() == [1.0, 2.0]
-    assert results.strata("a", "planning_seconds", "box")[0].tolist() == [3.5]  # planning, gains, policy
+    assert results.strata("a", "planning_seconds", "box")[0].tolist() == [3.5]  # planning, features, policy
 
 
 def test_pictures_side_by_side_are_of_one_seed_that_with_the_median_result(make_run):

@@ -27,7 +27,7 @@ def test_measuring_a_run_again_asks_no_trust_for_a_policy_that_nobody_calls(tmp_
         "there is no such scene",
         "some_policy:Mine",
         0,
-        conditions=Conditions(overrides=(("gains", ("some_feature:mine",)),)),
+        conditions=Conditions(overrides=(("features", ("some_feature:mine",)),)),
     )
     with pytest.raises(InputError, match="trajectory.npz' is missing"):  # which is read after who is trusted
         measure_again(Run(tmp_path, "scene", job, {}, {}, {}), StandardProtocol())

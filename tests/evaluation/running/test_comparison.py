@@ -50,7 +50,7 @@ def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
     from activestructure_gym.policies import POLICIES, Greedy
 
     class Plain(Greedy):
-        required_gains = ("pixel",)
+        required_features = ("pixel",)
 
     monkeypatch.setitem(POLICIES._entries, "plain", Plain)
     specs = ["plain?travel=shared", "plain", "plain?travel=native"]

@@ -76,6 +76,6 @@ def test_a_first_comparison_compiles_these_kernels_and_no_others(tmp_path):
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "a"), "ASG_CACHE_DIR": str(tmp_path / "b")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
-    asked = kernels_of(warmup.all_gains(["random", "activestructure"]))
+    asked = kernels_of(warmup.all_features(["random", "activestructure"]))
     assert set(json.loads(done.stdout.splitlines()[-1])) == asked
     assert not_compiled(asked, (tmp_path / "a").rglob("*.kernel")) == set()

@@ -9,7 +9,7 @@ from activestructure_gym.compiling import ahead, files, progress
 from activestructure_gym.evaluation.running import warmup
 from activestructure_gym.evaluation.running.warmup import (
     Tally,
-    all_gains,
+    all_features,
     compile_map,
     holds,
     mark_of,
@@ -94,7 +94,7 @@ def test_no_mark_for_what_lies_outside_or_cannot_be_kept(room, monkeypatch):
     mine = type("Mine", (Policy,), {"__module__": "my_package", "act": lambda *_: 0})
     monkeypatch.setitem(POLICIES._entries, "mine", mine)
     assert mark_of(smallest_job(["mine"], {})) is None
-    assert mark_of(smallest_job(["random"], {"gains": "my_package:gain"})) is None
+    assert mark_of(smallest_job(["random"], {"features": "my_package:gain"})) is None
     assert mark_of(smallest_job(["random"], {})) is not None
     monkeypatch.setattr(files, "cache_place", lambda: None)
     assert mark_of(smallest_job(["random"], {})) is None
@@ -126,7 +126,7 @@ def test_a_kernel_counts_once_whichever_process_compiles_it():
 
 
 def test_every_feature_of_every_policy_is_asked_for():
-    found = all_gains(["random", "pixel_only", "activestructure", "pixel_only"])
+    found = all_features(["random", "pixel_only", "activestructure", "pixel_only"])
     assert found == ["deficiency", "pixel", "unknown_volume_way"]
 
 
@@ -138,7 +138,7 @@ def test_both_processes_do_their_part_of_the_work(monkeypatch):
 
     class Env:
         def __init__(self, **options):
-            done.append(options["gains"])
+            done.append(options["features"])
 
         step = close = reset = lambda self, *_, **__: None
 
@@ -146,6 +146,6 @@ def test_both_processes_do_their_part_of_the_work(monkeypatch):
     monkeypatch.setattr(episode, "run_job", lambda job, place: done.append(job.policy))
     monkeypatch.setattr(envs, "ReconstructionEnv", Env)
     compile_map()
-    play({"job": smallest_job(["random", "pixel_only"], {}).as_dict(), "gains": ["hole_area", "pixel"]})
+    play({"job": smallest_job(["random", "pixel_only"], {}).as_dict(), "features": ["hole_area", "pixel"]})
     assert done == ["map", "pixel_only", ["hole_area", "pixel"]]
     assert callable(warmup.warming_up)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.demonstrations import Demonstrations
 from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
@@ -24,12 +24,12 @@ CONFIG = TrainingConfig(method="bc", epochs=12, batch=32, validate_every=4, lear
 
 
 def demonstrations(seed: int, states: int = 240) -> Demonstrations:
-    """An expert who takes the product of both gains and the travel discount, which no single input shows."""
+    """An expert who takes the product of both features and the travel discount, which no single input shows."""
     rng = np.random.default_rng(seed)
     seen = [random_observation(rng, 16, int(rng.integers(2, 16)), 5) for _ in range(states)]
     observations = {key: np.stack([one[key] for one in seen]) for key in USED_KEYS}
-    frames = observations["candidates"][..., CANDIDATE_FEATURES.index("frames")]
-    scores = observations["candidate_gains"].prod(-1) / (1 + frames / 5) * observations["action_mask"]
+    frames = observations["candidates"][..., CANDIDATE_COLUMNS.index("frames")]
+    scores = observations["candidate_features"].prod(-1) / (1 + frames / 5) * observations["action_mask"]
     return Demonstrations(observations, scores.astype(np.float32), rng.random(states), np.arange(states) % 6 == 5)
 
 

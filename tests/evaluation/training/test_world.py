@@ -119,7 +119,7 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
 
 
 def test_without_light_nothing_that_is_learnt_from_changes() -> None:
-    world = replace(SMALL, frames=80, gains=("pixel", "hole_area", "structure", "unknown_volume"))
+    world = replace(SMALL, frames=80, features=("pixel", "hole_area", "structure", "unknown_volume"))
     truth = learning_truth("apartment?rooms=1&seed=300000")
     lit, unlit = truth.scene, load_scene("apartment?rooms=1&seed=300000&lit=false")
     np.testing.assert_array_equal(lit.mesh.vertices, unlit.mesh.vertices)
@@ -147,7 +147,7 @@ def test_layouts_are_lit_where_a_colour_could_be_seen() -> None:
     assert learning_layouts(WorldConfig(), "validation", 1) == ("apartment?rooms=1&seed=100000&lit=false",)
     for seeing in (
         {"preset": "default"},
-        {"gains": ("pixel", "fisherrf")},
+        {"features": ("pixel", "fisherrf")},
         {"overrides": (("mapper.iterations", 1),)},
     ):
         assert learning_layouts(WorldConfig(**seeing), "train", 1) == ("apartment?rooms=1&seed=300000",)
@@ -224,7 +224,7 @@ def test_asking_the_oracle_changes_nothing_and_no_policy_can_ask(box: Scene) -> 
     assert observations(ask=True) == observations(ask=False)
     assert not [name for name in POLICIES if "oracle" in name]
     with pytest.raises(InputError):
-        make_env(replace(SMALL, gains=("oracle",)), box)
+        make_env(replace(SMALL, features=("oracle",)), box)
 
 
 def test_the_oracle_is_ahead_of_random_choice(box: Scene) -> None:
@@ -268,7 +268,7 @@ def test_demonstrations_are_collected_once_and_go_on(tiny_layouts: None, tmp_pat
     valid = data.observations["action_mask"] > 0
     assert (data.scores[~valid] == 0).all() and data.scores[valid].max() > 0
     # The label is the truth, which no entry of the observation is.
-    for key in ("candidate_gains", "candidates"):
+    for key in ("candidate_features", "candidates"):
         for column in np.moveaxis(data.observations[key], -1, 0):
             assert not np.allclose(column[valid], data.scores[valid])
 
@@ -304,15 +304,17 @@ def test_a_greedy_expert_s_labels_are_its_gain(tiny_layouts: None, tmp_path: Pat
     config = TrainingConfig(world=replace(SMALL, layouts=1), episodes=1, teacher="structure", explore=0.0)
     demonstrations.collect(config, tmp_path)
     data = demonstrations.load(config, tmp_path)
-    assert data.observations["candidate_gains"].shape[-1] == 2  # the expert's own gain is no input
+    assert data.observations["candidate_features"].shape[-1] == 2  # the expert's own gain is no input
     assert data.scores.max() > 0
 
 
 def test_a_feature_of_several_columns_is_told_with_all_of_them(tiny_layouts: None, tmp_path: Path) -> None:
-    config = TrainingConfig(world=replace(SMALL, layouts=1, gains=("gs_planner", "pixel")), episodes=1, teacher="pixel")
-    assert config.network().gains == ("gs_planner_volume", "gs_planner_loss", "pixel")
+    config = TrainingConfig(
+        world=replace(SMALL, layouts=1, features=("gs_planner", "pixel")), episodes=1, teacher="pixel"
+    )
+    assert config.network().features == ("gs_planner_volume", "gs_planner_loss", "pixel")
     demonstrations.collect(config, tmp_path)
-    told = demonstrations.load(config, tmp_path).observations["candidate_gains"]
+    told = demonstrations.load(config, tmp_path).observations["candidate_features"]
     assert told.shape[-1] == 3 and told.any(axis=(0, 1))[[0, 2]].all()
 
 

@@ -132,7 +132,7 @@ def test_an_episode_runs_on_it(name):
         scene="box",
         preset="fast",
         frame_budget=25,
-        gains=("pixel", "hole_area"),
+        features=("pixel", "hole_area"),
         config={"mapper.name": name, "mapper.iterations": 1, "sensor.width": 48, "sensor.height": 27},
     )
     _, info = env.reset(seed=0)

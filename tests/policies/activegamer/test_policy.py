@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, row_columns
 from activestructure_gym.policies.activegamer.policy import (
     COARSE_DIRECTIONS,
     GOOD_PSNR,
@@ -33,14 +33,14 @@ def observation(
     revisit: tuple[int, ...] = (),
     fidelity: float = 20.0,
 ) -> dict[str, np.ndarray]:
-    table = np.zeros((len(gain), len(CANDIDATE_FEATURES)), np.float32)
+    table = np.zeros((len(gain), len(CANDIDATE_COLUMNS)), np.float32)
     table[:, :3] = positions
     table[:, 3:6] = [FORWARD] * len(gain) if looks is None else looks
-    table[:, CANDIDATE_FEATURES.index("frames")] = 5.0 if frames is None else frames
-    table[list(revisit), CANDIDATE_FEATURES.index("revisit")] = 1.0
+    table[:, CANDIDATE_COLUMNS.index("frames")] = 5.0 if frames is None else frames
+    table[list(revisit), CANDIDATE_COLUMNS.index("revisit")] = 1.0
     return {
         "candidates": table,
-        "candidate_gains": np.array(gain, np.float32)[:, None],
+        "candidate_features": np.array(gain, np.float32)[:, None],
         "action_mask": np.ones(len(gain), np.int8),
         "pose": np.array([*here, 1, 0, 0, 0], np.float32),
         "fidelity": np.array([fidelity, 30.0], np.float32),
@@ -81,7 +81,7 @@ def test_pathology_the_travel_factor_is_nearly_inert(rng: np.random.Generator) -
 
 def test_native_travel_is_hardly_felt_and_shared_travel_is() -> None:
     seen = observation([0.80, 0.81, *[0.1] * 30], [(0.5, 0, 0), (4.5, 0, 0), *[(5.0, i, 0) for i in range(30)]])
-    seen["candidates"][1, CANDIDATE_FEATURES.index("frames")] = 45.0
+    seen["candidates"][1, CANDIDATE_COLUMNS.index("frames")] = 45.0
     assert policy().act(seen) == 1
     assert policy("shared").act(seen) == 0
 
@@ -193,9 +193,9 @@ def lattice_views(stage: int, rows: list[tuple], psnr: float = 20.0) -> tuple[tu
         table[row, columns.index("stay")] = float(stage == 2)
     for row, other in enumerate(others):
         table[len(rows) + row, columns.index(f"ask_{other}")] = 1.0
-    gains = np.array([[share] for _, share in rows] + [[0.0]] * len(others), np.float32)
+    features = np.array([[share] for _, share in rows] + [[0.0]] * len(others), np.float32)
     return columns, {
-        "candidates": table, "candidate_gains": gains, "action_mask": np.ones(len(table), np.int8),
+        "candidates": table, "candidate_features": features, "action_mask": np.ones(len(table), np.int8),
         "pose": np.array([0, 0, 0, 0.5, 0.5, 0.5, 0.5], np.float32), "fidelity": np.array([psnr, psnr], np.float32),
     }  # fmt: skip
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.activepolicy import ActivePolicy
 from activestructure_gym.policies.activepolicy.policy import BEST, EPSILON, fiedler_centrality, relation
 from tests.policies.binding import bound
@@ -17,16 +17,16 @@ X, Y, Z = np.eye(3)
 def observation(views: list[tuple], *, planes: list | None = None, frames: list | None = None) -> dict[str, np.ndarray]:
     """Rows of (position, direction, gain), and one masked row."""
     count = len(views)
-    candidates = np.zeros((count + 1, len(CANDIDATE_FEATURES)), np.float32)
-    gains = np.zeros((count + 1, 1), np.float32)
+    candidates = np.zeros((count + 1, len(CANDIDATE_COLUMNS)), np.float32)
+    features = np.zeros((count + 1, 1), np.float32)
     for k, (position, direction, gain) in enumerate(views):
-        candidates[k, :3], candidates[k, 3:6], gains[k] = position, direction, gain
-    candidates[:count, CANDIDATE_FEATURES.index("frames")] = frames or [5.0] * count
+        candidates[k, :3], candidates[k, 3:6], features[k] = position, direction, gain
+    candidates[:count, CANDIDATE_COLUMNS.index("frames")] = frames or [5.0] * count
     seen = np.zeros((count + 1, 4), np.int8)
     if planes is not None:
         seen[:count] = planes
     return {
-        "candidates": candidates, "candidate_gains": gains, "candidate_planes": seen,
+        "candidates": candidates, "candidate_features": features, "candidate_planes": seen,
         "action_mask": (np.arange(count + 1) < count).astype(np.int8), "plane_mask": np.array([1, 1, 1, 0], np.int8),
     }  # fmt: skip
 
@@ -69,13 +69,13 @@ def test_relation_by_hand() -> None:
 
 
 def test_only_the_16_best_views_are_nodes(rng: np.random.Generator) -> None:
-    gains = rng.permutation(np.arange(1, 41)) / 40.0
-    views = [(rng.uniform(0, 5, 3), X, g) for g in gains]
+    features = rng.permutation(np.arange(1, 41)) / 40.0
+    views = [(rng.uniform(0, 5, 3), X, g) for g in features]
     policy = bound(ActivePolicy())
     choice = policy.act(observation(views))
-    assert gains[choice] > (40 - BEST) / 40.0
+    assert features[choice] > (40 - BEST) / 40.0
     assert policy.trace()["nodes"] == BEST
-    assert policy.trace()["rank_by_gain"] == round(40 * (1 - gains[choice]))
+    assert policy.trace()["rank_by_gain"] == round(40 * (1 - features[choice]))
 
 
 def test_views_without_gain_are_no_nodes_and_without_any_it_is_the_nearest() -> None:
@@ -84,7 +84,7 @@ def test_views_without_gain_are_no_nodes_and_without_any_it_is_the_nearest() -> 
     assert policy.act(observation([(X, X, 0.0), (Y, X, 0.0)], frames=[9.0, 3.0])) == 1
     assert policy.trace() == {"nodes": 0}
     observed = observation([(X, X, 0.0), (Y, X, 0.0)], frames=[9.0, 1.0])
-    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    observed["candidates"][1, CANDIDATE_COLUMNS.index("revisit")] = 1.0
     assert policy.act(observed) == 0
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.activesplat.nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
 from activestructure_gym.policies.activesplat.policy import (
     LATE_AFTER,
@@ -127,12 +127,12 @@ def observation(
 ) -> dict[str, np.ndarray]:
     """The agent looks along +x."""
     count = len(positions)
-    table = np.zeros((count, len(CANDIDATE_FEATURES)), np.float32)
+    table = np.zeros((count, len(CANDIDATE_COLUMNS)), np.float32)
     table[:, :2] = positions
     table[:, 3:6] = [AHEAD] * count if looks is None else looks
-    table[:, CANDIDATE_FEATURES.index("path_length")] = np.linalg.norm(np.subtract(positions, here), axis=1)
-    table[:, CANDIDATE_FEATURES.index("frames")] = 10.0 * table[:, CANDIDATE_FEATURES.index("path_length")] + 1.0
-    gains = np.zeros((count, len(COLUMNS)), np.float32)
+    table[:, CANDIDATE_COLUMNS.index("path_length")] = np.linalg.norm(np.subtract(positions, here), axis=1)
+    table[:, CANDIDATE_COLUMNS.index("frames")] = 10.0 * table[:, CANDIDATE_COLUMNS.index("path_length")] + 1.0
+    features = np.zeros((count, len(COLUMNS)), np.float32)
     for name, values in {
         "voronoi_node": node,
         "visited_distance": [2 * UNARRIVED_M] * count if visited is None else visited,
@@ -140,10 +140,10 @@ def observation(
         "activesplat_region": [1.0] * count,
         "activesplat_view": show,
     }.items():
-        gains[:, COLUMNS.index(name)] = values
+        features[:, COLUMNS.index(name)] = values
     return {
         "candidates": table,
-        "candidate_gains": gains,
+        "candidate_features": features,
         "action_mask": np.ones(count, np.int8),
         "pose": np.array([*here, 0.0, 0.5, 0.5, 0.5, 0.5], np.float32),
     }
@@ -182,14 +182,14 @@ def test_it_goes_on_to_where_it_has_not_stopped(travel: str) -> None:
         [(2.0, 0.0), (4.0, 0.0), (6.0, 0.0)], node=[0, 1, 2], show=[9.0, 5.0, 5.0], information=[9.0, 1.0, 1.0],
         visited=[0.0, 2 * UNARRIVED_M, 2 * UNARRIVED_M],
     )  # fmt: skip
-    seen["candidate_gains"][:, COLUMNS.index("in_horizon")] = [1.0, 0.0, 0.0]
+    seen["candidate_features"][:, COLUMNS.index("in_horizon")] = [1.0, 0.0, 0.0]
     made, chosen = policy(travel), []
     for _ in range(3):
         chosen.append(made.act(seen))
         seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
         lengths = np.linalg.norm(seen["candidates"][:, :2] - seen["pose"][:2], axis=1)
-        seen["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = lengths
-        seen["candidates"][:, CANDIDATE_FEATURES.index("frames")] = 10.0 * lengths + 1.0
+        seen["candidates"][:, CANDIDATE_COLUMNS.index("path_length")] = lengths
+        seen["candidates"][:, CANDIDATE_COLUMNS.index("frames")] = 10.0 * lengths + 1.0
     assert chosen == [0, 1, 2]  # and not back to the first, whose riches are more
 
 
@@ -202,10 +202,10 @@ def test_local_views_stay_around_the_stop() -> None:
     made = policy()
     assert made.act(seen) == 0
     seen["pose"][:3] = seen["candidates"][0, :3]
-    seen["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 0.7, 4.3]
+    seen["candidates"][:, CANDIDATE_COLUMNS.index("path_length")] = [0.0, 0.7, 4.3]
     assert made.act(seen) == 0
     # Nor do views count that are near, but behind a wall.
-    seen["candidates"][0, CANDIDATE_FEATURES.index("path_length")] = 5.0
+    seen["candidates"][0, CANDIDATE_COLUMNS.index("path_length")] = 5.0
     assert made.act(seen) == 2
 
 
@@ -226,9 +226,9 @@ def test_a_stop_near_an_earlier_one_has_no_local_views(away: float, mode: str) -
 def test_revisits_are_neither_local_views_nor_stand_for_a_node() -> None:
     seen = observation([(0.5, 0.0), (3.0, 0.0), (3.0, 0.5)], node=[-1, 0, 0], show=[500.0, 90.0, 1.0],
                        looks=[BACK, AHEAD, AHEAD])  # fmt: skip
-    seen["candidates"][:2, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    seen["candidates"][:2, CANDIDATE_COLUMNS.index("revisit")] = 1.0
     assert policy().act(seen) == 2
-    seen["candidate_gains"][:, COLUMNS.index("voronoi_node")] = -1.0
+    seen["candidate_features"][:, COLUMNS.index("voronoi_node")] = -1.0
     assert policy().act(seen) == 2  # nor are they taken where there is no node
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
 from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH
 from activestructure_gym.planes import PLANE_FEATURES
@@ -49,7 +49,7 @@ def planes(visible: list, quality: list, surprise: list, structural: list, area:
 
 
 def observation(
-    gains: list,  # [K, G]
+    features: list,  # [K, G]
     *,
     frames: list | None = None,  # [K]
     revisit: tuple[int, ...] = (),  # rows
@@ -60,13 +60,13 @@ def observation(
     fidelity: float = 30.0,
 ) -> dict[str, np.ndarray]:
     """An observation with one candidate more than there are, and one plane more: both masked."""
-    count, known = len(gains), len(quality)
+    count, known = len(features), len(quality)
     rows, nodes = count + 1, known + 1
-    candidates = np.zeros((rows, len(CANDIDATE_FEATURES)), np.float32)
-    candidates[:count, CANDIDATE_FEATURES.index("frames")] = [5.0] * count if frames is None else frames
-    candidates[list(revisit), CANDIDATE_FEATURES.index("revisit")] = 1.0
-    table = np.zeros((rows, np.shape(gains)[1]), np.float32)
-    table[:count] = gains
+    candidates = np.zeros((rows, len(CANDIDATE_COLUMNS)), np.float32)
+    candidates[:count, CANDIDATE_COLUMNS.index("frames")] = [5.0] * count if frames is None else frames
+    candidates[list(revisit), CANDIDATE_COLUMNS.index("revisit")] = 1.0
+    table = np.zeros((rows, np.shape(features)[1]), np.float32)
+    table[:count] = features
     features = np.zeros((nodes, len(PLANE_FEATURES)), np.float32)
     q, phi = np.array(quality), np.array(surprise)
     columns = {"quality": q, "surprise": phi, "deficit": (1 - q) * phi, "structural": structural, "area": 1.0}
@@ -77,7 +77,7 @@ def observation(
         seen[:count, :known] = visible
     return {
         "candidates": candidates,
-        "candidate_gains": table,
+        "candidate_features": table,
         "action_mask": (np.arange(rows) < count).astype(np.int8),
         "candidate_planes": seen,
         "plane_mask": (np.arange(nodes) < known).astype(np.int8),
@@ -244,20 +244,20 @@ def test_rung_b_ignores_surprise_and_rung_c_does_not() -> None:
 
 @pytest.mark.parametrize("policy", [ActiveStructureB, ActiveStructureC, ActiveStructure])
 def test_a_revisit_is_not_chosen_while_another_view_has_something_to_gain(policy: type) -> None:
-    extra = [0.0] * (len(policy().required_gains) - 1)
-    gains = [[0.9, *extra], [0.2, *extra], [0.15, *extra]]
+    extra = [0.0] * (len(policy().required_features) - 1)
+    features = [[0.9, *extra], [0.2, *extra], [0.15, *extra]]
     frames = [1.0, 20.0, 40.0]
-    assert bound(policy()).act(observation(gains, frames=frames)) == 0
-    assert bound(policy()).act(observation(gains, frames=frames, revisit=(0,))) == 1
-    assert bound(policy()).act(observation(gains, frames=frames, revisit=(0, 1))) == 2
+    assert bound(policy()).act(observation(features, frames=frames)) == 0
+    assert bound(policy()).act(observation(features, frames=frames, revisit=(0,))) == 1
+    assert bound(policy()).act(observation(features, frames=frames, revisit=(0, 1))) == 2
 
 
 @pytest.mark.parametrize(("discovery", "column"), [("pixel", "pixel"), ("unknown_volume", "unknown_volume_way")])
 @pytest.mark.parametrize("name", ["activestructure-b", "activestructure-d", "activestructure"])
 def test_every_rung_stands_on_any_gain_of_discovery(name: str, discovery: str, column: str) -> None:
     policy = make_policy(f"{name}?discovery={discovery}")
-    assert policy.required_gains[0] == column
-    rest = [0.0] * (len(policy.required_gains) - 1)
+    assert policy.required_features[0] == column
+    rest = [0.0] * (len(policy.required_features) - 1)
     policy.reset(0)
     assert bound(policy).act(observation([[0.2, *rest], [0.9, *rest], [0.5, *rest]])) == 1
 
@@ -274,10 +274,10 @@ def test_on_another_base_than_pixels_each_rung_differs_from_the_next_in_one_thin
 
 def test_on_another_base_a_plane_weighs_what_it_weighs_in_the_full_model() -> None:
     def chosen(policy: Policy, found: float) -> int:
-        gains = [[0.0] * len(policy.required_gains) for _ in range(2)]
-        gains[0][0] = found
+        features = [[0.0] * len(policy.required_features) for _ in range(2)]
+        features[0][0] = found
         return bound(policy).act(
-            observation(gains, visible=[[0], [1]], quality=(0.5,), surprise=(0.5,), structural=(1,))
+            observation(features, visible=[[0], [1]], quality=(0.5,), surprise=(0.5,), structural=(1,))
         )
 
     for rung in (ActiveStructureB, ActiveStructureC, ActiveStructureD, ActiveStructure):
@@ -318,8 +318,8 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
     policy.reset(0)
     names = []
     rich, poor = [[0.5, 0.0]] * 3, [[0.02, 0.0]] * 3  # poor: enough for phase II, not for phase I
-    for gains in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
-        policy.act(observation(gains))
+    for features in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
+        policy.act(observation(features))
         names.append(policy.trace()["phase"])
     changes = [40 + PATIENCE - 1, 40 + PATIENCE + 40 + PATIENCE - 1]
     expected = [PHASES[sum(t >= change for change in changes)].name for t in range(len(names))]
@@ -328,11 +328,11 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
 
 def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
     policy = in_last_phase()
-    gains, frames = [[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], [5.0, 5.0, 40.0]
+    features, frames = [[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], [5.0, 5.0, 40.0]
 
     def chosen(place: float, fidelity: float = GOOD_PSNR - 0.1, masked: bool = False) -> tuple[int, str | None]:
-        observed = observation(gains, frames=frames, revisit=(2,), fidelity=fidelity)
-        observed["candidates"][2, CANDIDATE_FEATURES.index("x")] = place
+        observed = observation(features, frames=frames, revisit=(2,), fidelity=fidelity)
+        observed["candidates"][2, CANDIDATE_COLUMNS.index("x")] = place
         observed["action_mask"][2] = not masked
         return policy.act(observed), policy.trace()["settled"]
 
@@ -353,7 +353,7 @@ def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:
 
     def revisits(fidelity: float, place: float) -> bool:
         observed = observation([[0.3, 0.0], [0.0, 0.0]], revisit=(1,), fidelity=fidelity)
-        observed["candidates"][1, CANDIDATE_FEATURES.index("x")] = place
+        observed["candidates"][1, CANDIDATE_COLUMNS.index("x")] = place
         return policy.act(observed) == 1 and not policy.trace()["settled"]
 
     psnr, place = 25.0, 0.0

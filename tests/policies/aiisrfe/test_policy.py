@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.aiisrfe import Aiisrfe
 from tests.policies.binding import bound
 
 
 def views(rows: list[tuple], near: int, total: int) -> dict[str, np.ndarray]:
     """Rows of (x, way, frontier, uncertainty)."""
-    table = np.zeros((len(rows), len(CANDIDATE_FEATURES)), np.float32)
+    table = np.zeros((len(rows), len(CANDIDATE_COLUMNS)), np.float32)
     for name, column in (("x", 0), ("path_length", 1), ("frames", 1)):
-        table[:, CANDIDATE_FEATURES.index(name)] = [row[column] for row in rows]
-    gains = np.array([[frontier, near, total, unsure] for _, _, frontier, unsure in rows], np.float32)
-    return {"candidates": table, "candidate_gains": gains, "action_mask": np.ones(len(rows), np.int8)}
+        table[:, CANDIDATE_COLUMNS.index(name)] = [row[column] for row in rows]
+    features = np.array([[frontier, near, total, unsure] for _, _, frontier, unsure in rows], np.float32)
+    return {"candidates": table, "candidate_features": features, "action_mask": np.ones(len(rows), np.int8)}
 
 
 # x, way, frontier, uncertainty: unsure surface beside the agent, a frontier at 3 m and one at -4 m.
@@ -65,7 +65,7 @@ def test_tasks_of_surface_stand_apart() -> None:
     places = [(0.0, 0.9), (0.5, 0.8), (1.5, 0.7), (3.0, 0.6), (9.0, 0.5), (12.0, 0.0)]
     crowd = [(x, 1.0, -1, unsure) for x, unsure in places]
     observed = views(crowd, 0, 0)
-    rows = most_unsure(policy.candidates(observed), observed["candidate_gains"][:, 3])
+    rows = most_unsure(policy.candidates(observed), observed["candidate_features"][:, 3])
     assert rows == [0, 2, 3]
 
 

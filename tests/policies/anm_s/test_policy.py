@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import make_policy
 from activestructure_gym.policies.activeinr import ActiveINR
@@ -18,17 +18,17 @@ X, Y, Z = np.eye(3)
 
 
 def observation(rows: list[dict], names: tuple[str, ...], *, pose: np.ndarray = np.zeros(3), budget: float = 1.0):  # noqa: B008
-    """Rows with ``at``, ``look``, ``path``, ``frames``, ``revisit`` and the gains by name; one masked row follows."""
+    """Rows with ``at``, ``look``, ``path``, ``frames``, ``revisit`` and features by name; one masked row follows."""
     count = len(rows)
-    candidates = np.zeros((count + 1, len(CANDIDATE_FEATURES)), np.float32)
-    gains = np.zeros((count + 1, len(names)), np.float32)
+    candidates = np.zeros((count + 1, len(CANDIDATE_COLUMNS)), np.float32)
+    features = np.zeros((count + 1, len(names)), np.float32)
     for k, row in enumerate(rows):
         path = row.get("path", 1.0)
         candidates[k] = [*row["at"], *row.get("look", X), path, row.get("frames", 10 * path), row.get("revisit", 0)]
-        gains[k] = [row.get(name, 0.0) for name in names]
+        features[k] = [row.get(name, 0.0) for name in names]
     return {
         "candidates": candidates,
-        "candidate_gains": gains,
+        "candidate_features": features,
         "action_mask": (np.arange(count + 1) < count).astype(np.int8),
         "pose": np.array([*pose, 1, 0, 0, 0], np.float32),
         "budget": np.array([budget], np.float32),
@@ -246,8 +246,8 @@ def test_without_a_cluster_the_nearest_and_no_target_is_kept() -> None:
 @pytest.mark.parametrize("name", ["anm_s", "activeinr"])
 def test_the_proxy_is_an_option_that_asks_for_other_gains(name: str) -> None:
     usual, proxy = make_policy(name), make_policy(f"{name}?uncertainty=proxy")
-    assert any(gain.startswith(f"{name}_proxy") for gain in proxy.required_gains)
-    assert not any("proxy" in gain for gain in usual.required_gains)
+    assert any(gain.startswith(f"{name}_proxy") for gain in proxy.required_features)
+    assert not any("proxy" in gain for gain in usual.required_features)
     proxy.bind(columns(proxy))
     with pytest.raises(InputError, match="option uncertainty must be perturbation or proxy, got 'guess'"):
         make_policy(f"{name}?uncertainty=guess")

@@ -67,7 +67,7 @@ def test_revisits_by_hand() -> None:
 
 
 def test_the_memory_counts_views_that_were_chosen_and_no_keyframes_on_the_way() -> None:
-    config = configure("fast", {"frame_budget": 200, "gains": ("gauss_mi",), "keyframe_every": 2})
+    config = configure("fast", {"frame_budget": 200, "features": ("gauss_mi",), "keyframe_every": 2})
     episode = Reconstruction(config)
     episode.start(ground_truth_of(load_scene("box")), seed=0)
     while episode.decisions < FEW + 1 and not episode.exhausted:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.gs_planner.policy import (
     MIN_GAIN,
     QUALITY_WEIGHT,
@@ -27,15 +27,15 @@ def observation(
     loss: list[float] | None = None,
     looks: list[tuple[float, float, float]] | None = None,
 ) -> dict[str, np.ndarray]:
-    table = np.zeros((len(gain) + 1, len(CANDIDATE_FEATURES)), np.float32)  # the last row is masked
-    table[:-1, 0] = table[:-1, CANDIDATE_FEATURES.index("path_length")] = x
-    table[:-1, CANDIDATE_FEATURES.index("frames")] = 10.0 * np.array(x)
+    table = np.zeros((len(gain) + 1, len(CANDIDATE_COLUMNS)), np.float32)  # the last row is masked
+    table[:-1, 0] = table[:-1, CANDIDATE_COLUMNS.index("path_length")] = x
+    table[:-1, CANDIDATE_COLUMNS.index("frames")] = 10.0 * np.array(x)
     table[:-1, 3:6] = [AHEAD] * len(gain) if looks is None else looks
-    gains = np.ones((len(gain) + 1, 2), np.float32)
-    gains[:-1, 0], gains[:-1, 1] = gain, 0.0 if loss is None else loss
+    features = np.ones((len(gain) + 1, 2), np.float32)
+    features[:-1, 0], features[:-1, 1] = gain, 0.0 if loss is None else loss
     return {
         "candidates": table,
-        "candidate_gains": gains,
+        "candidate_features": features,
         "action_mask": np.array([1] * len(gain) + [0], np.int8),
     }
 
@@ -51,7 +51,7 @@ def test_the_sum_by_hand() -> None:
     made = policy()
     assert made.act(seen) == 1  # 0.28 + 0.04 against 0.30 + 0.01
     assert made.trace()["volume"] == pytest.approx(0.28)
-    seen["candidate_gains"][1, 1] = 0.1 + 0.01 / QUALITY_WEIGHT
+    seen["candidate_features"][1, 1] = 0.1 + 0.01 / QUALITY_WEIGHT
     assert made.act(seen) == 0
 
 
@@ -78,7 +78,7 @@ def test_native_looks_no_farther_than_the_nearest_viewpoints_and_shared_weighs_t
     assert policy().act(seen) == VIEWPOINTS - 1  # 0.8 lies one place too far
     # 0.1 / 7 at 30 frames, 0.2 / 25 at 120, 0.8 / 61 at 300
     assert policy("shared").act(seen) == 0
-    seen["candidate_gains"][VIEWPOINTS, 0] = 0.9
+    seen["candidate_features"][VIEWPOINTS, 0] = 0.9
     assert policy("shared").act(seen) == VIEWPOINTS
 
 

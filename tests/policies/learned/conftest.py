@@ -14,7 +14,7 @@ from tests.policies.learned.toys import Observation, random_observation
 def make_observation(rng: np.random.Generator) -> Callable[..., Observation]:
     """``make_observation(rows=.., valid=.., planes=..)``, another one at every call."""
 
-    def make(rows: int = 16, valid: int = 9, planes: int = 7, gains: int = 2) -> Observation:
-        return random_observation(rng, rows, valid, planes, gains)
+    def make(rows: int = 16, valid: int = 9, planes: int = 7, features: int = 2) -> Observation:
+        return random_observation(rng, rows, valid, planes, features)
 
     return make

@@ -48,7 +48,7 @@ def test_found_by_every_form_of_its_name(checkpoint: Path) -> None:
     forms = (checkpoint, folder, checkpoint.with_suffix(""), checkpoint.with_suffix(".json"))
     kinds = [POLICIES.get(f"learned:{place}") for place in forms]
     assert {kind.spec for kind in kinds} == {kinds[0].spec}
-    assert kinds[0].required_gains == ("pixel", "hole_area")
+    assert kinds[0].required_features == ("pixel", "hole_area")
     assert POLICIES.get(kinds[0].spec).spec == kinds[0].spec
     with pytest.raises(InputError, match="no file"):
         POLICIES.get(f"learned:{folder / 'other'}")
@@ -59,7 +59,7 @@ def test_our_own_ships_with_the_package() -> None:
     assert (
         kind.spec == "learned"
         and kind.checkpoint == SHIPPED
-        and set(kind.required_gains) == {"pixel", "hole_area", "unknown_volume", "unknown_volume_way"}
+        and set(kind.required_features) == {"pixel", "hole_area", "unknown_volume", "unknown_volume_way"}
     )
     assert sum(path.stat().st_size for path in SHIPPED.parent.iterdir()) < 2_000_000
     told = json.loads(SHIPPED.with_suffix(".json").read_text())["trained"]
@@ -116,10 +116,10 @@ def described(checkpoint: Path, place: Path, **changes: object) -> Path:
         ({"planes": 100_000}, "planes of the network must be a whole number from 1 to 1024, got 100000"),
         ({"candidates": 2**40}, "candidates of the network must be a whole number from 1 to 1024"),
         ({"rounds": 10**9}, "rounds of the network must be a whole number from 0 to 16"),
-        ({"gains": 5}, "a list of gains by name, got 5"),
-        ({"gains": "pixel"}, "a list of gains by name, got 'pixel'"),
-        ({"gains": ["pixel"] * 65}, "1 to 64 gains, got 65"),
-        ({"gains": ["os:system"]}, "b.json' names the feature 'os:system', and to load it would run code"),
+        ({"features": 5}, "a list of features by name, got 5"),
+        ({"features": "pixel"}, "a list of features by name, got 'pixel'"),
+        ({"features": ["pixel"] * 65}, "1 to 64 features, got 65"),
+        ({"features": ["os:system"]}, "b.json' names the feature 'os:system', and to load it would run code"),
         ({"more": 1}, "a network is described by"),
     ],
 )
@@ -176,8 +176,8 @@ def test_gains_are_found_by_name(checkpoint: Path, make_observation) -> None:
     with pytest.raises(InputError, match=r"does not know which column .* call policy.bind\(env\)"):
         other.act(observation)
     other.bind(("hole_area", "structure", "pixel"))
-    pixel, hole_area = observation["candidate_gains"].T
-    wider = observation | {"candidate_gains": np.stack([hole_area, pixel * 7, pixel], axis=1)}
+    pixel, hole_area = observation["candidate_features"].T
+    wider = observation | {"candidate_features": np.stack([hole_area, pixel * 7, pixel], axis=1)}
     np.testing.assert_array_equal(other.scores(wider), policy.scores(observation))
 
 

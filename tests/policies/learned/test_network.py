@@ -38,7 +38,7 @@ def test_renumbering_candidates_renumbers_the_scores(network, make_observation, 
     observation = make_observation(rows=64, valid=40, planes=20)
     scores, value = run(network, observation)
     order = rng.permutation(64)
-    by_row = ("candidates", "candidate_gains", "action_mask", "candidate_planes")
+    by_row = ("candidates", "candidate_features", "action_mask", "candidate_planes")
     moved, moved_value = run(network, observation | {key: observation[key][order] for key in by_row})
     np.testing.assert_allclose(moved, scores[order], atol=1e-4)
     assert moved_value == pytest.approx(value, abs=1e-4)
@@ -78,7 +78,7 @@ def test_more_empty_rows_change_nothing(network, make_observation) -> None:
     def wider(key: str, by: tuple[tuple[int, int], ...]) -> np.ndarray:
         return np.pad(observation[key], by)
 
-    rows = {key: wider(key, ((0, 5), (0, 0))) for key in ("candidates", "candidate_gains")}
+    rows = {key: wider(key, ((0, 5), (0, 0))) for key in ("candidates", "candidate_features")}
     rows["action_mask"] = wider("action_mask", ((0, 5),))
     rows["plane_features"] = wider("plane_features", ((0, 3), (0, 0)))
     rows["plane_mask"] = wider("plane_mask", ((0, 3),))
@@ -154,7 +154,7 @@ def test_pooling_and_links_by_hand() -> None:
 
 
 def test_gains_by_hand() -> None:
-    sizes = inputs.gain_sizes(torch.tensor([0.0, 0.999, -0.999])).tolist()
+    sizes = inputs.feature_sizes(torch.tensor([0.0, 0.999, -0.999])).tolist()
     assert sizes == pytest.approx([0, np.log(1000) / 7, -np.log(1000) / 7], abs=1e-4)
 
 
@@ -199,10 +199,10 @@ def test_a_critic_that_knows_nothing_bends_nothing(network, make_observation) ->
 
 
 def test_the_configuration_is_checked_and_returns_from_json() -> None:
-    config = NetworkConfig(gains=("pixel",), planes=8)
+    config = NetworkConfig(features=("pixel",), planes=8)
     assert NetworkConfig.from_dict(config.as_dict()) == config
-    for wrong in ({"gains": ()}, {"planes": 0}, {"rounds": 1.5}):
+    for wrong in ({"features": ()}, {"planes": 0}, {"rounds": 1.5}):
         with pytest.raises(InputError):
             NetworkConfig(**wrong)
     with pytest.raises(InputError, match="is described by"):
-        NetworkConfig.from_dict({"gains": ["pixel"]})
+        NetworkConfig.from_dict({"features": ["pixel"]})

@@ -19,7 +19,7 @@ from activestructure_gym.policies.learned import CandidatePolicy, with_used_keys
 from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.sb3 import CandidateHeads
-from tests.policies.learned.toys import GAINS, RandomCandidates
+from tests.policies.learned.toys import FEATURES, RandomCandidates
 
 Algorithm = tuple[type[OnPolicyAlgorithm], type[CandidateHeads]]
 
@@ -54,7 +54,7 @@ def test_it_learns_on_an_environment_of_ours(algorithm: Algorithm) -> None:
     )
     model = kind(policy, with_used_keys(env), n_steps=8, batch_size=8, n_epochs=1, seed=0, device="cpu")  # type: ignore[call-arg]
     before = {name: value.clone() for name, value in model.policy.network.state_dict().items()}
-    assert model.policy.network.config.gains == ("pixel",)  # as the env says
+    assert model.policy.network.config.features == ("pixel",)  # as the env says
     model.learn(24)
     after = model.policy.network.state_dict()
     assert all(torch.isfinite(value).all() for value in after.values())
@@ -123,7 +123,7 @@ def test_a_policy_begins_from_a_checkpoint(model: OnPolicyAlgorithm, tmp_path: P
     assert not all(torch.equal(kept[name], value) for name, value in policy.network.state_dict().items())
     policy.begin_from(tmp_path / "start")
     assert all(torch.equal(kept[name], value) for name, value in policy.network.state_dict().items())
-    other = type(policy.network)(NetworkConfig(gains=("a", "b", "c")))
+    other = type(policy.network)(NetworkConfig(features=("a", "b", "c")))
     save_checkpoint(tmp_path / "other.safetensors", other, {})
     with pytest.raises(InputError, match="another network"):
         policy.begin_from(tmp_path / "other")
@@ -135,7 +135,7 @@ def test_what_was_trained_takes_part_in_comparisons(model: OnPolicyAlgorithm, tm
     assert model.policy.save_learned(place) == tmp_path / "folder" / "mine.v2.safetensors"
     assert model.policy.save_learned(tmp_path / "b.json") == find_checkpoint(tmp_path / "b.json")
     policy = make_policy(f"learned:{place}")
-    assert policy.required_gains == GAINS
+    assert policy.required_features == FEATURES
     env = RandomCandidates(images=True)
     policy.bind(env)  # type: ignore[arg-type]
     policy.reset(0)
@@ -152,11 +152,11 @@ def test_what_is_saved_into_a_folder_that_is_there_is_what_plays_by_its_name(
 ) -> None:
     assert isinstance(model.policy, CandidateHeads)
     run = tmp_path / "run"  # as `asg train` leaves it, with another network
-    save_checkpoint(run / "best.safetensors", type(model.policy.network)(NetworkConfig(gains=("a", "b", "c"))), {})
+    save_checkpoint(run / "best.safetensors", type(model.policy.network)(NetworkConfig(features=("a", "b", "c"))), {})
     for place in (run, tmp_path / "empty.v2", tmp_path / "called.json"):
         place.mkdir(exist_ok=True)
         assert model.policy.save_learned(place) == place / "best.safetensors" == find_checkpoint(place)
-        assert make_policy(f"learned:{place}").required_gains == GAINS
+        assert make_policy(f"learned:{place}").required_features == FEATURES
         assert not place.with_name(f"{place.name}.safetensors").exists()
 
 
@@ -181,31 +181,31 @@ def test_a_mask_that_a_wrapper_has_scaled_is_refused() -> None:
         PPO(CandidatePolicy, env, n_steps=8, batch_size=8).learn(8)
 
 
-@pytest.mark.parametrize("gains", [("a", "b", "c"), ("a", "b"), tuple(reversed(GAINS))])
-def test_a_network_for_other_gains_is_refused_even_if_there_are_as_many(gains: tuple[str, ...]) -> None:
-    described = {"network": NetworkConfig(gains=gains).as_dict()}
+@pytest.mark.parametrize("features", [("a", "b", "c"), ("a", "b"), tuple(reversed(FEATURES))])
+def test_a_network_for_other_features_is_refused_even_if_there_are_as_many(features: tuple[str, ...]) -> None:
+    described = {"network": NetworkConfig(features=features).as_dict()}
     with pytest.raises(
-        InputError, match=f"made for the gains {', '.join(gains)}, the env offers pixel, hole_area: make"
+        InputError, match=f"made for the features {', '.join(features)}, the env offers pixel, hole_area: make"
     ):
         PPO(CandidatePolicy, RandomCandidates(), policy_kwargs=described)
 
 
 def test_columns_without_names_are_no_gains() -> None:
     env = RandomCandidates()
-    env.observation_space["candidate_gains"] = gym.spaces.Box(-1e4, 1e7, (16, 2), np.float32)
-    with pytest.raises(InputError, match="does not say which features stand in the columns of candidate_gains"):
+    env.observation_space["candidate_features"] = gym.spaces.Box(-1e4, 1e7, (16, 2), np.float32)
+    with pytest.raises(InputError, match="does not name the columns of candidate_features"):
         PPO(CandidatePolicy, env)
-    described = PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(gains=GAINS).as_dict()})
-    assert described.policy.network.config.gains == GAINS
-    with pytest.raises(InputError, match="the env offers 2 gains"):
-        PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(gains=("a", "b", "c")).as_dict()})
+    described = PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(features=FEATURES).as_dict()})
+    assert described.policy.network.config.features == FEATURES
+    with pytest.raises(InputError, match="the env offers 2 features"):
+        PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(features=("a", "b", "c")).as_dict()})
 
 
 def test_a_stored_model_is_not_loaded_onto_other_gains(model: OnPolicyAlgorithm, tmp_path: Path) -> None:
     model.save(tmp_path / "model.zip")
     type(model).load(tmp_path / "model.zip", env=RandomCandidates(images=True), device="cpu")
     other = RandomCandidates(images=True)
-    table = other.observation_space["candidate_gains"]
-    other.observation_space["candidate_gains"] = Table(tuple(reversed(GAINS)), table.low, table.high)
+    table = other.observation_space["candidate_features"]
+    other.observation_space["candidate_features"] = Table(tuple(reversed(FEATURES)), table.low, table.high)
     with pytest.raises(ValueError, match="Observation spaces do not match"):
         type(model).load(tmp_path / "model.zip", env=other, device="cpu")

@@ -1,4 +1,4 @@
-"""Observations of no world: random candidates, gains and planes, of the shapes and ranges of the real ones."""
+"""Observations of no world: random candidates, features and planes, of the shapes and ranges of the real ones."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, Table
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, Table
 from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW
 
 Observation = dict[str, np.ndarray]
-GAINS = ("pixel", "hole_area")
+FEATURES = ("pixel", "hole_area")
 
 
-def random_observation(rng: np.random.Generator, rows: int, valid: int, planes: int, gains: int = 2) -> Observation:
+def random_observation(rng: np.random.Generator, rows: int, valid: int, planes: int, features: int = 2) -> Observation:
     """``valid`` of the rows and all but one of the planes are there; empty rows are 0, as the env leaves them."""
     mask = np.zeros(rows, np.int8)
     mask[rng.permutation(rows)[:valid]] = 1
     present = np.zeros(planes, np.int8)
     present[: planes - 1] = 1
-    candidates = rng.uniform(-4, 4, (rows, len(CANDIDATE_FEATURES))).astype(np.float32)
+    candidates = rng.uniform(-4, 4, (rows, len(CANDIDATE_COLUMNS))).astype(np.float32)
     candidates[:, 3:6] /= np.linalg.norm(candidates[:, 3:6], axis=1, keepdims=True)
     candidates[:, 6:8] = np.abs(candidates[:, 6:8]) * 5
     candidates[:, 8] = rng.integers(0, 2, rows)
@@ -33,7 +33,7 @@ def random_observation(rng: np.random.Generator, rows: int, valid: int, planes: 
         "pose": np.concatenate([rng.uniform(-2, 2, 3), quaternion / np.linalg.norm(quaternion)]).astype(np.float32),
         "budget": rng.random(1).astype(np.float32),
         "candidates": candidates * mask[:, None],
-        "candidate_gains": rng.random((rows, gains)).astype(np.float32) * mask[:, None],
+        "candidate_features": rng.random((rows, features)).astype(np.float32) * mask[:, None],
         "action_mask": mask,
         "plane_features": rng.uniform(low, high, (planes, len(low))).astype(np.float32) * present[:, None],
         "plane_mask": present,
@@ -50,7 +50,7 @@ class RandomCandidates(gym.Env[dict[str, Any], np.int64]):
         example = random_observation(np.random.default_rng(0), rows, rows, planes)
         self.observation_space = spaces.Dict(
             {key: spaces.Box(-1e4, 1e7, value.shape, np.float32) for key, value in example.items()}
-            | {"candidate_gains": Table(GAINS, np.zeros((rows, 2), np.float32), np.ones((rows, 2), np.float32))}
+            | {"candidate_features": Table(FEATURES, np.zeros((rows, 2), np.float32), np.ones((rows, 2), np.float32))}
             | ({"rgb": spaces.Box(0, 255, (4, 6, 3), np.uint8)} if images else {})
         )
         self.action_space = spaces.Discrete(len(example["action_mask"]))
@@ -71,6 +71,6 @@ class RandomCandidates(gym.Env[dict[str, Any], np.int64]):
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict]:
         assert self.last["action_mask"][action] == 1, "a masked row"
-        gains = np.where(self.last["action_mask"], self.last["candidate_gains"][:, 0], -1)
+        features = np.where(self.last["action_mask"], self.last["candidate_features"][:, 0], -1)
         self.steps += 1
-        return self._observe(), float(action == gains.argmax()), False, self.steps >= 5, {}
+        return self._observe(), float(action == features.argmax()), False, self.steps >= 5, {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.naruto.policy import AT_GOAL, forward, looked_at
@@ -21,17 +21,17 @@ def observation(
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """Rows of (position, direction, score); ``lists`` of targets by row; the camera looks along x, turned about z."""
     count = len(rows)
-    candidates = np.zeros((count + 1, len(CANDIDATE_FEATURES)), np.float32)
-    gains = np.zeros((count + 1, 1 + 30), np.float32)
+    candidates = np.zeros((count + 1, len(CANDIDATE_COLUMNS)), np.float32)
+    features = np.zeros((count + 1, 1 + 30), np.float32)
     for k, (position, direction, score) in enumerate(rows):
         candidates[k, :3], candidates[k, 3:6] = position, np.asarray(direction) / np.linalg.norm(direction)
-        gains[k, 0] = score
+        features[k, 0] = score
         listed = np.tile(np.asarray(position, float), (10, 1))
         for rank, target in enumerate((lists or {}).get(k, [])):
             listed[rank] = target
-        gains[k, 1:] = listed.ravel()
-    candidates[:count, CANDIDATE_FEATURES.index("frames")] = frames or [5.0] * count
-    candidates[list(revisit), CANDIDATE_FEATURES.index("revisit")] = 1.0
+        features[k, 1:] = listed.ravel()
+    candidates[:count, CANDIDATE_COLUMNS.index("frames")] = frames or [5.0] * count
+    candidates[list(revisit), CANDIDATE_COLUMNS.index("revisit")] = 1.0
     # The camera's z axis along x is a turn of 90 degrees about y; then the turn about the world's z.
     half = np.radians(turn_deg) / 2
     a, b = np.array([np.cos(half), 0, 0, np.sin(half)]), np.array([np.sqrt(0.5), 0, np.sqrt(0.5), 0])
@@ -39,7 +39,7 @@ def observation(
     quaternion = np.concatenate([[w], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])])
     return {
         "candidates": candidates,
-        "candidate_gains": gains,
+        "candidate_features": features,
         "action_mask": (np.arange(count + 1) < count).astype(np.int8),
         "pose": np.concatenate([pose, quaternion]).astype(np.float32),
     }
@@ -144,7 +144,7 @@ def test_reset_forgets_the_list() -> None:
 def test_without_a_target_in_reach_of_anything_it_is_the_nearest(travel: str) -> None:
     observed = observation([(X, X, 0.0), (Y, X, 0.0), (Z, X, 0.0)], frames=[9.0, 2.0, 5.0])
     assert bound(Naruto(travel)).act(observed) == 1
-    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    observed["candidates"][1, CANDIDATE_COLUMNS.index("revisit")] = 1.0
     assert bound(Naruto(travel)).act(observed) == 2
 
 

@@ -30,8 +30,8 @@ def test_a_near_view_goes_first() -> None:
 
 def test_with_the_same_gain_the_rungs_choose_as_it_does_where_no_plane_is() -> None:
     ours, rung = bound(make_policy("unseen")), bound(make_policy("activestructure-b?discovery=unseen"))
-    gains = np.random.default_rng(0).uniform(0, 1, (30, 12, 2))
-    for table in gains:
+    features = np.random.default_rng(0).uniform(0, 1, (30, 12, 2))
+    for table in features:
         told = observation(table.tolist())
         assert ours.act(told) == rung.act(told)
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.features import column_names
 from activestructure_gym.mapping import BaseMapperConfig, MapperConfig
 from activestructure_gym.mapping.registry import mapper_config
@@ -47,7 +47,7 @@ class ReconstructionConfig:
                 f"the frame budget must be at least 1, got {self.frame_budget}: every frame the camera moves costs one"
             )
         if self.frame_budget > MAX_FRAMES:
-            raise InputError(f"the frame budget must be at most {MAX_FRAMES}, got {shown(self.frame_budget)}")
+            raise InputError(f"the frame budget must be at most {MAX_FRAMES}, got {short_repr(self.frame_budget)}")
         check_ranges(self, {"keyframe_every": f"[1, {MAX_FRAMES}]", "revisit_rounds": "[1, 1000]"})
         factor, width, height = self.mapper.keyframe_reduction, self.sensor.width, self.sensor.height
         if width % factor or height % factor:
@@ -153,7 +153,7 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     """
     overridden = PRESETS[known_preset(preset)]
     if overrides is not None and not isinstance(overrides, Mapping):
-        raise InputError(f"overrides must be a dictionary with field names as keys, got {shown(overrides)}")
+        raise InputError(f"overrides must be a dictionary with field names as keys, got {short_repr(overrides)}")
     try:
         changes = _nested(overrides or {})
         mapper = _recipe(changes.get("mapper"))
@@ -204,7 +204,7 @@ def _check_kind(what: str, value: Any, hint: Any) -> None:
     else:  # unions and literals are checked by the dataclass itself
         return
     if not good:
-        raise InputError(f"{what} must be {expected}, got {shown(value)}")
+        raise InputError(f"{what} must be {expected}, got {short_repr(value)}")
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -216,7 +216,9 @@ def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
         for part in path:
             target = target.setdefault(part, {})
             if not isinstance(target, dict):
-                raise InputError(f"{shown(key)} sets a field of {part}, which is also set as a whole; give one of them")
+                raise InputError(
+                    f"{short_repr(key)} sets a field of {part}, which is also set as a whole; give one of them"
+                )
         target[last] = _merged(target.get(last), value)
     return result
 

@@ -96,7 +96,7 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     `MAX_NAMES` names are listed.
     """
     command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
-    return InputError(f"unknown {kind} {shown(name)}{_nearest(name, known, command)}")
+    return InputError(f"unknown {kind} {short_repr(name)}{_nearest(name, known, command)}")
 
 
 def unknown_keyword(function: str, name: str, known: Iterable[str]) -> UnknownKeyword:
@@ -127,7 +127,7 @@ def listed(names: Iterable[object], most: int = MAX_NAMES) -> str:
     return ", ".join(words[:most]) + more
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """Return the ``repr`` of a value for an error message: one line, shortened if long."""
     try:
         text = " ".join(repr(value).split())
@@ -136,6 +136,6 @@ def shown(value: object) -> str:
     return text if len(text) <= 200 else f"{text[:160]}... ({len(text)} characters)"
 
 
-def counted(number: int, one: str, many: str | None = None) -> str:
+def pluralised(number: int, one: str, many: str | None = None) -> str:
     """Return a count with its noun: ``1 run``, ``2 runs``."""
     return f"{number} {one if number == 1 else many or one + 's'}"

@@ -13,8 +13,8 @@ from activestructure_gym.compiling.locks import LOCKS
 
 def map_making() -> None:
     """Call the kernels of the rasteriser and the mapper on two frames of a flat wall."""
-    from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
-    from activestructure_gym.mapping.parts import may_be_seen
+    from activestructure_gym.mapping.frustum_culling import may_be_seen
+    from activestructure_gym.mapping.occlusion_culling import behind_the_measured, depth_tiles
 
     mapper = map_a_wall()
     score_the_wall(mapper)

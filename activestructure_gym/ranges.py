@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 
 # Limits of a valid run; other configurations are refused before the first frame.
 MAX_COORDINATE_M = 1e6  # metres from the world's origin along each axis
@@ -30,12 +30,12 @@ def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> Non
             continue
         interval, called = _interval(text), label + (name.replace("_", "-") if label == "--" else name)
         if many and (not isinstance(value, tuple) or not value):
-            raise InputError(f"{called} must be a tuple of at least one number, got {shown(value)}")
+            raise InputError(f"{called} must be a tuple of at least one number, got {short_repr(value)}")
         for entry in value if many else (value,):
             if not interval.holds(entry, whole=whole):
                 kind = "a whole number" if whole else "a number"
                 each = f"every entry of {called}" if many else f"{called}"
-                raise InputError(f"{each} must be {kind} {interval.words}, got {shown(entry)}")
+                raise InputError(f"{each} must be {kind} {interval.words}, got {short_repr(entry)}")
 
 
 @dataclasses.dataclass(frozen=True)

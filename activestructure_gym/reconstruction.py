@@ -1,8 +1,8 @@
 """Run one episode of active reconstruction, from the first frame to the last, without Gymnasium.
 
 Each decision runs: scene -> sensor -> map, volume, planes -> candidate views -> features. The caller then chooses a
-view, and the agent moves there (`Reconstruction.visit`). Every frame costs 1 of the budget. Every ``keyframe_every``-th
-frame and the last frame of a path are keyframes: rendered, integrated and mapped.
+view, and the agent moves there (`Reconstruction.move_to`). Every frame costs 1 of the budget. Every
+``keyframe_every``-th frame and the last frame of a path are keyframes: rendered, integrated and mapped.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import (
     Agent,
     DistanceMap,
-    Leg,
+    PathSegment,
     first_blocked,
     interpolate,
     path_lengths,
@@ -45,7 +45,7 @@ from activestructure_gym.volume import VoxelVolume
 
 
 @dataclass(frozen=True)
-class Visit:
+class StepResult:
     """Record one step: frames, metres and keyframes on the path to the chosen view."""
 
     reached: bool  # False: unreachable, blocked on the path, or the budget ended
@@ -55,7 +55,7 @@ class Visit:
 
 
 class Reconstruction:
-    """Hold the state of one episode. `start` begins it, `visit` executes a decision; attributes are read-only.
+    """Hold the state of one episode. `start` begins it, `move_to` executes a decision; attributes are read-only.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Reconstruction:
     >>> from activestructure_gym import configure, ground_truth_of, load_scene
     >>> episode = Reconstruction(configure("fast", {"frame_budget": 30}))
     >>> frame = episode.start(ground_truth_of(load_scene("box")), seed=0)
-    >>> visit = episode.visit(0)  # move to the first candidate
+    >>> visit = episode.move_to(0)  # move to the first candidate
     >>> visit.reached, episode.frames > 1
     (True, True)
     """
@@ -183,7 +183,7 @@ class Reconstruction:
         """Return whether the frame budget is used up."""
         return self.frames >= self.config.frame_budget
 
-    def visit(self, index: int) -> Visit:
+    def move_to(self, index: int) -> StepResult:
         """Execute candidate ``index`` of the current table and map on the path to it.
 
         Most rows are views to move to. Others optimise in place, look at a point on the path, end the episode, or
@@ -200,9 +200,9 @@ class Reconstruction:
         elif table.ask[index] >= 0:
             self.stage = int(table.ask[index])
             self._offered.add(self.stage)
-            self._note_leg()
+            self._note_segment()
             self._offer()
-            return Visit(True, 0, 0.0, ())
+            return StepResult(True, 0, 0.0, ())
         elif table.ends[index]:
             reached = self.finished = True
         elif table.stay[index]:
@@ -224,15 +224,15 @@ class Reconstruction:
             self.stops.append(self.pose)
         if self.frames > frames_before:
             self._offered, self._empty = {self.stage}, set()
-        self._note_leg(stays=0 <= index < len(table) and bool(table.stay[index]))
+        self._note_segment(stays=0 <= index < len(table) and bool(table.stay[index]))
         self._refresh()
-        return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
+        return StepResult(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
 
     def _let_pass(self) -> None:
         """Use one frame of the budget, if one is left (the first frame may have been the last)."""
         self.frames = min(self.frames + 1, self.config.frame_budget)
 
-    def follow(self, leg: Leg) -> Visit:
+    def follow(self, leg: PathSegment) -> StepResult:
         """Execute given poses in place of a decision, within the budget, and map at the leg's keyframes.
 
         Neither collisions nor the distance between poses are checked. The last frame of the budget is a keyframe.
@@ -249,13 +249,13 @@ class Reconstruction:
                 keyframes.append(self._keyframe(rounds or 1))
         self.frames = min(self.frames + leg.lost, self.frame_budget)
         self.stops.append(self.pose)
-        self._note_leg(stays=bool(leg.stays))
+        self._note_segment(stays=bool(leg.stays))
         self._refresh()
         paid = self.frames - frames_before
         reached = paid == len(leg.poses) + leg.lost + leg.stays
-        return Visit(reached, paid, self.metres - metres_before, tuple(keyframes))
+        return StepResult(reached, paid, self.metres - metres_before, tuple(keyframes))
 
-    def _note_leg(self, *, stays: bool = False) -> None:
+    def _note_segment(self, *, stays: bool = False) -> None:
         self.legs.append((len(self.trajectory), self.frames, int(stays)))
 
     def _plan(self, goal: np.ndarray, look_at: np.ndarray | None) -> np.ndarray | None:  # [T, 4, 4]

@@ -19,7 +19,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 
 TRUST = "ASG_TRUST_CODE"  # if set to 1, files may name code to import; workers inherit the variable
 
@@ -78,10 +78,10 @@ class Registry(Generic[T]):
     def get(self, name: str) -> T:
         """Return the object called ``name``; raise `InputError` naming the nearest known name."""
         if not isinstance(name, str):
-            raise InputError(f"a {self.kind} is given by its name, as a text, got {shown(name)}")
+            raise InputError(f"a {self.kind} is given by its name, as a text, got {short_repr(name)}")
         entry = self._find(name)
         if not self._fits(entry):
-            raise InputError(f"{self.kind} '{name}' must be {self._wanted}, got {shown(entry)}")
+            raise InputError(f"{self.kind} '{name}' must be {self._wanted}, got {short_repr(entry)}")
         return entry
 
     def imports(self, name: str) -> bool:
@@ -168,6 +168,6 @@ def refuse_code(kind: str, name: str, file: object) -> None:
     """
     if os.environ.get(TRUST) != "1":
         raise InputError(
-            f"'{file}' names the {kind} {shown(name)}, and to load it would run code of that name: if you know who "
-            f"wrote the file and trust it, add --trust-code (or set {TRUST}=1)"
+            f"'{file}' names the {kind} {short_repr(name)}, and to load it would run code of that name: if you know "
+            f"who wrote the file and trust it, add --trust-code (or set {TRUST}=1)"
         )

@@ -17,7 +17,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.references.oracle_gains import QUALITY, TrueQuality, TrueSurface, whole_pool
 from activestructure_gym.evaluation.statistics import estimate
-from activestructure_gym.motion import Way
+from activestructure_gym.motion import PlannedPath
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -122,10 +122,10 @@ class _Judge:
         """Rates of the table, of the pool and of every pick, and with ``quality`` what views are worth to the map."""
         episode = env.reconstruction
         self._surface.follow(episode)
-        taken = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
+        taken = episode.agent.paths(episode.volume, episode.candidates.world_from_camera)
         rates = self._surface.rates(episode, taken)
         views = whole_pool(episode, self._settings.pool)
-        pool = self._surface.rates(episode, episode.agent.ways(episode.volume, views))
+        pool = self._surface.rates(episode, episode.agent.paths(episode.volume, views))
         found: dict[str, Any] = {
             "observed": 100.0 * float(self._surface.seen.mean()),
             "table": {"views": len(rates), "best": float(rates.max()), "mean": float(rates.mean())},
@@ -137,7 +137,7 @@ class _Judge:
             found["quality"] = {str(row): change for row, change in self._quality.changes(episode, mapped).items()}
         return found
 
-    def _mapped_rows(self, taken: Sequence[Way | None], picks: Mapping[str, np.ndarray]) -> list[int]:
+    def _mapped_rows(self, taken: Sequence[PlannedPath | None], picks: Mapping[str, np.ndarray]) -> list[int]:
         """The first pick of everybody, and further rows that spread over the table.
 
         `Settings.quality` in all or one per pick.

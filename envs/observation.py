@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -100,7 +100,7 @@ def feature_names(source: Any) -> tuple[str, ...]:
         )
     raise InputError(
         f"which features stand in which column is told by an env, by its observation space or by a list of their names "
-        f"as in info['features'], got {shown(source)}"
+        f"as in info['features'], got {short_repr(source)}"
     )
 
 
@@ -197,8 +197,9 @@ def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.D
     if sum(key.size for key in keys.values()) > MAX_BYTES:
         raise InputError(
             f"one observation would take more than {MAX_BYTES >> 20} MiB with views.max_candidates "
-            f"{shown(config.views.max_candidates)}, max_planes {shown(max_planes)}, sensor.width "
-            f"{shown(config.sensor.width)} and sensor.height {shown(config.sensor.height)}; lower the largest of them"
+            f"{short_repr(config.views.max_candidates)}, max_planes {short_repr(max_planes)}, sensor.width "
+            f"{short_repr(config.sensor.width)} and sensor.height {short_repr(config.sensor.height)}; lower "
+            "the largest of them"
         )
     return spaces.Dict({name: key.space() for name, key in keys.items()})
 

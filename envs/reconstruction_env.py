@@ -17,11 +17,11 @@ from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.envs.turn import Turn
-from activestructure_gym.errors import InputError, InputWarning, renamed, shown
+from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import is_level, unrounded_start
-from activestructure_gym.reconstruction import Reconstruction, Visit
+from activestructure_gym.reconstruction import Reconstruction, StepResult
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 from activestructure_gym.streams import write_line
@@ -136,17 +136,17 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         features = renamed("gains", gains, "features", features)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]
-            raise InputError(f"render_mode must be one of {modes} or None, got {shown(render_mode)}")
+            raise InputError(f"render_mode must be one of {modes} or None, got {short_repr(render_mode)}")
         if coverage_target is not None and not (
             isinstance(coverage_target, int | float | np.number)
             and not isinstance(coverage_target, bool)
             and 0 < coverage_target <= 1
         ):
-            raise InputError(f"coverage_target is a share in (0, 1] or None, got {shown(coverage_target)}")
+            raise InputError(f"coverage_target is a share in (0, 1] or None, got {short_repr(coverage_target)}")
         if isinstance(max_planes, bool) or not isinstance(max_planes, int | np.integer) or max_planes < 1:
-            raise InputError(f"max_planes must be a whole number of at least 1, got {shown(max_planes)}")
+            raise InputError(f"max_planes must be a whole number of at least 1, got {short_repr(max_planes)}")
         if not isinstance(preset, str):
-            raise InputError(f"preset must be a name, got {shown(preset)}")
+            raise InputError(f"preset must be a name, got {short_repr(preset)}")
         if not isinstance(config, ReconstructionConfig):
             config = configure(preset, _fields("config", config))
         changes: dict[str, Any] = {}
@@ -154,7 +154,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             changes["frame_budget"] = frame_budget
         if features is not None:
             if isinstance(features, str) or not isinstance(features, Sequence | np.ndarray):
-                raise InputError(f"features must be a list of names, got {shown(features)}")
+                raise InputError(f"features must be a list of names, got {short_repr(features)}")
             changes["features"] = tuple(features)
         self.config = replaced(config, changes)
         self.reward_config = (
@@ -170,7 +170,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
         if not all(isinstance(one, str | PathLike | Scene | GroundTruth) for one in self._scenes):
-            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {shown(scene)}")
+            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {short_repr(scene)}")
         self._start_pose = None if start_pose is None else self._as_start(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
@@ -232,16 +232,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             invalid = not int(action) < len(self.reconstruction.candidates)
             if self._view is not None:
                 self._view.chosen(int(action))
-            return self._outcome(self.reconstruction.visit(int(action)), invalid=invalid)
+            return self._outcome(self.reconstruction.move_to(int(action)), invalid=invalid)
 
     def is_row(self, action: Any) -> bool:
         """Whether this is a row of the candidate table; Gymnasium's own space takes ``True`` for 1."""
         return not isinstance(action, bool) and bool(self.action_space.contains(action))
 
     def _outcome(
-        self, visit: Visit, *, invalid: bool
+        self, visit: StepResult, *, invalid: bool
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """What `step` returns after ``visit``."""
+        """What `step` returns after ``move_to``."""
         episode, share_before = self.reconstruction, self._coverage.share
         known = len(episode.keyframe_indices) - len(visit.keyframes)
         for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
@@ -365,9 +365,9 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {shown(value)}") from error
+        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {short_repr(value)}") from error
     if not np.isfinite(array).all():
-        raise InputError(f"a start pose must be finite numbers, got {shown(value)}")
+        raise InputError(f"a start pose must be finite numbers, got {short_repr(value)}")
     if array.shape == (4, 4):
         return _rigid(array)
     if array.shape == (4,):
@@ -390,5 +390,5 @@ def _fields(what: str, value: Any) -> Mapping[str, Any]:
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise InputError(f"{what} must be a dictionary with names as keys, got {shown(value)}")
+        raise InputError(f"{what} must be a dictionary with names as keys, got {short_repr(value)}")
     return value

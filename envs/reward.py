@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.camera import Lens
 
@@ -29,13 +29,13 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         if not isinstance(self.noise_free, bool | np.bool_):
-            raise InputError(f"reward noise_free must be True or False, got {shown(self.noise_free)}")
+            raise InputError(f"reward noise_free must be True or False, got {short_repr(self.noise_free)}")
         for name, value in vars(self).items():
             if name == "noise_free":
                 continue
             is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
             if not (is_number and abs(value) < MAX_WEIGHT):
-                raise InputError(f"reward {name} must be a number between -1e9 and 1e9, got {shown(value)}")
+                raise InputError(f"reward {name} must be a number between -1e9 and 1e9, got {short_repr(value)}")
             if name.startswith("tolerance_") and value < 0:
                 raise InputError(f"reward {name} must be at least 0, got {value}")
 

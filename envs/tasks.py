@@ -9,7 +9,7 @@ from typing import Any, TypeVar, Unpack
 import numpy as np
 
 from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv, Scenes
-from activestructure_gym.errors import InputError, shown, unknown_keyword
+from activestructure_gym.errors import InputError, short_repr, unknown_keyword
 from activestructure_gym.scenes.library import with_options
 
 E = TypeVar("E", bound=type[ReconstructionEnv])
@@ -111,7 +111,7 @@ def _with_numbers(scene: Any, **numbers: int | None) -> Any:
     given = {name: number for name, number in numbers.items() if number is not None}
     for name, number in given.items():
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**63:
-            raise InputError(f"{name} must be a whole number from 0 to 2^63 - 1, got {shown(number)}")
+            raise InputError(f"{name} must be a whole number from 0 to 2^63 - 1, got {short_repr(number)}")
     options = {name.removeprefix("scene_"): int(number) for name, number in given.items()}
     return _with_options(scene, options) if options else scene
 

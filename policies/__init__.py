@@ -10,17 +10,17 @@ it. Its class is imported from its folder, ``from activestructure_gym.policies.n
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Greedy, Planner
+from activestructure_gym.policies.native_settings import NativeSettings, Setup
 from activestructure_gym.policies.pairing import make_env_and_policy
-from activestructure_gym.policies.schedule import Schedule, Terms
 
 __all__ = [
     "POLICIES",
     "Candidates",
     "Greedy",
+    "NativeSettings",
     "Planner",
     "Policy",
-    "Schedule",
-    "Terms",
+    "Setup",
     "canonical_policy",
     "make_env_and_policy",
     "make_policy",

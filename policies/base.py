@@ -9,9 +9,9 @@ from typing import Any, ClassVar, TypeGuard
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_columns, feature_names, row_names
-from activestructure_gym.errors import InputError, renamed, shown
+from activestructure_gym.errors import InputError, renamed, short_repr
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import Spec, typed_options
 
@@ -31,7 +31,9 @@ class Policy(ABC):
     decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
     travel_term: ClassVar[str] = "none"  # how the path to a view counts in the original, for lists
     source: ClassVar[str] = ""  # the paper, for lists
-    brings: ClassVar[Schedule] = Schedule()  # what it brings where planners are compared on their own terms
+    native_settings: ClassVar[NativeSettings] = (
+        NativeSettings()
+    )  # what it brings where planners are compared on their own terms
     # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
     required_features: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known
@@ -80,7 +82,7 @@ def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
     features = policy.required_features
     if not isinstance(features, tuple | list) or not all(isinstance(name, str) for name in features):
         name = (policy if isinstance(policy, type) else type(policy)).__name__
-        raise InputError(f"required_features of {name} must be a tuple of names, got {shown(features)}")
+        raise InputError(f"required_features of {name} must be a tuple of names, got {short_repr(features)}")
     return tuple(features)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, renamed, shown
+from activestructure_gym.errors import InputError, renamed, short_repr
 from activestructure_gym.policies.base import Policy, features_of, is_policy, make_policy
-from activestructure_gym.policies.schedule import NATIVE_PRESET, Schedule, Terms, schedule_of
+from activestructure_gym.policies.native_settings import NATIVE_PRESET, NativeSettings, Setup, native_settings_of
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -21,7 +21,7 @@ def make_env_and_policy(
     *,
     env_id: str = ROOM,
     features: Sequence[str] = (),
-    terms: Terms = "shared",
+    setup: Setup = "shared",
     gains: Sequence[str] | None = None,
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
@@ -39,9 +39,9 @@ def make_env_and_policy(
         The environment; that of a room takes any scene.
     features
         More features to put into the observation, behind those of the policy.
-    terms
-        ``"native"``: the policy brings its own candidate sources and schedule (`Schedule`), and the preset is ``full``
-        where none is given; what ``config`` says goes before.
+    setup
+        ``"native"``: the policy brings its own candidate sources and schedule (`NativeSettings`). The preset is then
+        ``full`` unless one is given. Fields of ``config`` override both.
     gains
         The old name of ``features``; it warns.
     **options
@@ -74,15 +74,15 @@ def make_env_and_policy(
     if not isinstance(policy, Policy):
         raise InputError(
             "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made, got "
-            f"{shown(policy)}"
+            f"{short_repr(policy)}"
         )
     features = renamed("gains", gains, "features", features)
     if isinstance(features, str) or not isinstance(features, Sequence):
-        raise InputError(f"features must be a list of names, got {shown(features)}")
+        raise InputError(f"features must be a list of names, got {short_repr(features)}")
     if scene is not None:
         options["scene"] = scene
-    brought = schedule_of(policy, terms)
-    if terms == "native":
+    brought = native_settings_of(policy, setup)
+    if setup == "native":
         options = {"preset": NATIVE_PRESET, **options, "config": _with(brought, options.get("config"))}
     wanted = features_of(policy)
     env = gym.make(env_id, features=(*wanted, *(name for name in features if name not in wanted)), **options)
@@ -90,11 +90,11 @@ def make_env_and_policy(
     return env, policy
 
 
-def _with(brought: Schedule, config: Any) -> dict[str, Any]:
+def _with(brought: NativeSettings, config: Any) -> dict[str, Any]:
     """What the policy brings, and what was asked for, which goes before."""
     if config is not None and not isinstance(config, Mapping):
         raise InputError(
-            'on terms="native" the policy changes the configuration: give config as a dictionary of the fields that '
+            'with setup="native" the policy changes the configuration: give config as a dictionary of the fields that '
             f"shall differ, got {type(config).__name__}"
         )
     return {**brought.overrides(), **(config or {})}

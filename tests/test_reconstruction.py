@@ -18,7 +18,7 @@ from activestructure_gym.geometry import look_along, rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
-from activestructure_gym.motion import Leg, recorded_legs
+from activestructure_gym.motion import PathSegment, recorded_segments
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
@@ -43,10 +43,10 @@ def episode(scene: Scene, seed: int = 0, frames: int = 60, preset: str = "fast",
 
 
 def wander(reconstruction: Reconstruction, seed: int = 0) -> None:
-    """Visit random candidates until the budget ends."""
+    """StepResult random candidates until the budget ends."""
     rng = np.random.default_rng(seed)
     while not reconstruction.exhausted and len(reconstruction.candidates):
-        reconstruction.visit(int(rng.integers(len(reconstruction.candidates))))
+        reconstruction.move_to(int(rng.integers(len(reconstruction.candidates))))
 
 
 def test_every_frame_is_paid_and_every_fifth_and_last_is_a_keyframe(box: Scene) -> None:
@@ -55,7 +55,7 @@ def test_every_frame_is_paid_and_every_fifth_and_last_is_a_keyframe(box: Scene) 
     rng = np.random.default_rng(0)
     while not run.exhausted:
         before, known = run.frames, len(run.keyframe_indices)
-        visit = run.visit(int(rng.integers(len(run.candidates))))
+        visit = run.move_to(int(rng.integers(len(run.candidates))))
         assert visit.frames == run.frames - before >= 1
         new = run.keyframe_indices[known:]
         assert len(new) == len(visit.keyframes)
@@ -81,7 +81,7 @@ def test_steps_are_small_and_the_way_is_added_up(box: Scene) -> None:
 
 def test_a_row_beyond_the_table_costs_one_frame(box: Scene) -> None:
     run = episode(box)
-    visit = run.visit(len(run.candidates))
+    visit = run.move_to(len(run.candidates))
     assert (visit.reached, visit.frames, visit.metres, visit.keyframes) == (False, 1, 0.0, ())
     assert run.frames == 2
 
@@ -90,7 +90,7 @@ def test_an_unreachable_view_leaves_the_pool_and_the_agent_stays(box: Scene, mon
     run = episode(box)
     monkeypatch.setattr(conductor, "plan_path", lambda *args, **kwargs: None)
     gone = run.candidates.ids[4]
-    visit = run.visit(4)
+    visit = run.move_to(4)
     assert (visit.reached, visit.frames) == (False, 1)
     assert gone not in run.candidates.ids
     assert len(run.trajectory) == 1
@@ -108,7 +108,7 @@ def test_what_blocks_the_way_stops_the_agent_before_it(box: Scene, monkeypatch: 
     turned = [rotation_angle(pose, run.pose) for pose in run.candidates.world_from_camera]
     farthest = int(np.argmax(turned))  # turning there takes more than seven frames
     gone = run.candidates.ids[farthest]
-    visit = run.visit(farthest)
+    visit = run.move_to(farthest)
     assert not visit.reached
     # Frame 5 was the keyframe that saw the obstacle; two more were still free, the last of them a keyframe.
     assert run.frames == 7
@@ -119,7 +119,7 @@ def test_what_blocks_the_way_stops_the_agent_before_it(box: Scene, monkeypatch: 
 def test_the_budget_ends_a_path_midway(box: Scene) -> None:
     run = episode(box, frames=4)
     turned = [rotation_angle(pose, run.pose) for pose in run.candidates.world_from_camera]
-    visit = run.visit(int(np.argmax(turned)))
+    visit = run.move_to(int(np.argmax(turned)))
     assert run.exhausted and run.frames == 4
     assert not visit.reached
     assert run.keyframe_indices == [0, 3]
@@ -231,7 +231,7 @@ def test_tracked_poses_are_five_times_better_than_reported_ones(spec: str, reque
         run.start(ground_truth_of(scene), seed)
         rng = np.random.default_rng(seed)
         while len(run.keyframe_indices) < 30 and not run.exhausted and len(run.candidates):
-            run.visit(int(rng.integers(len(run.candidates))))
+            run.move_to(int(rng.integers(len(run.candidates))))
         assert len(run.keyframe_indices) >= 30
         metres, degrees = keyframe_errors(run)
         injected = np.random.default_rng(0).standard_normal((10_000, 6))
@@ -277,7 +277,7 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
         revisits = np.flatnonzero(table.revisit)
         kind = played.decisions % 5
         choice = {0: stays, 1: revisits, 2: asks}.get(kind, np.array([999]) if kind == 3 else np.zeros(0, int))
-        played.visit(int(choice[0]) if len(choice) else int(rng.integers(len(table))))
+        played.move_to(int(choice[0]) if len(choice) else int(rng.integers(len(table))))
         kinds |= {kind} if len(choice) else {9}
     assert kinds == {0, 1, 2, 3, 9}
     arrays = {
@@ -288,7 +288,7 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
     }
     again = Reconstruction(played.config)
     again.start(ground_truth_of(box), 0, arrays["world_from_camera"][0])
-    for leg in recorded_legs(arrays):
+    for leg in recorded_segments(arrays):
         again.follow(leg)
     count = played.mapper.map.count
     assert again.mapper.map.count == count > 100
@@ -301,7 +301,7 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
 def test_the_budget_ends_a_leg_with_a_keyframe(box: Scene) -> None:
     run = episode(box, frames=4)
     poses = np.stack([run.pose] * 9)
-    visit = run.follow(Leg(poses, (0,) * 9))
+    visit = run.follow(PathSegment(poses, (0,) * 9))
     assert (visit.frames, visit.reached, len(visit.keyframes)) == (3, False, 1)
     assert run.keyframe_indices == [0, 3] and run.exhausted
 
@@ -364,7 +364,7 @@ def test_the_episode_keeps_its_own_poses(box: Scene) -> None:
     run.mapper.keyframes[0].world_from_camera[:] = 7.0
     assert np.array_equal(run.pose, before)
     poses = np.stack([before, before])
-    run.follow(Leg(poses, (1,)))
+    run.follow(PathSegment(poses, (1,)))
     poses[:] = 0.0
     assert np.array_equal(run.trajectory[-1], before) and np.array_equal(run.pose, before)
 
@@ -381,7 +381,7 @@ def test_a_camera_with_roll_is_followed_whatever_gains_are_told_and_views_offere
     rolled = run.pose.copy()
     rolled[:3, :2] = rolled[:3, :2] @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     assert run.features[:, 1].any()
-    run.follow(Leg(np.stack([rolled, rolled]), (1, 1)))  # keyframes, which the pool offers again
+    run.follow(PathSegment(np.stack([rolled, rolled]), (1, 1)))  # keyframes, which the pool offers again
     assert run.features[:, 0].any() and not run.features[:, 1].any()  # nobody knows a way from a tilted camera
     assert run.candidates.revisit.any()
 
@@ -396,7 +396,7 @@ def test_a_pose_is_offered_once_however_often_it_was_revisited(box: Scene) -> No
         poses = [run.trajectory[index].tobytes() for index in run.keyframe_indices]
         worst = dict.fromkeys(poses[number] for number in np.argsort(psnr, kind="stable"))
         assert offered == set(list(worst)[:4])
-        assert run.visit(int(rows[0])).reached
+        assert run.move_to(int(rows[0])).reached
     assert len(run.keyframe_indices) > len({run.trajectory[i].tobytes() for i in run.keyframe_indices})
 
 
@@ -429,13 +429,13 @@ def test_what_fails_beside_the_map_is_heard(box: Scene, monkeypatch: pytest.Monk
     run = episode(box)
     monkeypatch.setattr(run.planes, "integrate", mock.Mock(side_effect=MemoryError("no room for planes")))
     with pytest.raises(MemoryError, match="no room for planes"):
-        run.visit(0)
+        run.move_to(0)
 
 
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:
     run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "features": ("unknown_volume",)})
     for _ in range(3):
-        run.visit(0)
+        run.move_to(0)
     again = run.candidates.revisit
     assert again.sum() >= 3 and run.features[: len(again), 0][again].any()
     assert not run.features[: len(again), 1][again].any() and run.features[:, 1].any()

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import COLOR
-from activestructure_gym.mapping.parts import MapParts
 
 
 def blended(

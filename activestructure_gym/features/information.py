@@ -21,7 +21,7 @@ from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.keyframe_information import COLUMNS, KeyframeInformation
 from activestructure_gym.features.registry import FEATURES, Compute, Feature
 from activestructure_gym.mapping import KeyframeMapper
-from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
 LAMBDA = 1e-2  # of the unit

@@ -23,8 +23,8 @@ import numpy as np
 from activestructure_gym.features.rows_by_id import RowsById
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting.fisher import depth_information, view_information
 
 COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights

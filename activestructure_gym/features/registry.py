@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.registry import Registry
 
@@ -50,7 +50,9 @@ class Feature:
         self.compute, self.columns = compute, tuple(columns)
         count = len(self.columns)
         if not count or len(set(self.columns)) < count or not all(isinstance(name, str) for name in self.columns):
-            raise InputError(f"columns of a feature are texts, all different and at least one, got {shown(columns)}")
+            raise InputError(
+                f"columns of a feature are texts, all different and at least one, got {short_repr(columns)}"
+            )
         self.units: tuple[str, ...] = self._each("unit", unit, isinstance(unit, str))
         self.low: tuple[float, ...] = self._each("low", low, isinstance(low, int | float))
         self.high: tuple[float, ...] = self._each("high", high, isinstance(high, int | float))
@@ -58,7 +60,7 @@ class Feature:
     def _each(self, what: str, value: Any, same: bool) -> tuple[Any, ...]:
         values = (value,) * len(self.columns) if same else tuple(value)
         if len(values) != len(self.columns):
-            raise InputError(f"{what} of a feature is one for all columns or one for each, got {shown(value)}")
+            raise InputError(f"{what} of a feature is one for all columns or one for each, got {short_repr(value)}")
         return values
 
     def __call__(self, context: FeatureContext) -> np.ndarray:  # [K] or [K, C]
@@ -110,7 +112,7 @@ class FeatureRegistry(Registry[Feature]):
                 if asked in (name, *self.columns(name)):
                     return name
         self.get(asked)  # which says what is wrong with it
-        raise InputError(f"there is no feature {shown(asked)}")
+        raise InputError(f"there is no feature {short_repr(asked)}")
 
     def expanded(self, asked: str) -> tuple[str, ...]:
         """The columns of the feature called ``asked``, or the one column of this full name.
@@ -174,7 +176,7 @@ def _checked(name: str, context: FeatureContext) -> np.ndarray:  # [K, C] float3
     try:
         values = np.asarray(returned, dtype=np.float32)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{wanted} {shown(returned)}") from error
+        raise InputError(f"{wanted} {short_repr(returned)}") from error
     if returned is None or values.shape not in ((shape, (rows,)) if shape[1] == 1 else (shape,)):
         came = "nothing" if returned is None else f"an array of the shape {values.shape}"
         raise InputError(f"{wanted} {came}")

@@ -18,8 +18,8 @@ from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.geometry.rotations import matrix_rows
 from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.frustum_culling import may_be_seen
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
-from activestructure_gym.mapping.parts import may_be_seen
 
 DIRECTIONS = 128  # bins of the sphere, two words of bits per Gaussian (COVER takes as many)
 REACH = 5.0  # metres, beyond which a look is worth nothing (ActiveGS)

@@ -13,8 +13,8 @@ import numpy as np
 from scipy import ndimage
 
 from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.volume import FREE, VoxelVolume
 
 PERTURBATIONS = 20  # M

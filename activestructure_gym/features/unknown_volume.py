@@ -46,7 +46,7 @@ def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
         discount = 1.0 / (1.0 + agent.least_frames(poses) / _HALF_TIME)
         order = np.argsort(-found[:, 0] * discount, kind="stable")
         first = order[~context.revisits[order]][:SHORTLIST]
-        taken = [(row, way) for row, way in zip(first, agent.ways(context.volume, poses[first])) if way is not None]
+        taken = [(row, way) for row, way in zip(first, agent.paths(context.volume, poses[first])) if way is not None]
         if taken:
             starts = np.cumsum([0, *(len(way.keyframes) for _, way in taken)])
             views = np.concatenate([way.keyframes for _, way in taken])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
@@ -23,7 +23,9 @@ def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> Keyfram
         return mapper
     missing = [name for name in _NAMES if not hasattr(mapper, name)]
     if missing:
-        raise InputError(f"the mapper {shown(config.name)} has no {', '.join(missing)}; a mapper needs all of {_NAMES}")
+        raise InputError(
+            f"the mapper {short_repr(config.name)} has no {', '.join(missing)}; a mapper needs all of {_NAMES}"
+        )
     return AdaptedMapper(mapper, config)
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import BaseMapperConfig, MappingReport
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 

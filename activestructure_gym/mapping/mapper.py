@@ -26,13 +26,13 @@ from activestructure_gym.mapping.density import (
     surface_samples,
     wanted_spacing,
 )
+from activestructure_gym.mapping.downsampling import reduced
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
 from activestructure_gym.mapping.keyframes import draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
-from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
 from activestructure_gym.splatting import LossWeights
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.files import replaced
+from activestructure_gym.mapping.axes import UpInFile
 from activestructure_gym.mapping.gaussian_map import (
     COLOR,
     LOG_SCALE,
@@ -24,7 +25,6 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
-from activestructure_gym.mapping.turning import UpInFile
 from activestructure_gym.ply_header import (
     BINARY_LITTLE_ENDIAN,
     NUMPY_ORDERS,

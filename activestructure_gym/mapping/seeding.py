@@ -12,9 +12,9 @@ import numpy as np
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
-from activestructure_gym.mapping.borders import nearest_borders
 from activestructure_gym.mapping.density import SurfaceSamples
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
+from activestructure_gym.mapping.surface_boundaries import nearest_borders
 
 
 def missing_pixels(

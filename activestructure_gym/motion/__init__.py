@@ -1,21 +1,21 @@
 """Plan motion between views: reachability, paths, and the frames along them."""
 
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
-from activestructure_gym.motion.legs import Leg, recorded_legs, regular_legs
+from activestructure_gym.motion.planned_paths import Agent, PlannedPath, least_frames
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
+from activestructure_gym.motion.segments import PathSegment, recorded_segments, regular_segments
 from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level, unrounded_start
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
-from activestructure_gym.motion.ways import Agent, Way, least_frames
 
 __all__ = [
     "SAMPLING_DIP",
     "Agent",
     "DistanceMap",
-    "Leg",
     "MotionConfig",
+    "PathSegment",
+    "PlannedPath",
     "VoronoiGraph",
-    "Way",
     "first_blocked",
     "first_blocked_edge",
     "free_plan",
@@ -25,8 +25,8 @@ __all__ = [
     "path_lengths",
     "plan_path",
     "planar_graph",
-    "recorded_legs",
-    "regular_legs",
+    "recorded_segments",
+    "regular_segments",
     "unrounded_start",
     "voronoi_graph",
 ]

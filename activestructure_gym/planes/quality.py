@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.planes import quality_kernels as kernels
 from activestructure_gym.planes.detection import cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
@@ -77,7 +77,7 @@ class QualityConfig:
         for name in ("weights_structural", "weights_object"):
             weights = getattr(self, name)
             if len(weights) != 8 or abs(sum(weights) - 1.0) > 1e-9:
-                raise InputError(f"{name} must be eight weights of 0 or more that sum to 1, got {shown(weights)}")
+                raise InputError(f"{name} must be eight weights of 0 or more that sum to 1, got {short_repr(weights)}")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import IO
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.npz import read_npy
 from activestructure_gym.owners import guard, open_own
@@ -52,7 +52,7 @@ def cache_limit() -> int:  # bytes
         return DEFAULT_LIMIT
     found = _SIZE.fullmatch(given.strip())
     if not found:
-        raise InputError(f"ASG_CACHE_MAX is a size such as 500MB or 2GB, or 0 to keep nothing, got {shown(given)}")
+        raise InputError(f"ASG_CACHE_MAX is a size such as 500MB or 2GB, or 0 to keep nothing, got {short_repr(given)}")
     return int(float(found[1]) * 1024 ** " kmgt".index(found[2].lower() or " "))
 
 

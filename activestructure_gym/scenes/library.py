@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.loaders.habitat import ENDING, load_habitat_scene
 from activestructure_gym.scenes.loaders.hm3d import is_hm3d, load_gibson_scene, load_hm3d_scene
@@ -89,7 +89,9 @@ def _hashable(key: str, value: Any) -> Any:
     if isinstance(value, list):
         return tuple(_hashable(key, one) for one in value)
     if not isinstance(value, Hashable):
-        raise InputError(f"the option {key} of a scene is a number, a truth value or a few numbers, got {shown(value)}")
+        raise InputError(
+            f"the option {key} of a scene is a number, a truth value or a few numbers, got {short_repr(value)}"
+        )
     return value
 
 
@@ -175,7 +177,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
 def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
     """Split ``spec`` into a name for messages, the factory, the path if it reads files, and the text's options."""
     if not isinstance(spec, str | os.PathLike):
-        raise InputError(f"a scene is a name, a path or a Scene, got {shown(spec)}")
+        raise InputError(f"a scene is a name, a path or a Scene, got {short_repr(spec)}")
     if not isinstance(spec, str):
         return "", *_file_factory(Path(spec)), {}
     target, said = _split_options(spec)
@@ -190,7 +192,7 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
     if ":" in target:
         return target, SCENES.get(target), None, said
     if os.sep in target:
-        raise InputError(f"there is no scene file or folder {shown(target)}")
+        raise InputError(f"there is no scene file or folder {short_repr(target)}")
     unknown = unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
     raise InputError(f"{unknown}, and there is no file or folder of that name")
 
@@ -199,7 +201,7 @@ def check_scene_name(spec: str) -> None:
     """Raise `InputError` if ``spec`` names no scene, or a missing file or folder; loads nothing."""
     name, _, path, _ = _resolved(spec)
     if name in ("", "mesh") and path is not None and not os.path.exists(os.path.expanduser(path)):
-        raise InputError(f"there is no scene file or folder {shown(path)}")
+        raise InputError(f"there is no scene file or folder {short_repr(path)}")
 
 
 def imports_code(spec: str) -> bool:
@@ -252,7 +254,7 @@ def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     try:
         return _layout_of(path)
     except OSError as error:
-        raise InputError(f"a scene cannot be read: {error.strerror or error}: {shown(str(path))}") from error
+        raise InputError(f"a scene cannot be read: {error.strerror or error}: {short_repr(str(path))}") from error
 
 
 def _layout_of(path: Path) -> tuple[Callable[..., Scene], str]:
@@ -288,9 +290,9 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
     except OSError as error:
         if path is None:
             raise
-        raise InputError(f"{label} cannot be read: {error.strerror or error}: {shown(path)}") from error
+        raise InputError(f"{label} cannot be read: {error.strerror or error}: {short_repr(path)}") from error
     if not isinstance(scene, Scene):
-        raise InputError(f"{label}: its factory must return a Scene, and returned {shown(scene)}")
+        raise InputError(f"{label}: its factory must return a Scene, and returned {short_repr(scene)}")
     wrong = scene.mesh.wrong()
     if wrong:
         raise InputError(f"{label}: its mesh cannot be used: {wrong}")
@@ -306,7 +308,8 @@ def _point_in(label: str, scene: Scene, given: Any) -> tuple[float, float, float
         x = y = z = float("nan")
     if not np.isfinite([x, y, z]).all():
         raise InputError(
-            f"the option inside of {label} is a point of free space, three numbers x,y,z in metres, got {shown(given)}"
+            f"the option inside of {label} is a point of free space, three numbers x,y,z in metres, got "
+            f"{short_repr(given)}"
         )
     low, high = scene.bounds
     if (np.array([x, y, z]) < low).any() or (np.array([x, y, z]) > high).any():

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import MAX_ASPECT_RATIO, check_ranges
@@ -58,7 +58,7 @@ class SensorConfig:
                 "choose smaller images or a smaller supersample"
             )
         if not isinstance(self.edge_dropout, (bool, np.bool_)):
-            raise InputError(f"sensor edge_dropout must be True or False, got {shown(self.edge_dropout)}")
+            raise InputError(f"sensor edge_dropout must be True or False, got {short_repr(self.edge_dropout)}")
         if self.backend not in RENDERERS:
             raise unknown_name("sensor backend", str(self.backend), RENDERERS)
         if self.depth_noise not in DEPTH_NOISE:

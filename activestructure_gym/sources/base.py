@@ -9,7 +9,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.motion import Agent
@@ -103,7 +103,7 @@ def make_source(spec: str) -> Source:
     source = kind(**typed_options(f"source '{parsed.name}'", kind, parsed.options(f"source '{spec}'")))
     if isinstance(source.rows, bool) or not isinstance(source.rows, int) or not 1 <= source.rows <= MAX_ROWS:
         raise InputError(
-            f"rows of the source '{spec}' must be a whole number from 1 to {MAX_ROWS}, got {shown(source.rows)}"
+            f"rows of the source '{spec}' must be a whole number from 1 to {MAX_ROWS}, got {short_repr(source.rows)}"
         )
     return source
 

@@ -22,7 +22,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.viewer.packing import film_parts, packed
 from activestructure_gym.viewer.page import viewer_page
 from activestructure_gym.viewer.recorder import Recorder
@@ -95,8 +95,8 @@ class LiveView:
         except (OSError, OverflowError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).rstrip(".")
             raise InputError(
-                f"cannot serve at {shown(address)} port {shown(port)}: {reason}; 127.0.0.1 with port 0 (a free port) "
-                "always works"
+                f"cannot serve at {short_repr(address)} port {short_repr(port)}: {reason}; 127.0.0.1 with port 0 (a "
+                "free port) always works"
             ) from None
         host, port = str(self._server.server_address[0]), self._server.server_address[1]
         host = f"[{host}]" if ":" in host else host

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import fibonacci_directions, look_along
 from activestructure_gym.motion import DistanceMap
 from activestructure_gym.ranges import check_ranges
@@ -221,11 +221,13 @@ class CandidatePool:
 def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:
     """Convert to stages, each with at least one source and no duplicates; raise `InputError` otherwise."""
     if not isinstance(value, list | tuple):
-        raise InputError(f"views.stages must be a list of stages, each a list of sources, got {shown(value)}")
+        raise InputError(f"views.stages must be a list of stages, each a list of sources, got {short_repr(value)}")
     stages = tuple(tuple(stage) if isinstance(stage, list | tuple) else stage for stage in value)
     for stage in stages:
         if not isinstance(stage, tuple) or not stage or not all(isinstance(name, str) for name in stage):
-            raise InputError(f"every stage of views.stages must be a list of at least one source, got {shown(stage)}")
+            raise InputError(
+                f"every stage of views.stages must be a list of at least one source, got {short_repr(stage)}"
+            )
         if len(set(stage)) < len(stage):
             raise InputError(f"a stage of views.stages names a source twice: {', '.join(stage)}")
     if not 1 <= len(stages) <= MAX_STAGES:

@@ -113,7 +113,7 @@ def brought() -> str:
     """What each policy of the file brings and its paper spends, a line for all who declare the same."""
     who: dict[str, list[str]] = {}
     for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
-        who.setdefault(POLICIES.get(name).brings.told(), []).append(f"`{name}`")
+        who.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
     return "".join(f"- {', '.join(names)}: {told}.\n" for told, names in sorted(who.items(), key=lambda one: one[1]))
 
 

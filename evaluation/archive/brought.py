@@ -1,4 +1,4 @@
-"""Whether a run on native terms was played with what its policy brings today (`Policy.brings`).
+"""Whether a run in the native setup was played with what its policy brings today (`Policy.native_settings`).
 
 A schedule is code of this package: a job names the policy alone, so a run keeps its hash when the schedule changes.
 """
@@ -15,7 +15,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema, store
 from activestructure_gym.evaluation.archive.jobs import Job
 
-# Fields that schedules change, beside those in `Schedule.changes`.
+# Fields that schedules change, beside those in `NativeSettings.changes`.
 _FIELDS = (
     "mapper.name", "mapper.iterations", "views.stages", "views.max_candidates", "keyframe_every",
     "motion.candidate_clearance",
@@ -23,19 +23,19 @@ _FIELDS = (
 _CHECK = schema.table({}, {"configuration": schema.anything}, others=schema.anything)
 
 
-def changed_schedule(directory: Path, job: Job) -> list[str]:
+def changed_native_settings(directory: Path, job: Job) -> list[str]:
     """Fields of a finished run's configuration that its policy's schedule sets otherwise today.
 
-    Empty on shared terms, for policies that are plug-in code (`plugin_code` covers that), and for runs without a record
-    of their configuration.
+    Empty in the shared setup, for policies that are plug-in code (`plugin_code` covers that), and for runs without a
+    record of their configuration.
     """
     from activestructure_gym.policies import POLICIES
-    from activestructure_gym.policies.schedule import schedule_of
+    from activestructure_gym.policies.native_settings import native_settings_of
 
     name = job.spec.name
-    if job.conditions.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
+    if job.conditions.setup == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
-    schedule = schedule_of(POLICIES.get(name), job.conditions.terms)
+    schedule = native_settings_of(POLICIES.get(name), job.conditions.setup)
     config = configure(job.conditions.preset, schedule.overrides() | dict(job.conditions.overrides))
     now = json.loads(json.dumps(store.plain(dataclasses.asdict(config))))
     try:

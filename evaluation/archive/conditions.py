@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
-from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms, schedule_of
+from activestructure_gym.policies.native_settings import NATIVE_PRESET, Setup, native_settings_of
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -23,7 +23,7 @@ class Conditions:
     Parameters
     ----------
     preset
-        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. If not given: ``"default"``, on native terms ``"full"``.
+        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. Default: ``"default"``, in the native setup ``"full"``.
     frame_budget
         Frames of every episode, the first one included; the preset's if not given.
     overrides
@@ -34,13 +34,13 @@ class Conditions:
         The protocol that every map is measured by.
     also
         Names of further protocols, ``("activegamer",)``, with their default constants.
-    terms
+    setup
         ``"shared"`` (equal candidates, keyframes and mapper) or ``"native"`` (each policy's own).
 
     Examples
     --------
     >>> from activestructure_gym.evaluation import Conditions
-    >>> Conditions(terms="native", frame_budget=100).preset
+    >>> Conditions(setup="native", frame_budget=100).preset
     'full'
     """
 
@@ -50,29 +50,29 @@ class Conditions:
     start_pose: tuple[float, float, float, float] | None = None
     protocol: StandardProtocol = field(default_factory=StandardProtocol)
     also: tuple[str, ...] = ()
-    terms: Terms = "shared"
+    setup: Setup = "shared"
 
     def __post_init__(self) -> None:
         if self.frame_budget is not None and self.frame_budget < 1:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
         if isinstance(self.also, str):
-            raise InputError(f"also is a list of names, as ['{self.also}'], got the text {shown(self.also)}")
+            raise InputError(f"also is a list of names, as ['{self.also}'], got the text {short_repr(self.also)}")
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
-        schedule_of(None, self.terms)
+        native_settings_of(None, self.setup)
         if self.preset is None:
-            object.__setattr__(self, "preset", NATIVE_PRESET if self.terms == "native" else "default")
+            object.__setattr__(self, "preset", NATIVE_PRESET if self.setup == "native" else "default")
         object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
         object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON. Shared terms are left out."""
+        """Return plain values for JSON. The shared setup is left out."""
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
         content["also"] = [get_protocol(name).parameters() for name in self.also]
-        if self.terms == "shared":
-            del content["terms"]
+        if self.setup == "shared":
+            del content["setup"]
         return content
 
     @classmethod
@@ -89,8 +89,8 @@ class Conditions:
         return cls(**values, overrides=overrides, start_pose=start_pose, protocol=protocol, also=also)
 
     def changes(self, policy: Policy | type[Policy] | None) -> dict[str, Any]:
-        """Return all changes of the preset: the policy's own settings on these terms, then the overrides."""
-        return schedule_of(policy, self.terms).overrides() | dict(self.overrides)
+        """Return all changes of the preset: the policy's own settings in this setup, then the overrides."""
+        return native_settings_of(policy, self.setup).overrides() | dict(self.overrides)
 
     def env_options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return keyword arguments of `ReconstructionEnv`, all but scene and features, for these changes of the preset.

@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym._version import __version__
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.specs import Spec
 
@@ -47,7 +47,7 @@ class Job:
         for kind, name in (("scene", self.scene), ("policy", self.policy)):
             check_in_one_line(kind, name)
         if not 0 <= self.seed <= MAX_SEED:
-            raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {shown(self.seed)}")
+            raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {short_repr(self.seed)}")
 
     @cached_property
     def spec(self) -> Spec:
@@ -91,7 +91,9 @@ class Job:
 def check_in_one_line(kind: str, name: str) -> None:
     """Raise `InputError` for a name that tables and pictures cannot show: with line breaks or control characters."""
     if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in name):
-        raise InputError(f"the {kind} {shown(name)} has a line break or a control character in its name: rename it")
+        raise InputError(
+            f"the {kind} {short_repr(name)} has a line break or a control character in its name: rename it"
+        )
 
 
 def refuse_code(jobs: Iterable[Job], file: object) -> None:

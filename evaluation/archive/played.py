@@ -20,7 +20,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, schema, store
-from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.plugin_code import changed_code
 from activestructure_gym.npz import read_npz
@@ -63,7 +63,7 @@ def played_episode(
             if any(store.checksum_of(place / name) != digest for name, digest in digests.items()):
                 continue
             if job is not None and checksums is not None:
-                if changed_code(place, job, checksums) or changed_schedule(place, job):
+                if changed_code(place, job, checksums) or changed_native_settings(place, job):
                     continue
             return place
     return None

@@ -42,7 +42,7 @@ JOB: Check = table(
         "start_pose": maybe(each(number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=4)), "protocol": PROTOCOL,
         "also": each(PROTOCOL),
     },
-    {"terms": text},
+    {"setup": text},
 )  # fmt: skip
 COMPARISON: Check = table(
     {"jobs": table(others=JOB)},
@@ -243,17 +243,17 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
         raise Mismatch("patch_starts, patch_shapes and patch_bits do not fit together")
 
 
-# Fields of the configuration that a report reads of runs on native terms, and of those that follow a trajectory.
+# Fields of the configuration that a report reads of runs in the native setup, and of those that follow a trajectory.
 _NATIVE = ("views.stages", "views.max_candidates", "keyframe_every", "mapper.name", "mapper.iterations",
            "motion.candidate_clearance")  # fmt: skip
 _FOLLOWING = ("mapper.name",)
 
 
 def check_config(content: Any, place: str) -> None:
-    """Raise `Mismatch` unless ``config.json`` holds what it must, and what its terms and its policy need besides."""
+    """Raise `Mismatch` unless ``config.json`` holds what it must, and what its setup and its policy need besides."""
     CONFIG(content, place)
     job, configuration = content["job"], content["configuration"]
-    wanted: tuple[str, ...] = _NATIVE if job.get("terms") == "native" else ()
+    wanted: tuple[str, ...] = _NATIVE if job.get("setup") == "native" else ()
     wanted += _FOLLOWING if is_trajectory(job["policy"]) else ()
     for field in wanted:
         room, _, name = field.rpartition(".")

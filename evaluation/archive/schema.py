@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import shown
+from activestructure_gym.errors import short_repr
 
 Check = Callable[[Any, str], None]
 
@@ -104,7 +104,7 @@ def table(
         if missing:
             raise Mismatch(f"{place or 'it'} lacks {', '.join(missing)}")
         for name, entry in value.items():
-            known.get(name, others)(entry, f"{place}.{name}" if place else shown(name).strip("'"))
+            known.get(name, others)(entry, f"{place}.{name}" if place else short_repr(name).strip("'"))
 
     return check
 
@@ -197,4 +197,4 @@ def _no_constant(name: str) -> Any:
 
 
 def _mismatch(place: str, wanted: str, value: Any) -> Mismatch:
-    return Mismatch(f"{place or 'it'}: expected {wanted}, got {shown(value)}")
+    return Mismatch(f"{place or 'it'}: expected {wanted}, got {short_repr(value)}")

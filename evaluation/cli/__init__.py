@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-from activestructure_gym.errors import FullDisk, InputError, InputWarning, one_line, shown
+from activestructure_gym.errors import FullDisk, InputError, InputWarning, one_line, short_repr
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 from activestructure_gym.streams import FULL, complain, kept_streams, say
 
@@ -79,7 +79,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
     except OSError as error:
         if error.errno not in _NOT_WRITABLE and error.filename is None:
             raise
-        where = "a file" if error.filename is None else shown(error.filename)
+        where = "a file" if error.filename is None else short_repr(error.filename)
         what = " cannot be written" if error.errno in _NOT_WRITABLE else ""
         complain(f"{where}{what}: {error.strerror}")
         return 1 if error.errno in _NOT_WRITABLE else 2

@@ -11,7 +11,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from activestructure_gym.errors import FullDisk, counted
+from activestructure_gym.errors import FullDisk, pluralised
 from activestructure_gym.evaluation.cli.output import print_whole, width_of
 from activestructure_gym.streams import complain, escape, flat
 
@@ -36,10 +36,11 @@ def print_end(
     from activestructure_gym.evaluation.running.measuring import draw_missing_pictures
 
     if result.skipped:
-        console.print(f"{counted(result.skipped, 'run')} finished before and kept")
+        console.print(f"{pluralised(result.skipped, 'run')} finished before and kept")
     if result.missing:
         console.print(
-            f"[yellow]{counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
+            f"[yellow]{pluralised(result.missing, 'run')}[/] of this comparison not finished, and not asked for this "
+            "time"
         )
     if result.runs:
         try:
@@ -57,16 +58,16 @@ def print_end(
         for told in trajectories_text(Results(result.runs, [])):
             console.print(escape(told.replace("`", "")))
         console.print(
-            f"{counted(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, tables/ "
-            "for papers, results.csv and the pictures."
+            f"{pluralised(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, "
+            "tables/ for papers, results.csv and the pictures."
         )
         print_page(console, files[-1])
         wider = [["asg", "report", str(directory), "--wide"]] if left_out else []
         print_next(console, [*next_commands(result.runs), *wider])
     if result.failed:
-        what = counted(len(result.failed), "run")
+        what = pluralised(len(result.failed), "run")
         kept = sum(is_played(run_directory(directory, outcome.job)) for outcome in result.failed)
-        left = f"; {counted(kept, 'episode')} kept, which --resume measures without playing again" if kept else ""
+        left = f"; {pluralised(kept, 'episode')} kept, which --resume measures without playing again" if kept else ""
         complain(f"{what} failed; the messages are in {directory / 'logs'}{left}")
     return 1 if result.failed else 0
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 
-from activestructure_gym.errors import InputError, counted, listed
+from activestructure_gym.errors import InputError, listed, pluralised
 from activestructure_gym.evaluation.cli.closing import print_end
 from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
 from activestructure_gym.evaluation.cli.fields import NoNames, Switch, Text, Words, option
@@ -28,7 +28,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_trust,
 )
 from activestructure_gym.evaluation.cli.output import make_console, working
-from activestructure_gym.policies.schedule import Terms
+from activestructure_gym.policies.native_settings import Setup
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
     Without any option: `random` against `activestructure` in a furnished room, in about a minute.
     """
 
-    setup: Annotated[Terms | None, option("{shared,native}", "(default: shared)")] = None
+    setup: Annotated[Setup | None, option("{shared,native}", "(default: shared)")] = None
     (
         "Give all policies equal candidates, keyframes and mapper (shared), or each its own (native), by default at "
         "2000 frames of 320 x 180 (preset full)."
@@ -253,7 +253,7 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.running.comparison import Comparison
 
     usual = Comparison(
-        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(terms=options.setup or "shared")
+        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(setup=options.setup or "shared")
     )
     return dataclasses.replace(usual, **_typed_fields(options, usual))
 
@@ -276,7 +276,7 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
     if options.seeds is not None:
         typed["seeds"] = parse_seeds(options.seeds)
     if options.setup is not None:
-        changes["terms"] = options.setup
+        changes["setup"] = options.setup
     if options.start is not None:
         changes["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
     if changes:
@@ -306,7 +306,7 @@ def _print_plan(
     for job in jobs if shard is None else shard.part(jobs):
         console.print(escape(job.title))
     finished = len(completion_markers(directory)) if directory.is_dir() else 0
-    kept = f"; {counted(finished, 'run')} of the directory finished before and kept" if finished else ""
+    kept = f"; {pluralised(finished, 'run')} of the directory finished before and kept" if finished else ""
     console.print(f"Nothing was run (--dry-run){kept}")
     return 0
 
@@ -320,11 +320,11 @@ def _announce(
     shared = comparison.conditions
     frames = shared.frame_budget or configure(shared.preset, shared.overrides).frame_budget
     parts = [
-        counted(len(comparison.scenes), "scene"),
-        counted(policies, "policy", "policies"),
-        counted(len(comparison.seeds), "seed"),
+        pluralised(len(comparison.scenes), "scene"),
+        pluralised(policies, "policy", "policies"),
+        pluralised(len(comparison.seeds), "seed"),
     ]
-    conditions = f"{shared.terms} terms, preset {shared.preset}, {frames} frames"
+    conditions = f"{shared.setup} setup, preset {shared.preset}, {frames} frames"
     what = f"[bold]{' x '.join(parts)}[/], {conditions} per run" if jobs > 1 else f"[bold]one run[/], {conditions}"
     console.print(f"{what}, into {escape(str(directory))}")
     if demo:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.console import Console
 from rich.table import Table
 
-from activestructure_gym.errors import InputError, counted, listed
+from activestructure_gym.errors import InputError, listed, pluralised
 from activestructure_gym.evaluation.cli.fields import NoNames, Out, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
@@ -92,7 +92,7 @@ class Evaluate:
         print_whole(console, _table("measured again", ["run", "protocol", "same"], rows))
         _print_reasons(console, reasons)
         if finished:
-            console.print(f"{counted(len(finished), 'run')} finished, whose episodes were played before")
+            console.print(f"{pluralised(len(finished), 'run')} finished, whose episodes were played before")
         if added:
             console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
         for reason in lost:

@@ -34,10 +34,10 @@ class Export:
         from activestructure_gym.evaluation.archive.store import read_run
         from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.protocols import CameraPath
+        from activestructure_gym.mapping.axes import FILE_FROM_WORLD, turned_map
         from activestructure_gym.mapping.ply import write_ply
         from activestructure_gym.mapping.splat_file import write_splat
         from activestructure_gym.mapping.splatam_file import write_splatam
-        from activestructure_gym.mapping.turning import FILE_FROM_WORLD, turned_map
 
         out, form = destination(self)
         if form == "splatam" and self.up != "z":

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.registry import TRUST
 from activestructure_gym.specs import Spec
 
@@ -78,11 +78,11 @@ def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
         ends = text.split("-")
         if len(ends) > 2 or not all(end.isascii() and end.isdigit() and len(end) < 20 for end in ends):
             raise InputError(
-                f"a seed is a whole number from 0 to 2^63 - 1, several are 0,2,5 or 0-4, got {shown(text)}"
+                f"a seed is a whole number from 0 to 2^63 - 1, several are 0,2,5 or 0-4, got {short_repr(text)}"
             )
         first, last = int(ends[0]), int(ends[-1])
         if not 0 <= last - first < _MAX_SEEDS:
-            raise InputError(f"seeds from A to B are at most {_MAX_SEEDS}, the least one first; got {shown(text)}")
+            raise InputError(f"seeds from A to B are at most {_MAX_SEEDS}, the least one first; got {short_repr(text)}")
         seeds += range(first, last + 1)
     return tuple(seeds)
 
@@ -96,7 +96,7 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
     except ValueError:
         x = y = z = yaw = math.nan
     if not all(map(math.isfinite, (x, y, z, yaw))):
-        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got {shown(text)}")
+        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got {short_repr(text)}")
     return x, y, z, yaw
 
 
@@ -121,16 +121,16 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
     for word in words:
         key, equals, value = word.partition("=")
         if not (key and equals):
-            raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got {shown(word)}")
+            raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got {short_repr(word)}")
         try:
             overrides[key] = json.loads(value)
         except (RecursionError, ValueError) as error:
             if not isinstance(error, json.JSONDecodeError):  # nested without end, or a number of thousands of digits
-                raise InputError(f"--set {shown(key)} takes no such value, got {shown(value)}") from None
+                raise InputError(f"--set {short_repr(key)} takes no such value, got {short_repr(value)}") from None
             if value[:1] in ("[", "{"):
                 raise InputError(
-                    f'--set {shown(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' with '
-                    f"all its quotes, got {shown(value)}"
+                    f'--set {short_repr(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' '
+                    f"with all its quotes, got {short_repr(value)}"
                 ) from None
             number = float(value) if _POINT.fullmatch(value) else value
             overrides[key] = {"True": True, "False": False, "None": None}.get(value, number)

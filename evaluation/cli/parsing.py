@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.cli.commands import parts_of
 from activestructure_gym.streams import Stream, flat, raw, write_line
 
@@ -35,9 +35,9 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     """
     for word in words:
         if "\0" in word or not _encodable(word):
-            raise InputError(f"{name}: {shown(word)} holds bytes that are no text")
+            raise InputError(f"{name}: {short_repr(word)} holds bytes that are no text")
     if words and words[0].replace("_", "-").startswith("--tyro-"):
-        raise InputError(f"{name} has no option {shown(words[0])}; `asg completion` prints a script for a shell")
+        raise InputError(f"{name} has no option {short_repr(words[0])}; `asg completion` prints a script for a shell")
     words = gathered(words, _lists(kind))
     helped = any(word in ("-h", "--help") for word in words)
     try:
@@ -153,7 +153,7 @@ def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) ->
         except ValueError:  # more digits than Python reads come here too
             value = None
         if value is None or not good(value):
-            raise ValueError(f"expected {wanted}, got {shown(texts[0])}")
+            raise ValueError(f"expected {wanted}, got {short_repr(texts[0])}")
         return value
 
     def rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:

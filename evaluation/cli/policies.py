@@ -75,7 +75,7 @@ def _describe(facts: dict[str, Any]) -> None:
     print_text(console, facts["about"])
     console.print(f"\nFeatures it needs: {escape(', '.join(facts['features']) or 'none')}")
     console.print(f"Its own travel term: {escape(facts['travel_term'])}.")
-    console.print(escape(f"On native terms it brings {facts['native']}."))
+    console.print(escape(f"In the native setup it brings {facts['native']}."))
     if not facts["options"]:
         console.print("It takes no options.")
         return
@@ -103,7 +103,7 @@ def _required(kind: type) -> list[str]:
 
 def _policy_facts(name: str) -> dict[str, Any]:
     from activestructure_gym.policies import POLICIES
-    from activestructure_gym.policies.schedule import schedule_of
+    from activestructure_gym.policies.native_settings import native_settings_of
 
     kind: Any = POLICIES.get(Spec.of(name).name)
     parameters = inspect.signature(kind).parameters.values()
@@ -114,7 +114,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
         "features": list(features_asked(name)),
         "travel_term": kind.travel_term,
         "source": kind.source,
-        "native": schedule_of(kind, "native").told(),
+        "native": native_settings_of(kind, "native").describe(),
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
         "required": _required(kind),
         "about": about,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.cli.compare import Compare, compare_with, comparison_of
 from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
 from activestructure_gym.evaluation.cli.fields import NoNames, Switch, option
@@ -54,7 +54,7 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
             if not Path(self.trajectory).exists():
-                raise InputError(f"there is no trajectory {shown(self.trajectory)}")
+                raise InputError(f"there is no trajectory {short_repr(self.trajectory)}")
             raise InputError(f"'{self.trajectory}' is no finished run, which would name its scene: give --scene")
         return compare_with(*_asked(self, run))
 
@@ -105,7 +105,7 @@ def _changes_of(run: Run) -> dict[str, Any]:
     from activestructure_gym.policies import make_policy
 
     job = run.job
-    if job.conditions.terms == "shared":
+    if job.conditions.setup == "shared":
         refuse_code([replace(job, policy="random")], run.directory / CONFIG)
         brought = dict(job.conditions.overrides)
     else:

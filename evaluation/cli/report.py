@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from activestructure_gym.errors import FullDisk, InputError, counted
+from activestructure_gym.errors import FullDisk, InputError, pluralised
 from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import Out, Switch, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
@@ -60,7 +60,7 @@ class Report:
                 files = write_results(out, results, published=self.paper_tables)
         except FullDisk as error:
             raise FullDisk(f"{error}. The runs are whole: free some room, then give the same command again") from error
-        console.print(counted(len(results.runs), "run"))
+        console.print(pluralised(len(results.runs), "run"))
         left_out = print_result(console, results.runs, wide=self.wide)
         if self.paper_tables:
             from activestructure_gym.evaluation.report.tables.published import published_tables

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.cli.fitting import fits
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole, width_of
@@ -95,7 +95,7 @@ def _shown(cell: Cell, column: Column) -> str:
 def _title(runs: Sequence[Run]) -> str:
     """What the numbers are, in words."""
     scenes, seeds = len({run.scene for run in runs}), len({run.job.seed for run in runs})
-    mean = f"mean of {counted(scenes, 'scene')}" if scenes > 1 else "mean"
+    mean = f"mean of {pluralised(scenes, 'scene')}" if scenes > 1 else "mean"
     if seeds > 1:
-        return f"{mean} ± standard deviation over {counted(seeds, 'seed')}"
+        return f"{mean} ± standard deviation over {pluralised(seeds, 'seed')}"
     return f"{mean}, one seed" if scenes > 1 else "one seed"

@@ -14,7 +14,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Changes, Count, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, parse_start, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, working
-from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
+from activestructure_gym.policies.native_settings import NATIVE_PRESET, Setup
 from activestructure_gym.streams import complain
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Watch:
     """Set the random seed: the same start as in `asg compare`."""
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """Use the configuration that `asg config PRESET` prints."""
-    setup: Terms = "shared"
+    setup: Setup = "shared"
     """Use the common candidates and schedule (shared), or the planner's own with preset full (native)."""
     frames: Count = None
     """Stop after this many frames (default: the preset's)."""
@@ -109,7 +109,7 @@ class Watch:
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,
             list(scenes) if len(scenes) > 1 else scenes[0],
-            terms=self.setup,
+            setup=self.setup,
             preset=preset,
             frame_budget=self.frames,
             config=parse_overrides(self.set),

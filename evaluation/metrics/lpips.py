@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 
 if TYPE_CHECKING:
     import torch
@@ -111,7 +111,9 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     else:
         folder = Path(os.path.expanduser(place))
         if not folder.exists():
-            raise InputError(f"the LPIPS weights {shown(place)} do not exist; give a folder with both files, or one")
+            raise InputError(
+                f"the LPIPS weights {short_repr(place)} do not exist; give a folder with both files, or one"
+            )
         folder = folder if folder.is_dir() else folder.parent
     present = {}
     for path in sorted(folder.glob("*.pth")) if folder.is_dir() else ():

@@ -17,7 +17,7 @@ from activestructure_gym.geometry import transform_points
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
 from activestructure_gym.mapping import GaussianMap
-from activestructure_gym.motion import Way
+from activestructure_gym.motion import PlannedPath
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import RGBDSensor
@@ -66,7 +66,9 @@ class TrueSurface:
         """The area that these keyframes together would show and none has shown yet."""
         return self.area * int(shown(reconstruction, self._scene, keyframes, self.points[~self.seen]).sum())
 
-    def rates(self, reconstruction: Reconstruction, taken: Sequence[Way | None]) -> np.ndarray:  # [n] m^2 per frame
+    def rates(
+        self, reconstruction: Reconstruction, taken: Sequence[PlannedPath | None]
+    ) -> np.ndarray:  # [n] m^2 per frame
         """Newly observed area by frame paid, of every way; 0 where there is none."""
         found = [0.0 if w is None else self.new_area(reconstruction, w.keyframes) / max(w.frames, 1) for w in taken]
         return np.array(found, np.float64)
@@ -83,7 +85,7 @@ class TrueQuality:
         self._truth = protocol.truth(truth)
 
     def changes(
-        self, reconstruction: Reconstruction, taken: Mapping[int, Way]
+        self, reconstruction: Reconstruction, taken: Mapping[int, PlannedPath]
     ) -> dict[int, dict[str, float]]:  # of QUALITY, by the same keys
         """Change of the held-out numbers per 100 frames from truly mapping the keyframes of each way, in a copy.
 
@@ -138,7 +140,7 @@ class TrueQuality:
     def errors_in_sight(
         self,
         reconstruction: Reconstruction,
-        taken: Sequence[Way | None],
+        taken: Sequence[PlannedPath | None],
         wrong: tuple[np.ndarray, np.ndarray],  # what `wrong_points` found
     ) -> np.ndarray:  # [n] per frame
         """How much of what is wrong the keyframes of every way would see, per frame paid; 0 where there is none."""

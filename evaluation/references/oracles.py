@@ -15,7 +15,7 @@ import numpy as np
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.references.oracle_gains import TrueQuality, TrueSurface
-from activestructure_gym.motion import Way
+from activestructure_gym.motion import PlannedPath
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -49,13 +49,13 @@ class Oracle:
         """The row with the highest true rate."""
         episode = self._env.reconstruction
         self._surface.follow(episode)
-        return self._exploring(episode.agent.ways(episode.volume, episode.candidates.world_from_camera))
+        return self._exploring(episode.agent.paths(episode.volume, episode.candidates.world_from_camera))
 
     def trace(self) -> dict[str, Any]:
         """The rate of the last choice."""
         return self._trace
 
-    def _exploring(self, taken: Sequence[Way | None]) -> int:
+    def _exploring(self, taken: Sequence[PlannedPath | None]) -> int:
         rates = self._surface.rates(self._env.reconstruction, taken)
         frames = np.array([np.inf if way is None else way.frames for way in taken])
         row = int(np.lexsort((frames, -rates))[0])
@@ -102,21 +102,21 @@ class OracleQuality(Oracle):
         self._trace = {f"{name}_per_100": value for name, value in changes[row].items()} | {"mapped": len(changes)}
         return row
 
-    def _shortlist(self) -> dict[int, Way]:
+    def _shortlist(self) -> dict[int, PlannedPath]:
         """Row and way of those that are mapped, the most error in sight first, and of every place its best view."""
         episode, wrong = self._env.reconstruction, self._quality.wrong_points(self._env.reconstruction)
         poses = episode.candidates.world_from_camera
         least = episode.agent.least_frames(poses)
-        ends = [Way(max(1, int(n)), pose[None]) if np.isfinite(n) else None for n, pose in zip(least, poses)]
+        ends = [PlannedPath(max(1, int(n)), pose[None]) if np.isfinite(n) else None for n, pose in zip(least, poses)]
         at_end = self._quality.errors_in_sight(episode, ends, wrong)
         rows = np.argsort(-at_end, kind="stable")[:_FOLLOWED]
-        taken = dict(zip(rows.tolist(), episode.agent.ways(episode.volume, poses[rows])))
+        taken = dict(zip(rows.tolist(), episode.agent.paths(episode.volume, poses[rows])))
         on_way = self._quality.errors_in_sight(episode, list(taken.values()), wrong)
         order = [row for row in rows[np.argsort(-on_way, kind="stable")].tolist() if taken[row] is not None]
         firsts: dict[bytes, int] = {}  # by place
         for row in order:
             firsts.setdefault(episode.candidates.world_from_camera[row, :3, 3].tobytes(), row)
-        found, keyframes = dict[int, Way](), 0
+        found, keyframes = dict[int, PlannedPath](), 0
         for row in dict.fromkeys((*firsts.values(), *order)):
             way = taken[row]
             assert way is not None

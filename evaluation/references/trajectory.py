@@ -34,7 +34,7 @@ from activestructure_gym.evaluation.trajectories.formats import (
 )
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
-from activestructure_gym.motion import Leg, recorded_legs, regular_legs
+from activestructure_gym.motion import PathSegment, recorded_segments, regular_segments
 from activestructure_gym.specs import Spec, number_text, typed_options
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class TrajectorySpec:
             fit = checked(
                 truth.free_space.clearance_at, poses, poses, "opencv", False, f"recorded' in '{truth.scene.name}"
             )
-            return ResolvedTrajectory(poses, regular_legs(poses, keyframe_every), fit.outside)
+            return ResolvedTrajectory(poses, regular_segments(poses, keyframe_every), fit.outside)
         if not self.of_file:
             return None
         file, kind = self.file()
@@ -154,7 +154,7 @@ class ResolvedTrajectory:
     """A trajectory in a scene."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera
-    legs: Sequence[Leg]  # what is done along them
+    legs: Sequence[PathSegment]  # what is done along them
     outside: int = 0  # poses that are not in the scene's free space
 
     @property
@@ -208,12 +208,12 @@ def _digits(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]
 
 
-def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list[Leg]:
+def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
     arrays = arrays_of(file) if kind == "npz" else {}
     if not {"legs", "keyframes", "keyframe_rounds"} <= arrays.keys():
-        return regular_legs(poses, keyframe_every)
+        return regular_segments(poses, keyframe_every)
     try:
-        return recorded_legs(arrays | {"world_from_camera": poses})
+        return recorded_segments(arrays | {"world_from_camera": poses})
     except (ValueError, IndexError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from error
 
@@ -246,13 +246,13 @@ class TrajectoryEnv(ReconstructionEnv):
 
         config = self.config
         poses = sweep(self._truth.free_space, self.reconstruction.pose, config.frame_budget, config.motion)
-        return ResolvedTrajectory(poses, regular_legs(poses, config.keyframe_every))
+        return ResolvedTrajectory(poses, regular_segments(poses, config.keyframe_every))
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Follow the next leg; terminates with the last one."""
         self._turn.check_open("step")
         legs = self.course.legs
-        leg = legs[self._next] if self._next < len(legs) else Leg(self.course.poses[:0], ())
+        leg = legs[self._next] if self._next < len(legs) else PathSegment(self.course.poses[:0], ())
         self._next += 1
         observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(leg), invalid=False)
         return observation, reward, self._next >= len(legs), truncated, info

@@ -57,9 +57,9 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     job, stored = run.job, run.config["configuration"]
     if "features" not in stored or "max_candidates" not in stored.get("views", {}):
         raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates: no replay without")
-    if not trusted:  # a policy is made on native terms alone, to learn what it brings
+    if not trusted:  # a policy is made in the native setup alone, to learn what it brings
         refuse_code(
-            [job if job.conditions.terms == "native" else replace(job, policy="random")], run.directory / CONFIG
+            [job if job.conditions.setup == "native" else replace(job, policy="random")], run.directory / CONFIG
         )
     truth = ground_truth_of(load_job_scene(job))
     env: ReconstructionEnv
@@ -103,7 +103,7 @@ def _changes(run: Run) -> dict[str, Any]:
     """What the configuration differs in from the preset's: what was asked for, and what the policy brought."""
     from activestructure_gym.policies import make_policy
 
-    if run.job.conditions.terms == "shared":
+    if run.job.conditions.setup == "shared":
         return dict(run.job.conditions.overrides)
     return run.job.conditions.changes(make_policy(run.job.policy))
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.ext import Extension
 from markupsafe import Markup
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.packing import packed
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.style import hue
@@ -38,7 +38,7 @@ def _environment() -> Environment:
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, extensions=[_LinesJoined]
     )
     environment.filters |= {
-        "counted": counted,
+        "pluralised": pluralised,
         "hue": hue,
         "packed": packed,
         "place": "{:.1f}".format,

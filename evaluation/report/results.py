@@ -15,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, counted, listed
+from activestructure_gym.errors import InputError, listed, pluralised
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
@@ -216,7 +216,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
 
 def _told(run: Run) -> dict[str, str]:
     job = run.job.as_dict()
-    flat = {name: job[name] for name in ("preset", "frame_budget")} | {"terms": run.job.conditions.terms}
+    flat = {name: job[name] for name in ("preset", "frame_budget")} | {"setup": run.job.conditions.setup}
     flat |= {f"set {name}": value for name, value in job["overrides"].items()}
     flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
     return {name: str(value) for name, value in flat.items()}
@@ -257,7 +257,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
         resume = "; ".join(f"asg compare --out {shlex.quote(str(source.directory))} --resume" for source in sources)
         raise InputError(
             f"there is no finished run in {listed(directories)}"
-            + (f": {counted(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
+            + (f": {pluralised(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
         )
     # One content under one file's name is one scene, wherever each machine has it.
     first: dict[tuple[str, str], str] = {}

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from activestructure_gym.errors import InputError, InputWarning, shown
+from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -94,7 +94,7 @@ def compare(
     """
     for name, given in (("scenes", scenes), ("policies", policies)):
         if isinstance(given, str):
-            raise InputError(f"{name} are a list of names, as ['{given}'], got the text {shown(given)}")
+            raise InputError(f"{name} are a list of names, as ['{given}'], got the text {short_repr(given)}")
     comparison = Comparison(scenes, policies, seeds, conditions=conditions or Conditions())
     directory = Path(out)
     check_output(directory, resume=resume)

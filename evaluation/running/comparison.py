@@ -34,7 +34,7 @@ from activestructure_gym.evaluation.running.recorded_scene import scene_as_recor
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
-from activestructure_gym.policies.schedule import schedule_of
+from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class Comparison:
                 first_checksum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
-            brought = schedule_of(policy, self.conditions.terms).overrides()
+            brought = native_settings_of(policy, self.conditions.setup).overrides()
             configure(self.conditions.preset, brought | changes | {"features": tuple(policy.required_features)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
@@ -227,7 +227,7 @@ class _Episode:
             last = int(self.env.action_space.n) - 1
             raise InputError(
                 f"policy '{self.job.policy}': act() must return a row, a whole number from 0 to {last}, "
-                f"got {shown(row)}"
+                f"got {short_repr(row)}"
             )
         return int(row)
 

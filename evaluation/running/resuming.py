@@ -16,7 +16,7 @@ from typing import Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import plugin_code, store
-from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
@@ -40,9 +40,9 @@ def recorded_jobs(directory: Path) -> list[Job]:
 def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
     """Take from the finished runs those that are damaged, and of those ``asked`` for those that other code played.
 
-    Other code: somebody's own, or on native terms another schedule of the policy. ``asked`` holds names of jobs. A run
-    whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one piece
-    of code concerns.
+    Other code: somebody's own, or in the native setup another schedule of the policy. ``asked`` holds names of jobs. A
+    run whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one
+    piece of code concerns.
     """
     checksums = cache(plugin_code.checksum_of)
     again, kept = Counter[str](), Counter[str]()
@@ -68,11 +68,11 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
 def _is_as_it_was(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
     if plugin_code.plugin_code_of(job, checksums):
         return plugin_code.is_as_it_was(place, job, checksums)
-    return job.conditions.terms == "native" and not changed_schedule(place, job)
+    return job.conditions.setup == "native" and not changed_native_settings(place, job)
 
 
 def _changed_schedule(place: Path, job: Job) -> list[str]:
-    fields = changed_schedule(place, job)
+    fields = changed_native_settings(place, job)
     return [f"the schedule of {policy_label(job.policy)} ({', '.join(fields)})"] if fields else []
 
 
@@ -98,7 +98,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 
 def _check_conditions(before: Conditions, asked: Conditions, directory: Path) -> None:
     old, new = (
-        _flat(json.loads(json.dumps(store.plain({"terms": one.terms} | one.as_dict())))) for one in (before, asked)
+        _flat(json.loads(json.dumps(store.plain({"setup": one.setup} | one.as_dict())))) for one in (before, asked)
     )
     different = [
         f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"

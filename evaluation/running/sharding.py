@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.jobs import Job
 
 
@@ -22,7 +22,9 @@ class Shard:
         """Read ``2/8``; raises `InputError` for anything else."""
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise InputError(f"--shard is I/N with I from 1 to N, as in 2/8 for the second of eight; got {shown(text)}")
+            raise InputError(
+                f"--shard is I/N with I from 1 to N, as in 2/8 for the second of eight; got {short_repr(text)}"
+            )
         return cls(int(found[1]), int(found[2]))
 
     def part(self, jobs: Sequence[Job]) -> list[Job]:

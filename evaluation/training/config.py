@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from activestructure_gym.envs.observation import feature_columns
-from activestructure_gym.errors import InputError, listed, shown, unknown_name
+from activestructure_gym.errors import InputError, listed, short_repr, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
 
@@ -61,7 +61,7 @@ class WorldConfig:
     def __post_init__(self) -> None:
         for name in ("rooms", "features"):
             if not isinstance(getattr(self, name), list | tuple):
-                raise InputError(f"{name} of a training world is a list, got {shown(getattr(self, name))}")
+                raise InputError(f"{name} of a training world is a list, got {short_repr(getattr(self, name))}")
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(
             self, "overrides", tuple(sorted((str(k), _fixed(v)) for k, v in dict(self.overrides).items()))
@@ -160,7 +160,7 @@ class TrainingConfig:
         assert isinstance(world, Mapping)
         changes = world.get("overrides", {})
         if not isinstance(changes, Mapping):
-            raise InputError(f"overrides of a training world are names with values, got {shown(changes)}")
+            raise InputError(f"overrides of a training world are names with values, got {short_repr(changes)}")
         overrides = tuple(changes.items())
         return cls(**values, world=WorldConfig(**{**world, "overrides": overrides}))
 
@@ -170,7 +170,7 @@ def _check_kinds(config: Any, *, texts: Sequence[str], flags: Sequence[str]) -> 
         for name in names:
             value = getattr(config, name)
             if not isinstance(value, kind) and not (value is None and name == "start"):
-                raise InputError(f"{name} of a training run is {words}, got {shown(value)}")
+                raise InputError(f"{name} of a training run is {words}, got {short_repr(value)}")
 
 
 def _fixed(value: Any) -> Any:

@@ -21,8 +21,8 @@ from activestructure_gym.evaluation.archive.store import plain, read_json, write
 from activestructure_gym.evaluation.training.config import WITH_TRUTH, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores
-from activestructure_gym.evaluation.training.spreading import spread
-from activestructure_gym.evaluation.training.world import (
+from activestructure_gym.evaluation.training.process_pool import spread
+from activestructure_gym.evaluation.training.training_env import (
     STARTS,
     draw_noise,
     learning_layouts,

@@ -60,7 +60,7 @@ def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per
     sensor, found = reconstruction.config.sensor, np.zeros(env.action_space.n)
     if not len(unseen):
         return found
-    ways = reconstruction.agent.ways(reconstruction.volume, reconstruction.candidates.world_from_camera)
+    ways = reconstruction.agent.paths(reconstruction.volume, reconstruction.candidates.world_from_camera)
     for row, way in enumerate(ways):
         if way is not None:
             path = CameraPath(sensor.camera, way.keyframes[0], way.keyframes, sensor.max_range)

@@ -23,14 +23,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
+from activestructure_gym.evaluation.training.process_pool import one_thread
 from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
     optimizer_tensors,
 )
-from activestructure_gym.evaluation.training.spreading import one_thread
+from activestructure_gym.evaluation.training.stopwatch import Timing
 from activestructure_gym.evaluation.training.supervised import Tell, Validate
-from activestructure_gym.evaluation.training.timing import Timing
 from activestructure_gym.policies.learned.network import CandidateNetwork
 from activestructure_gym.policies.learned.sb3 import CandidatePolicy
 

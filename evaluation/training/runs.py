@@ -30,7 +30,7 @@ from activestructure_gym.evaluation.archive.temporary import refuse_links, unlin
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
-from activestructure_gym.evaluation.training.timing import Timing
+from activestructure_gym.evaluation.training.stopwatch import Timing
 from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.mapping.registry import MAPPERS, mapper_names

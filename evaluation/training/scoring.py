@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
-from activestructure_gym.evaluation.training.spreading import spread
+from activestructure_gym.evaluation.training.process_pool import spread
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth
@@ -222,7 +222,7 @@ _loaded: dict[str, GroundTruth] = {}  # the last scene of this process
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
     """Let everybody play one episode who has not yet."""
-    from activestructure_gym.evaluation.training.playing import play_oracle, play_policy
+    from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
     from activestructure_gym.scenes import load_scene

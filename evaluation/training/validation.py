@@ -13,9 +13,9 @@ from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
-from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
+from activestructure_gym.evaluation.training.rollout import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE
-from activestructure_gym.evaluation.training.world import learning_layouts, learning_truth, make_env
+from activestructure_gym.evaluation.training.training_env import learning_layouts, learning_truth, make_env
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, only_new
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 
 @POLICIES.register("active_gs")
@@ -23,7 +23,7 @@ class ActiveGS(Greedy):
     travel_term = "share of the path length subtracted"
     source = "Jin et al., ActiveGS, RA-L 2025"
     required_features = ("confidence",)
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("roi?rows=30", "around?rows=70"),),
         candidates=100,
         goal_keyframes=True,

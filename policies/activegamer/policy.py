@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 STAGES = ("coarse", "fine", "post-refinement")
 COARSE_STEP = 1.0  # m between the positions of the coarse lattice
@@ -17,7 +17,7 @@ COARSE_DIRECTIONS = 5  # of the coarse lattice, on the Fibonacci sphere
 POOL_SHARE = 0.005  # of the pixels: a view with fewer uncovered leaves the pool of its stage for good
 GOOD_PSNR = 34.0  # dB, exceeded by nine tenths of the keyframes when post-refinement is done
 
-# Its own candidate sources on native terms, a stage each ([activegamer, code]); heights above the camera at the start.
+# Its own candidate sources in the native setup, one per stage ([activegamer, code]); heights above the start camera.
 SOURCES = (
     "lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&rows=512",
     "lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&rows=1024",
@@ -58,15 +58,15 @@ class ActiveGAMER(Planner):
     """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty. On native terms the pools are the lattices themselves,
-    and post-refinement stands still. Source: [activegamer, code].
+    pool after the choice; a stage ends when its pool is empty. In the native setup the pools are the lattices
+    themselves, and post-refinement stands still. Source: [activegamer, code].
     """
 
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     travel_term = "1 - softmax(metres)"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_features = ("uncovered",)
-    brings = Schedule(
+    native_settings = NativeSettings(
         mapper="splatam",
         iterations=15,
         stages=tuple((source,) for source in SOURCES),

@@ -11,7 +11,7 @@ from activestructure_gym.policies.anm_s.policy import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
 ONE_HEIGHT_M = 1e-3  # candidates that differ by less are those of a robot on wheels
@@ -33,7 +33,7 @@ class ActiveINR(Planner):
 
     decides_by = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
         candidates=512,
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",

@@ -8,7 +8,7 @@ from scipy import ndimage
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import invert_rigid
-from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting import passes
 from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 

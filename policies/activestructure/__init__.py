@@ -4,7 +4,12 @@ Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phas
 (Eq. 15 and the loop). The planes, their quality and their surprise (Eqs. 4 to 10) come with the observation.
 """
 
-from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
+from activestructure_gym.policies.activestructure.information_gain import (
+    GainTerms,
+    PlaneView,
+    Weights,
+    information_gain,
+)
 from activestructure_gym.policies.activestructure.phases import PHASES, Phase, PhaseMachine
 from activestructure_gym.policies.activestructure.policy import (
     LADDER,
@@ -23,10 +28,10 @@ __all__ = [
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "GainTerms",
     "Phase",
     "PhaseMachine",
     "PlaneView",
-    "Terms",
     "Weights",
     "information_gain",
 ]

@@ -56,7 +56,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Terms:
+class GainTerms:
     """Every term of Eqs. 12 to 14, [K] each."""
 
     pixel: np.ndarray  # IG_px
@@ -84,14 +84,14 @@ def information_gain(
     deficiency: np.ndarray,  # [K] IG_def in 0..1
     planes: PlaneView,
     weights: Weights,
-) -> Terms:
+) -> GainTerms:
     """IG = IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def) (Eqs. 12 to 14), floored at 0."""
     rho = discount(planes, weights.max_discount)
     structure = structural_term(planes, weights)
     floor = np.where(planes.visible.any(axis=1), VISIBILITY_FLOOR, 0.0)
     kept = suppression(planes, weights.suppression)
     total = pixel * (1.0 - rho) + weights.coupling * (structure + weights.deficiency * deficiency + floor)  # Eq. 14
-    return Terms(pixel, rho, structure, deficiency, floor, kept, np.maximum(total * kept, 0.0))
+    return GainTerms(pixel, rho, structure, deficiency, floor, kept, np.maximum(total * kept, 0.0))
 
 
 def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]

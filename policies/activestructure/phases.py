@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.policies.activestructure.information_gain import Terms, Weights
+from activestructure_gym.policies.activestructure.information_gain import GainTerms, Weights
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ LOT = 4  # revisits, as many as a table offers, that together must raise the low
 MIN_RISE_DB = 0.25  # ... by so many dB, or there are no more
 
 
-def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
+def in_pool(terms: GainTerms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
     """The views still worth going to: enough uncovered after the discount, or enough deficit (Eq. 12)."""
     pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
     return valid & (pixels | (terms.deficiency >= phase.deficit_share))

@@ -9,8 +9,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.activestructure.information_gain import (
+    GainTerms,
     PlaneView,
-    Terms,
     Weights,
     information_gain,
     plane_view,
@@ -27,8 +27,8 @@ from activestructure_gym.policies.activestructure.phases import (
 )
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.native_settings import SPLATAM
 from activestructure_gym.policies.pixel_only.policy import PixelOnly
-from activestructure_gym.policies.schedule import SPLATAM
 from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
@@ -63,7 +63,7 @@ class StructurePolicy(Policy):
     """
 
     travel_term = "the shared one"
-    brings = SPLATAM
+    native_settings = SPLATAM
     weights: ClassVar[Weights] = Weights()  # beside pixels
     on_base: ClassVar[Weights] = _ON_BASE  # beside another gain of discovery
     deficiencies: ClassVar[bool] = False  # whether IG_def is a term of it
@@ -82,7 +82,7 @@ class StructurePolicy(Policy):
         terms = self.terms(observation, plane_view(observation), self._weights)
         return self._choose(discovering(terms.total, observation), terms, observation, {})
 
-    def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
+    def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> GainTerms:
         """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
         candidates = self.candidates(observation)
         shares = {name: candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()}
@@ -92,7 +92,7 @@ class StructurePolicy(Policy):
         deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
         return information_gain(unseen, deficiency, planes, weights)
 
-    def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
+    def _choose(self, gain: np.ndarray, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
         travel = travel_discount(observation)
         # Where nothing is left to gain the floor leaves the choice to the distance.
         scores = np.maximum(gain, 1e-6) * travel
@@ -117,7 +117,7 @@ class ActiveStructureA(PixelOnly):
 
     decides_by = "uncovered pixels"
     source = "ActiveStructure, rung A of Table 3"
-    brings = SPLATAM
+    native_settings = SPLATAM
 
 
 @POLICIES.register("activestructure-b")
@@ -187,7 +187,7 @@ class ActiveStructure(StructurePolicy):
         gain = np.where(pool, terms.total, 0.0) if pool.any() else terms.total
         return self._choose(discovering(gain, observation), terms, observation, more)
 
-    def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
+    def _refine(self, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
         """The nearest of the worst rendered keyframes that it was not sent to yet.
 
         Without one, once nine tenths of all are good, or when revisits no longer mend, the episode is settled, and the

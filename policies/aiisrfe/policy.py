@@ -8,7 +8,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid,
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner.policy import shortest_tour
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 MANY_NEAR, SHARE_NEAR = 3, 0.2  # more frontiers near, and a larger share of all: exploration alone
 RECONSTRUCTIONS = 3  # tasks of unsure surface beside the frontiers (own choice) ...
@@ -31,7 +31,7 @@ class Aiisrfe(Planner):
     source = "by a digest of Zeng et al., ICRA 2024"
     required_features = ("aiisrfe",)
     # Views are drawn for tasks there, too; how many, and how far apart, are own choices.
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),
         candidates=208,
     )

@@ -10,7 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
@@ -40,7 +40,7 @@ class AnmS(Planner):
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
     travel_term = "ties by path length"
     source = "Kuang et al., ANM-S, IROS 2024"
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("nodes?rows=504", "turns?count=8"),),
         candidates=512,
         iterations=10,

@@ -8,7 +8,7 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.fisherrf import KINDS, TIMES, fisherrf
 from activestructure_gym.features.information import LAMBDA, diagonal_units, trained
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.motion import is_level
 from activestructure_gym.splatting.fisher import view_information
 
@@ -35,7 +35,7 @@ def fisherrf_path(context: FeatureContext) -> np.ndarray:  # [K]
     found = np.zeros(len(poses))
     first = np.argsort(-at_end, kind="stable")[:GOALS]
     first = first[at_end[first] > 0]
-    for row, way in zip(first, agent.ways(context.volume, poses[first])):
+    for row, way in zip(first, agent.paths(context.volume, poses[first])):
         if way is not None and len(way.keyframes):
             on_way = np.log(np.maximum(information_along(context, way.keyframes), MIN_INFORMATION)).mean()
             found[row] = np.exp((on_way + END_WEIGHT * np.log(at_end[row])) / (1.0 + END_WEIGHT))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import SELECTED_VIEWS, Schedule
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS, NativeSettings
 
 
 @POLICIES.register("fisherrf")
@@ -14,7 +14,7 @@ class FisherRF(Greedy):
     decides_by = "information of a view over that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf",)
-    brings = Schedule(budget=SELECTED_VIEWS.budget)
+    native_settings = NativeSettings(budget=SELECTED_VIEWS.budget)
 
 
 @POLICIES.register("fisherrf_cov")
@@ -40,7 +40,7 @@ class FisherRFPath(Greedy):
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)
-    brings = Schedule(
+    native_settings = NativeSettings(
         mapper="splatam",
         iterations=60,
         stages=(("frontier_facing?rows=192", "unsure_facing?apart_m=1&rows=64", "around?radius_m=1&rows=64"),),

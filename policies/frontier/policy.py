@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.active_gs.policy import ActiveGS
 from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 
 @POLICIES.register("frontier")
@@ -14,9 +14,9 @@ class Frontier(ActiveGS):
     decides_by = "unexplored voxels in sight"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_features = ("unexplored",)
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),
         candidates=100,
         goal_keyframes=True,
-        budget=ActiveGS.brings.budget,
+        budget=ActiveGS.native_settings.budget,
     )

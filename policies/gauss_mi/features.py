@@ -7,8 +7,8 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.information import register_both
 from activestructure_gym.geometry import rotation_angle
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import COLOR
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliability
 
 # A view this near to one of the last so many views that were chosen gains less, the less the more recent that one is.

@@ -22,8 +22,8 @@ import numpy as np
 
 from activestructure_gym.features.rows_by_id import RowsById
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.backends import Backend
 from activestructure_gym.splatting.fisher import view_information

@@ -11,8 +11,8 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.sightings import Sightings, sightings
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.frustum_culling import MapParts, may_be_seen
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, ROWS, GaussianMap
-from activestructure_gym.mapping.parts import MapParts, may_be_seen
 from activestructure_gym.volume import VoxelVolume
 
 KAPPA = 2.0  # concentration of what a look tells about other directions (own choice)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
 from activestructure_gym.policies.greedy import Planner
-from activestructure_gym.policies.schedule import SELECTED_VIEWS
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("gavis")
@@ -17,7 +17,7 @@ class Gavis(Planner):
     travel_term = "none; ties by path length"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
     required_features = ("gavis",)
-    brings = replace(SELECTED_VIEWS, budget="")
+    native_settings = replace(SELECTED_VIEWS, budget="")
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; of equals the one with the fewest frames."""

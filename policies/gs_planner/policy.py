@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import SPLATAM
+from activestructure_gym.policies.native_settings import SPLATAM
 
 # The paper prints no values for these; ours are shares of what a view could gain at most.
 QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
@@ -63,7 +63,7 @@ class GSPlanner(Planner):
     travel_term = "nearest places first, library of the rest"
     source = "by the text of Jin et al., GS-Planner, IROS 2024"
     required_features = ("gs_planner",)
-    brings = replace(SPLATAM, budget="")
+    native_settings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)

@@ -12,7 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Greedy, Travel
-from activestructure_gym.policies.schedule import SPLATAM
+from activestructure_gym.policies.native_settings import SPLATAM
 
 LOCAL_M = 3.0  # metres from the agent along x and along y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
@@ -40,7 +40,7 @@ class HGSPlanner(Greedy):
     travel_term = "local window, then a tour"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_features = ("hgs_planner", "hgs_coverage")
-    brings = replace(SPLATAM, budget="")
+    native_settings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native", sum: Sum = "ranked") -> None:
         super().__init__(travel)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.files import replaced
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.registry import refuse_code
@@ -175,7 +175,7 @@ def _described(weights: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not {"format", "network"} <= content.keys():
         raise InputError(f"'{file}' cannot be read as the description of a checkpoint: it lacks format or network")
     if content["format"] != FORMAT:
-        raise InputError(f"'{file}' has the format {shown(content['format'])}, this version reads {FORMAT}")
+        raise InputError(f"'{file}' has the format {short_repr(content['format'])}, this version reads {FORMAT}")
     return content
 
 

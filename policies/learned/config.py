@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from activestructure_gym.errors import InputError, listed, shown
+from activestructure_gym.errors import InputError, listed, short_repr
 
 # The entries of the observation that the network reads; all others can be dropped before training.
 USED_KEYS = (
@@ -43,7 +43,7 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         features = self.features
         if not isinstance(features, tuple | list) or not all(isinstance(name, str) for name in features):
-            raise InputError(f"a learned policy needs a list of features by name, got {shown(features)}")
+            raise InputError(f"a learned policy needs a list of features by name, got {short_repr(features)}")
         if not 1 <= len(features) <= MAX_FEATURES:
             raise InputError(f"a learned policy needs 1 to {MAX_FEATURES} features, got {len(features)}")
         object.__setattr__(self, "features", tuple(features))
@@ -51,10 +51,10 @@ class NetworkConfig:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
                 raise InputError(
-                    f"{name} of the network must be a whole number from {least} to {most}, got {shown(value)}"
+                    f"{name} of the network must be a whole number from {least} to {most}, got {short_repr(value)}"
                 )
         if not isinstance(self.planes_told, bool):
-            raise InputError(f"planes_told of the network must be true or false, got {shown(self.planes_told)}")
+            raise InputError(f"planes_told of the network must be true or false, got {short_repr(self.planes_told)}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -66,5 +66,5 @@ class NetworkConfig:
         known = {field.name for field in dataclasses.fields(cls)}
         # Checkpoints of before the ablation do not say that they are told of planes.
         if not isinstance(content, Mapping) or set(content) | {"planes_told"} != known:
-            raise InputError(f"a network is described by {listed(sorted(known))}, got {shown(content)}")
+            raise InputError(f"a network is described by {listed(sorted(known))}, got {short_repr(content)}")
         return cls(**content)

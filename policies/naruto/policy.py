@@ -7,7 +7,7 @@ import numpy as np
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 AT_GOAL = 0.75  # metres: the candidates around a lattice position, since few directions of one are on offer at a time
 FACING = float(np.cos(np.radians(25.0)))  # a target this near to the axis is in the image: it is 60 degrees high
@@ -31,7 +31,7 @@ class Naruto(Planner):
     decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"
     source = "Feng et al., NARUTO, CVPR 2024"
     required_features = ("naruto", "naruto_look")
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("targets?rows=128", "turns?count=8"),),
         candidates=136,
         budget="2000 frames (Replica), 5000 (MP3D); 10 iterations every 5 frames",

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import SELECTED_VIEWS
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("next_best_sense")
@@ -16,7 +16,7 @@ class NextBestSense(Greedy):
     decides_by = "information of a view, above all of its depth, over that of all keyframes"
     source = "Strong et al., Next Best Sense, ICRA 2025"
     required_features = ("next_best_sense",)
-    brings = replace(SELECTED_VIEWS, budget="10 views by an arm, each the best of 10 poses around an object")
+    native_settings = replace(SELECTED_VIEWS, budget="10 views by an arm, each the best of 10 poses around an object")
 
 
 @POLICIES.register("next_best_sense_cov")

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import SELECTED_VIEWS
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_logdet")
@@ -26,7 +26,7 @@ class LogDet(Greedy):
     decides_by = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_logdet_cov")
@@ -45,7 +45,7 @@ class CovTrace(Greedy):
     decides_by = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_cov_trace_cov")
@@ -64,7 +64,7 @@ class InfoTrace(Greedy):
     decides_by = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_info_trace_cov")
@@ -83,7 +83,7 @@ class MinEig(Greedy):
     decides_by = "the worst known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_min_eig",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_min_eig_cov")
@@ -102,7 +102,7 @@ class LogDetBlock(Greedy):
     decides_by = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet_block",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_logdet_block_cov")
@@ -121,7 +121,7 @@ class CovTraceBlock(Greedy):
     decides_by = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace_block",)
-    brings = SELECTED_VIEWS
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("popgs_cov_trace_block_cov")

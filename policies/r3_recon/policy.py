@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.active_gs.policy import ActiveGS
 from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 
 @POLICIES.register("r3_recon")
@@ -15,7 +15,7 @@ class R3Recon(ActiveGS):
     source = "Jin et al., R3-RECON, arXiv 2601.07484"
     required_features = ("r3_recon",)
     # Frontier voxels alone are its regions of interest (`use_confidence: false`, [r3_recon, code]).
-    brings = Schedule(
+    native_settings = NativeSettings(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),
         candidates=100,
         goal_keyframes=True,

@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 _NOTHING = -1e6  # below the logarithm of anything above 0, with any way
 
@@ -24,7 +24,7 @@ class RTGuide(Planner):
     source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_features = ("rt_guide",)
     # Goals and views of a robot that drives; the lattice stands for its motion primitives (own choice).
-    brings = Schedule(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
+    native_settings = NativeSettings(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
 
     def act(self, observation: Observation) -> int:
         """The best view of the best region; the nearest region where no Gaussian has moved."""

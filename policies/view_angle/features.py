@@ -11,7 +11,7 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.sightings import DIRECTIONS, sightings
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
-from activestructure_gym.mapping.parts import may_be_seen
+from activestructure_gym.mapping.frustum_culling import may_be_seen
 
 
 @FEATURES.register("view_angle", unit="mean of 1 - coverage", low=0.0, high=1.0)

@@ -28,7 +28,7 @@ def test_gains_of_the_same_map_agree() -> None:
         overrides = {**TINY, **names, "mapper.backend": backend, "mapper.iterations": 0, "frame_budget": 30}
         episode = Reconstruction(configure("fast", overrides))
         episode.start(ground_truth_of(load_scene("box")), seed=0)
-        episode.visit(0)
+        episode.move_to(0)
         features.append(episode.features)
     kernels, reference = features
     assert kernels.shape == reference.shape and (np.ptp(kernels[:, :2], axis=0) > 0.05).all()

@@ -150,7 +150,7 @@ def test_the_walk_that_was_looked_along_leaves_less_unknown(episode: Reconstruct
     row = int(episode.features[:, 1].argmax())
     foretold = float(episode.features[row, 1])
     before = np.count_nonzero(episode.volume.unobserved)
-    episode.visit(row)
+    episode.move_to(row)
     opened = (before - np.count_nonzero(episode.volume.unobserved)) * episode.volume.voxel_size**3
     assert opened > 0.2 * foretold
 

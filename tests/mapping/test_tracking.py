@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle, se3_exp
-from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.tracking import (
     TrackingConfig,
     _smoothed,

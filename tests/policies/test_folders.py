@@ -22,7 +22,7 @@ PLANNER = {
     "policy.py": '''
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 
 @POLICIES.register("upward")
@@ -32,7 +32,7 @@ class Upward(Greedy):
     decides_by = "how far up a view looks"
     source = "this test"
     required_features = ("height_of_axis",)
-    brings = Schedule(stages=(("upward_turns?rows=4",),), candidates=8)
+    native_settings = NativeSettings(stages=(("upward_turns?rows=4",),), candidates=8)
 ''',
     "features.py": '''
 from activestructure_gym.features import FEATURES
@@ -90,7 +90,7 @@ def test_one_folder_is_found_listed_and_played(folder: None) -> None:
     assert POLICIES.module_of("upward") is None  # this package's own: it is no code that a user has to trust
     assert "| `height_of_axis` | itself | - | 0 to 2 | `policies/upward/features.py` |" in feature_table()
     small = {"sensor": {"width": 48, "height": 27}}
-    env, policy = make_env_and_policy("upward", "box", preset="fast", frame_budget=12, terms="native", config=small)
+    env, policy = make_env_and_policy("upward", "box", preset="fast", frame_budget=12, setup="native", config=small)
     observation, info = env.reset(seed=0)
     policy.reset(0)
     assert info["features"] == ("height_of_axis",)

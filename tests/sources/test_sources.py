@@ -55,7 +55,7 @@ def spec(request: pytest.FixtureRequest) -> str:
 def test_every_source_offers_reachable_level_views_and_the_same_for_the_same_seed(spec: str) -> None:
     first, again, other = begin((spec, TURNS)), begin((spec, TURNS)), begin((spec, TURNS), seed=3)
     for run in (first, again, other):
-        run.visit(int(rows_of(run, TURNS)[3]))
+        run.move_to(int(rows_of(run, TURNS)[3]))
     rows, table = rows_of(first, spec), first.candidates
     assert 1 <= len(rows) <= make_source(spec).rows
     poses = table.world_from_camera[rows]
@@ -75,7 +75,7 @@ def test_no_source_knows_the_true_mesh(spec: str) -> None:
     run = Reconstruction(config)
     run.start(ground_truth_of(make_scene()), 0)
     for _ in range(3):
-        run.visit(int(rows_of(run, TURNS)[2]))
+        run.move_to(int(rows_of(run, TURNS)[2]))
     run._offer()
     before = run.candidates
     swap_truth(SimpleNamespace(reconstruction=run))  # type: ignore[arg-type]
@@ -118,7 +118,7 @@ def test_the_lattice_is_exact_and_leaves_out_where_it_has_been() -> None:
     at_start = np.linalg.norm(run.candidates.world_from_camera[:, :3, 3] - start, axis=1) < 1e-9
     assert at_start.sum() == 5  # no jitter, no draw: all directions of the place it stands at
     chosen = run.candidates.world_from_camera[np.nonzero(at_start)[0][2]]
-    run.visit(int(np.nonzero(at_start)[0][2]))
+    run.move_to(int(np.nonzero(at_start)[0][2]))
     now = run.candidates.world_from_camera
     same = (np.linalg.norm(now[:, :3, 3] - start, axis=1) < 1e-9) & (rotation_angle(now, chosen) < 1e-6)
     assert not same.any()
@@ -129,7 +129,7 @@ def test_heights_of_the_lattice_count_from_the_camera_or_from_the_floor() -> Non
         spec = f"lattice?spacing_m=0.5&directions=2&rows=60&{options}"
         run = begin((spec, TURNS))
         for _ in range(3):  # where it has looked there are free places, on every processor
-            run.visit(int(rows_of(run, TURNS)[3]))
+            run.move_to(int(rows_of(run, TURNS)[3]))
         heights = run.candidates.world_from_camera[rows_of(run, spec), 2, 3] - run.scene.bounds[0, 2]
         wanted = 1.3 if "floor" in options else run.trajectory[0][2, 3] - run.scene.bounds[0, 2]
         assert len(heights) > 3 and abs(wanted - 1.3) < 0.2
@@ -247,7 +247,7 @@ def look_round(*stages: tuple[str, ...]) -> Reconstruction:
     """A run that has turned all around on its place, by the source `TURNS` of the first stage."""
     run = begin(*stages, scene="room", frame_budget=200)
     for _ in range(7):
-        run.visit(int(rows_of(run, TURNS)[1]))
+        run.move_to(int(rows_of(run, TURNS)[1]))
     return run
 
 
@@ -312,7 +312,7 @@ def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:
     np.testing.assert_allclose(views()[:, 2, 3], start[2])
     np.testing.assert_allclose(np.abs(views()[:, :2, 2]).max(axis=1), 1.0)  # along x or y, and level
     chosen = views()[-1]
-    run.visit(int(rows_of(run, spec)[-1]))
+    run.move_to(int(rows_of(run, spec)[-1]))
     np.testing.assert_allclose(run.pose, chosen, atol=1e-6)
     near = np.linalg.norm(views()[:, :3, 3] - chosen[:3, 3], axis=1) < 1e-6
     assert near.sum() == 3  # without the view where it has been

@@ -104,7 +104,7 @@ def test_a_page_gets_all_and_then_what_is_new(view: LiveView, episode: Reconstru
     row = 2
     goal = episode.candidates.world_from_camera[row]
     view.chosen(row)
-    episode.visit(row)
+    episode.move_to(row)
     view.show("exploring")
     later = news(view, 1, 1, first["version"])
     poses = later["arrays"]["poses"].reshape(-1, 9)
@@ -175,7 +175,7 @@ def test_a_click_while_the_agent_walks_is_not_of_the_next_decision(view: LiveVie
     assert view.wait() == 1
     view.chosen(1)
     assert ask(view, "/do", body=visit | {"row": 2}) == (409, b"this decision has been made")
-    episode.visit(1)
+    episode.move_to(1)
     view.show()
     thread, rows = waiting(view)
     thread.join(0.2)
@@ -301,7 +301,7 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         assert rows == [found[0]]
         goal = episode.candidates.world_from_camera[found[0]][:3, 3]
         view.chosen(found[0])
-        episode.visit(found[0])
+        episode.move_to(found[0])
         view.show()
         page.until(f"player.clock === {episode.frames} && player.dirty === false")
         np.testing.assert_allclose(page.value("player.runs[0].pose(player.clock).position"), goal, atol=1e-5)

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import MappingReport
+from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
 from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
-from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.splatting import LossWeights
 from activestructure_gym.splatting.api import Rasterization, rasterize

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.mesh_loader import (
@@ -94,7 +94,7 @@ def load_habitat_scene(
         origin = str(content.get("translation_origin", ""))
         for one in listed if objects else ():
             if not isinstance(one, Mapping):
-                raise InputError(f"'{chosen}' has an object instance that is no table: {shown(one)}")
+                raise InputError(f"'{chosen}' has an object instance that is no table: {short_repr(one)}")
             parts += _instance(dataset, "objects", one, textures, chosen, origin)
     check_visible(chosen, parts)
     turned = [replace(part, vertices=upright(part.vertices, "y")) for part in parts]
@@ -158,7 +158,7 @@ class _Dataset:
     def _section(self, kind: str) -> Mapping[str, Any]:
         section = self.content.get(kind, {})
         if not isinstance(section, Mapping):
-            raise InputError(f"'{kind}' of '{self.path}' must be a table, got {shown(section)}")
+            raise InputError(f"'{kind}' of '{self.path}' must be a table, got {short_repr(section)}")
         return section
 
     def _asset(self, file: Path, reference: Any) -> Path:
@@ -168,7 +168,7 @@ class _Dataset:
         try:
             return find_reference(file.parent, reference, climb=climb)
         except FileNotFoundError:
-            raise InputError(f"'{file}' names the mesh {shown(reference)}, which is not in the dataset") from None
+            raise InputError(f"'{file}' names the mesh {short_repr(reference)}, which is not in the dataset") from None
 
 
 def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]:
@@ -182,7 +182,7 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
                 matches = sorted(root.glob(str(pattern).strip("/") or "."))
                 files = [f for match in matches for f in (sorted(match.iterdir()) if match.is_dir() else [match])]
             except (ValueError, NotImplementedError, IndexError):
-                raise InputError(f"{kind} names a path that is no pattern: {shown(pattern)}") from None
+                raise InputError(f"{kind} names a path that is no pattern: {short_repr(pattern)}") from None
             except OSError as error:
                 raise InputError(f"{kind} names a path that cannot be read: {error}") from None
             for file in map(Path, map(os.path.abspath, files)):
@@ -217,7 +217,7 @@ def _instance(
     """Return the parts of one instance in its place."""
     template = told.get("template_name")
     if not isinstance(template, str):
-        raise InputError(f"'{where}' has an instance without a template_name: {shown(told)}")
+        raise InputError(f"'{where}' has an instance without a template_name: {short_repr(told)}")
     files = dataset.files(kind)
     ends = _called(files, template)
     if len(ends) > 1:
@@ -238,7 +238,7 @@ def _instance(
     )
     quaternion = _vector(told, "rotation", where, (1.0, 0.0, 0.0, 0.0))
     if not 0.5 < np.linalg.norm(quaternion) < 2.0:
-        raise InputError(f"'{where}' has a rotation that is no unit quaternion [w, x, y, z]: {shown(told)}")
+        raise InputError(f"'{where}' has a rotation that is no unit quaternion [w, x, y, z]: {short_repr(told)}")
     motion = Rotation.from_quat(quaternion, scalar_first=True).as_matrix() * scale
     moved_by = _vector(told, "translation", where, (0.0,) * 3)
     if kind == "objects" and str(told.get("translation_origin", origin)).lower() != "asset_local":
@@ -276,7 +276,7 @@ def _vector(told: Mapping[str, Any], name: str, where: Path, usual: Sequence[flo
         isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in values
     )
     if not good:
-        raise InputError(f"{name} of '{where}' must be {len(usual)} finite numbers, got {shown(given)}")
+        raise InputError(f"{name} of '{where}' must be {len(usual)} finite numbers, got {short_repr(given)}")
     return np.array(values, dtype=np.float64)
 
 

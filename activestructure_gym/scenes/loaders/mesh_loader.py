@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, InputWarning, shown, unknown_name
+from activestructure_gym.errors import InputError, InputWarning, short_repr, unknown_name
 from activestructure_gym.scenes.loaders.damage import in_words
 from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS
 from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
@@ -158,7 +158,9 @@ def check_mesh_file(path: str | os.PathLike[str]) -> Path:
 def check_printable(name: str) -> None:
     """Raise `InputError` for a name with line ends or unprintable characters."""
     if any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in name):
-        raise InputError(f"the name {shown(name)} has characters that cannot be printed; rename the file or the scene")
+        raise InputError(
+            f"the name {short_repr(name)} has characters that cannot be printed; rename the file or the scene"
+        )
 
 
 def finished_scene(

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.scenes.loaders.budget import SceneBudget
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_loader import finished_scene
@@ -148,7 +148,7 @@ class _Wall:
         along = lowest[1] - lowest[0]
         self.width, self.height = float(np.linalg.norm(along[:2])), self.top - float(self.start[2])
         if self.width < 1e-6 or self.height < 1e-6:
-            raise UnreadableMesh(f"the wall {shown(wall['id'])} has no width or no height")
+            raise UnreadableMesh(f"the wall {short_repr(wall['id'])} has no width or no height")
         self.along = np.array([along[0], along[1], 0.0]) / self.width
         self.tint = _tint(_material(wall.get("material")), "wall")
         self.empty = bool(wall.get("empty"))  # a boundary within one space, without a wall
@@ -202,7 +202,7 @@ def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
     rotation = thing.get("rotation") or {}
     degrees = float(rotation.get("y", 0.0))
     if not abs(degrees) < 1e6:
-        raise UnreadableMesh(f"the rotation of {shown(thing.get('id', name))} is no finite number of degrees")
+        raise UnreadableMesh(f"the rotation of {short_repr(thing.get('id', name))} is no finite number of degrees")
     turn = np.radians(-degrees)  # clockwise from above in ProcTHOR's frame
     corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
     corners *= 0.5 * np.array([usual[0], usual[1], height])

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.ply_header import (
     BINARY_LITTLE_ENDIAN,
     NUMPY_ORDERS,
@@ -150,7 +150,8 @@ def _from_stage_config(path: Path) -> tuple[Path, Path]:
         except (FileNotFoundError, LimitError):
             continue
     raise InputError(
-        f"'{path}' names no .ply mesh in its folder or the one above (render_asset, semantic_asset: {shown(assets)})"
+        f"'{path}' names no .ply mesh in its folder or the one above (render_asset, semantic_asset: "
+        f"{short_repr(assets)})"
     )
 
 

@@ -42,7 +42,7 @@ class Eval(Episodes):
         from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.training import scoring
         from activestructure_gym.evaluation.training.config import WorldConfig
-        from activestructure_gym.evaluation.training.world import world_config
+        from activestructure_gym.evaluation.training.training_env import world_config
         from activestructure_gym.files import replaced
         from activestructure_gym.policies import canonical_policy, make_policy
         from activestructure_gym.scenes.library import check_scene_name

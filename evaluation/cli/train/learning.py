@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def check(config: TrainingConfig) -> None:
     """Raise `InputError` for names of features or fields of the configuration that do not exist."""
     from activestructure_gym.evaluation.training.config import WITH_TRUTH
-    from activestructure_gym.evaluation.training.world import world_config
+    from activestructure_gym.evaluation.training.training_env import world_config
 
     extra = () if config.teacher in WITH_TRUTH or config.method == "ppo" else (config.teacher,)
     world_config(config.world, (*config.world.features, *extra))
@@ -29,7 +29,7 @@ def check(config: TrainingConfig) -> None:
 
 def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
     """Print what `learn` would do; returns 0."""
-    from activestructure_gym.evaluation.training.world import world_config
+    from activestructure_gym.evaluation.training.training_env import world_config
 
     world = config.world
     if config.method == "ppo":
@@ -77,8 +77,8 @@ def _run(
 
     from activestructure_gym.evaluation.archive.temporary import refuse_links
     from activestructure_gym.evaluation.training import demonstrations
+    from activestructure_gym.evaluation.training.process_pool import one_thread
     from activestructure_gym.evaluation.training.runs import BEST, TrainingRun
-    from activestructure_gym.evaluation.training.spreading import one_thread
     from activestructure_gym.evaluation.training.validation import Validation
 
     torch.set_num_threads(1)
@@ -87,9 +87,9 @@ def _run(
     validate = Validation(config, directory, live.say)
     try:
         if config.method == "ppo":
+            from activestructure_gym.evaluation.training.process_pool import single_threaded_children
             from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
-            from activestructure_gym.evaluation.training.spreading import single_threaded_children
-            from activestructure_gym.evaluation.training.world import TrainingEnv, learning_layouts
+            from activestructure_gym.evaluation.training.training_env import TrainingEnv, learning_layouts
 
             layouts = learning_layouts(config.world, "train", config.world.layouts)
             live.say("starting the environments")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.page.convergence_section import convergence_section
 from activestructure_gym.evaluation.report.page.glance_section import glance_section
@@ -36,7 +36,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
     """
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
     everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
-    title = f"{everyone} on {counted(len(results.scenes), 'scene')}"
+    title = f"{everyone} on {pluralised(len(results.scenes), 'scene')}"
     sections = [
         _header(results, title, anchors[0], directory),
         glance_section(results),
@@ -75,9 +75,9 @@ def _asset(name: str) -> Markup:
 def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
     first = results.runs[0]
     facts = [
-        f"{counted(len(results.runs), 'finished run')}: {counted(len(results.scenes), 'scene')}, "
-        f"{counted(len(results.policies), 'policy', 'policies')}, {counted(len(results.seeds), 'seed')}",
-        f"{first.job.conditions.terms} terms, preset {first.job.conditions.preset}, "
+        f"{pluralised(len(results.runs), 'finished run')}: {pluralised(len(results.scenes), 'scene')}, "
+        f"{pluralised(len(results.policies), 'policy', 'policies')}, {pluralised(len(results.seeds), 'seed')}",
+        f"{first.job.conditions.setup} setup, preset {first.job.conditions.preset}, "
         f"{first.config['configuration']['frame_budget']} frames per run",
         f"protocol {' and '.join(first.protocols)}",
     ]

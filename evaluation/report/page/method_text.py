@@ -123,14 +123,14 @@ def machine_text(results: Results) -> str:
 
 def terms_text(results: Results) -> list[str]:
     """What every policy brought, where they are compared on their own terms."""
-    if results.runs[0].job.conditions.terms == "shared":
+    if results.runs[0].job.conditions.setup == "shared":
         return []
     told = []
     for name in results.policies:
         played = dict.fromkeys(_schedule(run.config["configuration"]) for run in results.runs if run.policy == name)
         told.append(f"`{name}` {', and in other runs '.join(played)}{_budget(name)}")
     return [
-        "Native terms: every policy with candidate views and a schedule of its own, at the budget of this comparison; "
+        "Native setup: every policy with candidate views and a schedule of its own, at the budget of this comparison; "
         f"in brackets what its paper spends. {'; '.join(told)}."
     ]
 
@@ -152,7 +152,7 @@ def _budget(name: str) -> str:
     from activestructure_gym.policies import POLICIES
 
     plain = Spec.of(name).name
-    noted = POLICIES.get(plain).brings.budget if plain in POLICIES else ""
+    noted = POLICIES.get(plain).native_settings.budget if plain in POLICIES else ""
     return f" ({noted})" if noted else ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.tables.columns import Aspect, Column, aspects, reason_of
 from activestructure_gym.evaluation.report.tables.layout import (
@@ -47,7 +47,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
     headings = [Heading("Method", numeric=False), Heading("Metric", numeric=False)]
     headings += [Heading(scene or "Avg.") for scene in scenes]
     caption = (
-        f"Means over {counted(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
+        f"Means over {pluralised(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
         "or not defined"
     )
     blocks = [k * len(columns) for k in range(1, len(results.policies))]
@@ -80,7 +80,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
         caption = "One run each" if len(results.scenes) == 1 else f"Means over {len(results.scenes)} scenes, a run each"
     else:
         caption = (
-            f"Means over {counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
+            f"Means over {pluralised(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
             "bootstrap intervals of 95 %; none where a scene has a single run"
         )
     if len(results.scenes) > 1:

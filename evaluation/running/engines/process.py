@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import JOBS, is_done
@@ -123,7 +123,7 @@ class WorkerProcess:
         log, code = Path(self._log.name), self._process.returncode
         words = last_words(log, self._log_start, code)
         if self._left_behind:
-            number = counted(len(self._left_behind), "process", "processes")
+            number = pluralised(len(self._left_behind), "process", "processes")
             line = f"ended with this run: {number} that it had started: {', '.join(self._left_behind)}"
             self._log.seek(0, os.SEEK_END)
             self._log.write(f"{line}\n".encode())

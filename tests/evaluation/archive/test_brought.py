@@ -10,15 +10,15 @@ import pytest
 
 from activestructure_gym.config import configure
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.resuming import settle
 from activestructure_gym.policies import POLICIES
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.native_settings import NativeSettings
 
 JOB = Job(
-    "box", "activegamer", 0, conditions=Conditions(preset="full", terms="native", overrides=(("keyframe_every", 7),))
+    "box", "activegamer", 0, conditions=Conditions(preset="full", setup="native", overrides=(("keyframe_every", 7),))
 )
 
 
@@ -31,31 +31,31 @@ def write(place: Path, job: Job = JOB, **changes: Any) -> Path:
 
 
 def test_fields_that_a_schedule_sets_otherwise_today_are_named(tmp_path: Path) -> None:
-    assert changed_schedule(write(tmp_path), JOB) == []
-    assert changed_schedule(write(tmp_path, **{"mapper.iterations": 10}), JOB) == ["mapper.iterations"]
+    assert changed_native_settings(write(tmp_path), JOB) == []
+    assert changed_native_settings(write(tmp_path, **{"mapper.iterations": 10}), JOB) == ["mapper.iterations"]
     then = write(tmp_path, **{"views.stages": (("pool",),), "views.max_candidates": 256, "sensor.width": 64})
-    assert changed_schedule(then, JOB) == ["views.stages", "views.max_candidates"]  # the width is the preset's
+    assert changed_native_settings(then, JOB) == ["views.stages", "views.max_candidates"]  # the width is the preset's
 
 
 def test_what_was_asked_for_is_no_change_of_the_schedule(tmp_path: Path) -> None:
     assert configure("full", JOB.conditions.changes(POLICIES.get("activegamer"))).keyframe_every == 7
     asked = dataclasses.replace(JOB, conditions=dataclasses.replace(JOB.conditions, overrides={"mapper.iterations": 3}))
-    assert changed_schedule(write(tmp_path, asked), asked) == []
+    assert changed_native_settings(write(tmp_path, asked), asked) == []
 
 
 def test_shared_terms_own_code_and_what_cannot_be_read_have_none(tmp_path: Path) -> None:
     old = write(tmp_path, **{"mapper.iterations": 10})
     for changes in (
-        {"conditions": dataclasses.replace(JOB.conditions, terms="shared")},
+        {"conditions": dataclasses.replace(JOB.conditions, setup="shared")},
         {"policy": "mine:Mine"},
         {"policy": "learned:model"},
         {"policy": "trajectory:x"},
     ):
-        assert changed_schedule(old, dataclasses.replace(JOB, **changes)) == [], changes
+        assert changed_native_settings(old, dataclasses.replace(JOB, **changes)) == [], changes
     (old / store.CONFIG).write_text("{")
-    assert changed_schedule(old, JOB) == []
+    assert changed_native_settings(old, JOB) == []
     store.write_json(old / store.CONFIG, {})
-    assert changed_schedule(old, JOB) == []
+    assert changed_native_settings(old, JOB) == []
 
 
 def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back(
@@ -72,7 +72,7 @@ def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back
 
     assert go_on() == [] and store.is_done(place, JOB)
     with monkeypatch.context() as patch:
-        patch.setattr(POLICIES.get("activegamer"), "brings", Schedule(mapper="splatam", iterations=2))
+        patch.setattr(POLICIES.get("activegamer"), "native_settings", NativeSettings(mapper="splatam", iterations=2))
         assert go_on(()) == [
             f"1 run with the schedule of activegamer ({FIELDS}) stays, though its code has changed since"
         ]

@@ -209,7 +209,7 @@ def test_a_condition_that_is_typed_is_not_ignored_where_it_is_the_usual_one(
         "box",
         "random",
         0,
-        conditions=Conditions(preset="fast", terms="native", also=("activegamer",), protocol=protocol),
+        conditions=Conditions(preset="fast", setup="native", also=("activegamer",), protocol=protocol),
     )
     write_comparison(tmp_path / "here", [begun])
     if cells:  # `run_comparison`, which refuses it, is replaced

@@ -62,8 +62,8 @@ def test_policies_for_programs(capsys):
 
 def test_a_policy_says_what_it_brings_on_native_terms(capsys):
     out = " ".join(said(capsys, "policies", "activesplat").split())
-    assert "On native terms it brings mapper splatam, 15 iterations a keyframe; its paper spends 1000 steps" in out
-    assert "On native terms it brings nothing." in said(capsys, "policies", "hole_area")
+    assert "In the native setup it brings mapper splatam, 15 iterations a keyframe; its paper spends 1000 steps" in out
+    assert "In the native setup it brings nothing." in said(capsys, "policies", "hole_area")
 
 
 def test_several_policies_are_described_one_after_the_other(capsys):

@@ -28,7 +28,7 @@ def test_a_way_is_what_the_step_pays_and_takes(episode):
         now = env.reconstruction
         surface.follow(now)
         before, seen, taken = now.frames, surface.seen.sum(), len(now.keyframe_indices)
-        (way,) = now.agent.ways(now.volume, now.candidates.world_from_camera[row : row + 1])
+        (way,) = now.agent.paths(now.volume, now.candidates.world_from_camera[row : row + 1])
         foreseen = surface.new_area(now, way.keyframes)
         _, _, _, truncated, info = env.step(row)
         surface.follow(now)
@@ -51,9 +51,9 @@ def test_to_ask_changes_nothing(episode):
     surface = TrueSurface(truth)
     surface.follow(now)
     pool = whole_pool(now)
-    rates = surface.rates(now, now.agent.ways(now.volume, pool))
+    rates = surface.rates(now, now.agent.paths(now.volume, pool))
     assert len(pool) > len(now.candidates)  # all of it, not one table of it
-    np.testing.assert_array_equal(rates, surface.rates(now, now.agent.ways(now.volume, pool)))
+    np.testing.assert_array_equal(rates, surface.rates(now, now.agent.paths(now.volume, pool)))
     assert now._planning_rng.bit_generator.state == state and len(now.pool) == open_views
     assert now.pool.config.max_candidates == 12 and len(whole_pool(now, 5)) == 5
     assert rates.max() > 0 and (rates >= 0).all()

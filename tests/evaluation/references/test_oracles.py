@@ -100,7 +100,7 @@ def test_quality_takes_the_view_that_truly_mends_the_map(refining, monkeypatch, 
         row = reference.act({})
         np.testing.assert_array_equal(gaussians.parameters, painted)
         assert now.mapper._rng.bit_generator.state == state
-        taken = now.agent.ways(now.volume, now.candidates.world_from_camera)
+        taken = now.agent.paths(now.volume, now.candidates.world_from_camera)
         mapped = reference._shortlist()
         every = reference._quality.changes(now, {k: way for k, way in enumerate(taken) if way is not None})
         gains = {k: change["psnr"] for k, change in every.items()}

@@ -85,11 +85,11 @@ def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run])
     other = "tests.policies.test_schedule:Bringer"
     for told, what in (
         (with_job(scene="pathlib:Path"), "scene"),
-        (with_job(policy=other, conditions=replace(run.job.conditions, terms="native")), "policy"),
+        (with_job(policy=other, conditions=replace(run.job.conditions, setup="native")), "policy"),
         (with_job(conditions=Conditions(overrides={"views.stages": (("pathlib:Path",),)})), "candidate source"),
     ):
         with pytest.raises(InputError, match=f"config.json' names the {what} .* add --trust-code"):
             play_again(told)
-    # On shared terms the actions are stored and the policy is not made: nothing of it is loaded.
+    # In the shared setup the actions are stored and the policy is not made: nothing of it is loaded.
     again = play_again(with_job(policy=other))
     np.testing.assert_array_equal(again.poses, run.trajectory["world_from_camera"])

@@ -1,4 +1,4 @@
-"""A comparison on native terms, from the call to the page, and what it is not mixed with."""
+"""A comparison in the native setup, from the call to the page, and what it is not mixed with."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.report.results import gather
 BRINGER = "tests.policies.test_schedule:Bringer"
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
 SHARED = Conditions(preset="fast", frame_budget=25, protocol=PROTOCOL)
-NATIVE = replace(SHARED, terms="native")
+NATIVE = replace(SHARED, setup="native")
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from activestructure_gym.evaluation.training.demonstrations import Demonstrations
-from activestructure_gym.evaluation.training.playing import Played, normalised
+from activestructure_gym.evaluation.training.rollout import Played, normalised
 from activestructure_gym.evaluation.training.supervised import OrdinalRanks
 from activestructure_gym.evaluation.training.targets import bin_edges, ordinal, soft_labels, standardised
-from activestructure_gym.evaluation.training.world import learning_reward
+from activestructure_gym.evaluation.training.training_env import learning_reward
 
 
 def test_soft_labels_by_hand() -> None:

@@ -12,7 +12,7 @@ from activestructure_gym.policies import make_env_and_policy
 def test_its_views_are_those_of_regions_and_of_the_half_metre_around_it(name: str, regions: str) -> None:
     """Of the shared table, whose views stand all over the room, most are neither."""
     small = {"sensor": {"width": 64, "height": 36}, "mapper.iterations": 1}
-    env, policy = make_env_and_policy(name, "box", terms="native", preset="fast", frame_budget=80, config=small)
+    env, policy = make_env_and_policy(name, "box", setup="native", preset="fast", frame_budget=80, config=small)
     observation, info = env.reset(seed=1)
     policy.reset(1)
     most, keyframes = 0, 1

@@ -183,7 +183,7 @@ def test_nothing_uncovered_at_all_is_no_error_and_leaves_the_choice_to_the_dista
 
 def lattice_views(stage: int, rows: list[tuple], psnr: float = 20.0) -> tuple[tuple, dict[str, np.ndarray]]:
     """Rows of (x, uncovered share) of the stage's own source, which stays in stage 2, and two that ask for others."""
-    columns = row_columns(ActiveGAMER.brings.stages)
+    columns = row_columns(ActiveGAMER.native_settings.stages)
     others = [s for s in range(3) if s != stage]
     table = np.zeros((len(rows) + len(others), len(columns)), np.float32)
     for row, (x, _) in enumerate(rows):

@@ -205,7 +205,7 @@ def test_a_target_is_kept_until_it_is_near_or_a_tenth_of_the_budget_has_gone() -
 
 
 def test_nobody_stands_still() -> None:
-    """On native terms the present pose is on offer: the nearest view of all, on the way to a target and without any."""
+    """In the native setup the present pose is on offer: the nearest view of all, with a target and without."""
     here = {"at": 0 * X, "path": 0.0, "frames": 1.0}
     turn = {"at": 0 * X, "path": 0.0, "frames": 5.0, "look": Y}
     for rows in ([{**here, "activeinr": 0.9}, turn], [here, {**turn, "activeinr": 0.1}]):

@@ -9,7 +9,7 @@ import pytest
 
 from activestructure_gym.features.fisherrf import KINDS, TIMES, fisherrf
 from activestructure_gym.features.information import LAMBDA, diagonal_units
-from activestructure_gym.motion import Way
+from activestructure_gym.motion import PlannedPath
 from activestructure_gym.policies.fisherrf.features import END_WEIGHT, fisherrf_path, information_along
 from activestructure_gym.splatting.fisher import view_information
 
@@ -22,7 +22,7 @@ def walker(ways: list) -> SimpleNamespace:
 def context_of(two_walls, looks, through: list):
     """The views with a way through the given poses to each; None for no way."""
     ways = {
-        look.tobytes(): None if poses is None else Way(len(poses) + 1, np.array([*poses, look]))
+        look.tobytes(): None if poses is None else PlannedPath(len(poses) + 1, np.array([*poses, look]))
         for look, poses in zip(looks, through)
     }
     return two_walls.context(*looks, agent=walker(ways))

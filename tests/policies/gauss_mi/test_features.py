@@ -71,7 +71,7 @@ def test_the_memory_counts_views_that_were_chosen_and_no_keyframes_on_the_way() 
     episode = Reconstruction(config)
     episode.start(ground_truth_of(load_scene("box")), seed=0)
     while episode.decisions < FEW + 1 and not episode.exhausted:
-        episode.visit(int(np.argmax(np.where(episode.candidates.revisit, -1.0, episode.candidates.path_length))))
+        episode.move_to(int(np.argmax(np.where(episode.candidates.revisit, -1.0, episode.candidates.path_length))))
     stops = episode.agent.stops
     assert len(stops) == episode.decisions == FEW + 1 < len(episode.keyframe_indices)
     np.testing.assert_array_equal(stops[-1], episode.pose)

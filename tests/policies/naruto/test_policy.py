@@ -152,7 +152,7 @@ def test_on_native_terms_it_turns_in_place_and_looks_at_a_target_on_the_way() ->
     from activestructure_gym.policies import make_env_and_policy
 
     small = {"sensor": {"width": 64, "height": 36}, "mapper.iterations": 1}
-    env, policy = make_env_and_policy("naruto", "box", terms="native", preset="fast", frame_budget=60, config=small)
+    env, policy = make_env_and_policy("naruto", "box", setup="native", preset="fast", frame_budget=60, config=small)
     observation, _ = env.reset(seed=1)
     policy.reset(1)
     turned = walked = 0

@@ -31,7 +31,7 @@ def moved(x: float, direction: tuple[float, float, float] = (1.0, 0, 0)) -> np.n
 
 def test_frames_and_keyframes_of_a_straight_way_by_hand() -> None:
     volume = open_space()
-    (way,) = agent(volume).ways(volume, [moved(1.2)])
+    (way,) = agent(volume).paths(volume, [moved(1.2)])
     assert way is not None
     # 12 steps of 0.1 m. Frames 4 to 15: the fifth, the tenth, and the fifteenth, which is also the last.
     assert way.frames == 12
@@ -40,7 +40,7 @@ def test_frames_and_keyframes_of_a_straight_way_by_hand() -> None:
 
 def test_the_budget_ends_a_way() -> None:
     volume = open_space()
-    (way,) = agent(volume, budget=12).ways(volume, [moved(1.2)])
+    (way,) = agent(volume, budget=12).paths(volume, [moved(1.2)])
     assert way is not None
     # Frames 4 .. 12: the fifth, the tenth, and the last of the budget.
     assert way.frames == 9
@@ -52,7 +52,7 @@ def test_no_way_through_a_wall_and_nothing_is_drawn() -> None:
     volume.state[20] = OCCUPIED
     asked = agent(volume)
     state = asked.rng.bit_generator.state
-    behind, before = asked.ways(volume, [moved(2.2), moved(0.5)])
+    behind, before = asked.paths(volume, [moved(2.2), moved(0.5)])
     assert behind is None and before is not None
     assert asked.rng.bit_generator.state == state
     assert np.isinf(asked.least_frames(np.array([moved(2.2)]))).all()
@@ -72,8 +72,8 @@ def test_least_frames_by_hand() -> None:
 def test_an_episode_goes_the_way_that_was_foretold(row: int) -> None:
     episode = Reconstruction(configure("fast", {"frame_budget": 60}))
     episode.start(ground_truth_of(load_scene("box")), seed=0)
-    (way,) = episode.agent.ways(episode.volume, episode.candidates.world_from_camera[row : row + 1])
-    visit = episode.visit(row)
+    (way,) = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[row : row + 1])
+    visit = episode.move_to(row)
     assert way is not None and visit.reached
     assert way.frames == visit.frames and len(way.keyframes) == len(visit.keyframes)
     np.testing.assert_array_equal(way.keyframes[-1], visit.keyframes[-1].world_from_camera)

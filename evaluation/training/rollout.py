@@ -11,7 +11,7 @@ from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.statistics import area_under
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.oracle import oracle_greedy
-from activestructure_gym.evaluation.training.world import make_env
+from activestructure_gym.evaluation.training.training_env import make_env
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies import Policy
 

@@ -6,8 +6,8 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import GaussianMap
 from activestructure_gym.mapping.boxes import BLOCK
-from activestructure_gym.mapping.hidden import MARGIN, behind_the_measured, depth_tiles
-from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.frustum_culling import MapParts
+from activestructure_gym.mapping.occlusion_culling import MARGIN, behind_the_measured, depth_tiles
 
 CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 32.0, 24.0)
 POSE = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))  # along +x

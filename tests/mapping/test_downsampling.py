@@ -8,7 +8,7 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
-from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.mapping.downsampling import reduced
 
 CAMERA = PinholeCamera.from_size(8, 4)
 

@@ -15,8 +15,8 @@ from activestructure_gym.evaluation.training import demonstrations, oracle, scor
 from activestructure_gym.evaluation.training import world as world_module
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
-from activestructure_gym.evaluation.training.playing import play_oracle, play_policy
-from activestructure_gym.evaluation.training.world import (
+from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
+from activestructure_gym.evaluation.training.training_env import (
     TrainingEnv,
     learning_layouts,
     learning_truth,
@@ -192,7 +192,7 @@ def test_the_way_shows_at_least_what_its_end_shows_and_costs_its_frames(box: Sce
     env.reset(seed=1)
     episode = env.reconstruction
     rates, ends = oracle.newly_seen_per_frame(env), oracle.newly_seen(env)
-    ways = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
+    ways = episode.agent.paths(episode.volume, episode.candidates.world_from_camera)
     for row, way in enumerate(ways):
         whole = len(way.keyframes) > 0 and np.allclose(way.keyframes[-1], episode.candidates.world_from_camera[row])
         assert not whole or rates[row] * way.frames > ends[row] - 0.005  # samples at the border of the image

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.mapping.axes import FILE_FROM_WORLD, turned_map
 from activestructure_gym.mapping.gaussian_map import ROWS
-from activestructure_gym.mapping.turning import FILE_FROM_WORLD, turned_map
 
 
 @pytest.fixture

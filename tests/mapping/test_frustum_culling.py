@@ -6,8 +6,8 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import GaussianMap
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.mapper import largest_adam_step
-from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import cpu
 
 CAMERA = PinholeCamera(48, 32, 30.0, 34.0, 22.0, 17.0)

@@ -3,7 +3,7 @@
 Gaussians stand in the map in the order in which they were seeded, so a thousand neighbours in the arrays mostly lie
 near each other. Each such block has a box; blocks whose box cannot reach the image are left out, and the others are
 copied together. The bound is that of the rasteriser, so the pictures are the same to the last bit. Where a depth was
-measured, what lies well behind it can be left out, too (`activestructure_gym.mapping.hidden`).
+measured, what lies well behind it can be left out, too (`activestructure_gym.mapping.occlusion_culling`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.gaussian_map import ROWS, GaussianMap
-from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
+from activestructure_gym.mapping.occlusion_culling import behind_the_measured, depth_tiles
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 

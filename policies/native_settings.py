@@ -9,14 +9,13 @@ from typing import Any, Literal, get_args
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.specs import Spec
 
-Terms = Literal["shared", "native"]
-# What everybody gets on native terms where a planner does not say otherwise: the paper's budget, at a size that a CPU
-# maps in minutes (the preset `full`).
+Setup = Literal["shared", "native"]
+# Preset of the native setup unless a planner names another: the paper's budget, at a size that a CPU maps in minutes.
 NATIVE_PRESET: Literal["full"] = "full"
 
 
 @dataclass(frozen=True)
-class Schedule:
+class NativeSettings:
     """A planner's own candidate sources and schedule, as changes of the configuration. None leaves what is usual."""
 
     mapper: str | None = None  # a recipe of `MAPPERS`, such as ``splatam``
@@ -33,16 +32,14 @@ class Schedule:
         if not self.goal_keyframes:
             return
         if self.keyframe_every is not None:
-            raise InputError(
-                f"a Schedule has goal_keyframes or keyframe_every, got both (keyframe_every={self.keyframe_every})"
-            )
+            raise InputError(f"give goal_keyframes or keyframe_every, not both (keyframe_every={self.keyframe_every})")
         if staying := [name for stage in self.stages or () for name in stage if Spec.of(name).name == "stay"]:
             raise InputError(
                 f"a round of '{staying[0]}' costs the frames between two keyframes, and goal_keyframes leave no "
                 "such number: set keyframe_every instead"
             )
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """What it brings, in words, and what its paper spends where that is noted."""
         frames = "at the end of a way" if self.goal_keyframes else f"every {self.keyframe_every} frames"
         given = {
@@ -71,24 +68,24 @@ class Schedule:
         return {name: value for name, value in given.items() if value is not None} | dict(self.changes)
 
 
-def schedule_of(policy: Any, terms: Terms) -> Schedule:
-    """What ``policy``, a class or an object, brings on these terms: nothing on shared ones.
+def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
+    """What ``policy``, a class or an object, brings in this setup: nothing in the shared one.
 
-    Raises `InputError` for terms that do not exist, and for a declaration that is no `Schedule`.
+    Raises `InputError` for an unknown setup, and for a declaration that is no `NativeSettings`.
     """
-    if terms not in get_args(Terms):
-        raise unknown_name("terms", str(terms), get_args(Terms))
-    brought = getattr(policy, "brings", Schedule())
-    if not isinstance(brought, Schedule):
+    if setup not in get_args(Setup):
+        raise unknown_name("setup", str(setup), get_args(Setup))
+    brought = getattr(policy, "native_settings", NativeSettings())
+    if not isinstance(brought, NativeSettings):
         name = getattr(policy, "__name__", type(policy).__name__)
-        raise InputError(f"what {name} brings must be a Schedule, got {type(brought).__name__}")
-    return brought if terms == "native" else Schedule()
+        raise InputError(f"what {name} brings must be a NativeSettings, got {type(brought).__name__}")
+    return brought if setup == "native" else NativeSettings()
 
 
 # All active systems that the paper compares, and its own, map by SplaTAM's recipe with 15 iterations (Sec. 4.1).
-SPLATAM = Schedule(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
+SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
 
 # Selectors of views, which pick one after the other out of a given set: nothing is mapped on the way, and a map is
 # optimised for 100 iterations per view before the next one is picked (`interval_epochs`, [fisherrf, code]; there 100
 # for each view there is, in all 19,000 for 20 views). The set has no counterpart in a room; the shared pool is it.
-SELECTED_VIEWS = Schedule(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")
+SELECTED_VIEWS = NativeSettings(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")

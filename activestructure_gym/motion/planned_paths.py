@@ -27,7 +27,7 @@ def least_frames(
 
 
 @dataclass(frozen=True)
-class Way:
+class PlannedPath:
     """Hold the path to one view, cut at the end of the budget."""
 
     frames: int  # frames used
@@ -51,21 +51,21 @@ class Agent:
         """Return the frames needed to reach each goal along the grid path; inf if unreachable."""
         return least_frames(self.pose, goals, self.distances.at(goals[:, :3, 3]), self.motion)
 
-    def along(self, poses: np.ndarray) -> Way:  # [T, 4, 4]
+    def along(self, poses: np.ndarray) -> PlannedPath:  # [T, 4, 4]
         """Return the frames of ``poses`` within the budget, and the keyframes among them."""
         frames = min(len(poses), self.frame_budget - self.frames)
         number = np.arange(1, frames + 1)
         taken = ((self.frames + number) % self.keyframe_every == 0) | (number == frames)
-        return Way(frames, poses[:frames][taken])
+        return PlannedPath(frames, poses[:frames][taken])
 
-    def ways(self, volume: VoxelVolume, goals: Iterable[np.ndarray]) -> list[Way | None]:  # goals of [4, 4]
+    def paths(self, volume: VoxelVolume, goals: Iterable[np.ndarray]) -> list[PlannedPath | None]:  # goals of [4, 4]
         """Return the path to every goal through known free space; None if there is none.
 
         Each position is planned once with a copy of the generator, so the call changes no state; the executed path may
         differ. Obstacles first observed along the path are not predicted.
         """
         paths: dict[bytes, np.ndarray | None] = {}
-        found: list[Way | None] = []
+        found: list[PlannedPath | None] = []
         for goal in goals:
             place = goal[:3, 3].tobytes()
             if place not in paths:

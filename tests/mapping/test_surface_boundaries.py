@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.borders import nearest_borders
 from activestructure_gym.mapping.seeding import pixel_samples, seed_disks
+from activestructure_gym.mapping.surface_boundaries import nearest_borders
 
 CAMERA = PinholeCamera.from_size(40, 30)  # f = 20, so a pixel at 2 m is 10 cm wide
 FAR = 100.0  # metres to look

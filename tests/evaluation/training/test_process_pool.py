@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from activestructure_gym.evaluation.training.spreading import spread
+from activestructure_gym.evaluation.training.process_pool import spread
 
 # Calls that are long, or fail; `spread` never returns before the workers have ended.
 PROGRAM = """
     import os, sys, time
     from pathlib import Path
-    from activestructure_gym.evaluation.training.spreading import spread
+    from activestructure_gym.evaluation.training.process_pool import spread
 
     def work(place, seconds):
         (Path(place) / f"begun-{time.monotonic_ns()}").touch()

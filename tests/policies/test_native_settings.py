@@ -1,4 +1,4 @@
-"""What policies bring on native terms: usable by every registered one, and nothing on shared terms."""
+"""What policies bring in the native setup: usable by every registered one, and nothing in the shared setup."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import build
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import planar_graph
-from activestructure_gym.policies import POLICIES, Policy, Schedule, make_env_and_policy
-from activestructure_gym.policies.schedule import schedule_of
+from activestructure_gym.policies import POLICIES, NativeSettings, Policy, make_env_and_policy
+from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.scenes import load_scene
 
 SMALL = {"sensor": {"width": 48, "height": 27}, "mapper.iterations": 1}
 
 
-@pytest.mark.parametrize("name", [name for name in POLICIES if schedule_of(POLICIES.get(name), "native") != Schedule()])
+@pytest.mark.parametrize(
+    "name", [name for name in POLICIES if native_settings_of(POLICIES.get(name), "native") != NativeSettings()]
+)
 def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> None:
-    brought = POLICIES.get(name).brings
+    brought = POLICIES.get(name).native_settings
     config = configure("full", brought.overrides())
     assert brought.mapper in (None, config.mapper.name) and config.frame_budget == 2000
     assert config.mapper.iterations == (brought.iterations or configure("full").mapper.iterations)
-    env, policy = make_env_and_policy(name, "box", terms="native", preset="fast", frame_budget=30, config=SMALL)
+    env, policy = make_env_and_policy(name, "box", setup="native", preset="fast", frame_budget=30, config=SMALL)
     stages = env.unwrapped.config.views.stages  # type: ignore[attr-defined]
     assert stages == (brought.stages or (("pool",),))
     policy.reset(0)
@@ -45,7 +47,7 @@ def begin(
     name: str, scene: str = "room", frame_budget: int = 60, **changes: Any
 ) -> tuple[Any, Policy, dict[str, np.ndarray]]:
     env, policy = make_env_and_policy(
-        name, scene, terms="native", preset="fast", frame_budget=frame_budget, config={**SMALL, **changes}
+        name, scene, setup="native", preset="fast", frame_budget=frame_budget, config={**SMALL, **changes}
     )
     policy.reset(0)
     return env.unwrapped, policy, env.reset(seed=0)[0]
@@ -66,14 +68,14 @@ def test_selectors_of_views_map_what_they_pick_and_nothing_on_the_way(name: str)
 def test_rules_as_published_bring_their_schedule_and_hybrids_of_ours_bring_none() -> None:
     for name in POLICIES:
         if name.startswith(("popgs_", "next_best_sense")):
-            brought = schedule_of(POLICIES.get(name), "native")
+            brought = native_settings_of(POLICIES.get(name), "native")
             assert (brought.overrides() == {}) == name.endswith("_cov"), name
             assert brought.iterations == (None if name.endswith("_cov") else 100)
 
 
 def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its_paper() -> None:
     ladder = ["activestructure", *(f"activestructure-{rung}" for rung in "abcd")]
-    found = {name: configure("full", POLICIES.get(name).brings.overrides()).mapper for name in POLICIES}
+    found = {name: configure("full", POLICIES.get(name).native_settings.overrides()).mapper for name in POLICIES}
     built = {name: mapper.iterations for name, mapper in found.items() if mapper.name == "splatam"}
     systems = ["activegamer", "activesplat", "gs_planner", "hgs_planner", *ladder]
     assert built == dict.fromkeys(systems, configure("default", {"mapper.name": "splatam"}).mapper.iterations) | {
@@ -82,16 +84,21 @@ def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its
 
 
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:
-    assert Schedule().told() == "nothing" and Schedule(budget="a day").told() == "nothing; its paper spends a day"
-    assert Schedule(clearance_m=0.0, iterations=0).told() == (
+    assert (
+        NativeSettings().describe() == "nothing"
+        and NativeSettings(budget="a day").describe() == "nothing; its paper spends a day"
+    )
+    assert NativeSettings(clearance_m=0.0, iterations=0).describe() == (
         "views 0.0 m from what is not free, 0 iterations a keyframe"
     )
-    full = Schedule("splatam", (("pool", "stay"), ("turns",)), 9, 4, False, 3, 0.5, {"sensor.width": 64}, "an hour")
-    assert full.told() == (
+    full = NativeSettings(
+        "splatam", (("pool", "stay"), ("turns",)), 9, 4, False, 3, 0.5, {"sensor.width": 64}, "an hour"
+    )
+    assert full.describe() == (
         "views of pool + stay or turns, up to 9 of them, views 0.5 m from what is not free, mapper splatam, "
         "3 iterations a keyframe, a keyframe every 4 frames, sensor.width = 64; its paper spends an hour"
     )
-    assert Schedule(goal_keyframes=True).told() == "a keyframe at the end of a way"
+    assert NativeSettings(goal_keyframes=True).describe() == "a keyframe at the end of a way"
 
 
 def test_r3_recon_is_offered_views_of_the_frontier_and_around_the_agent() -> None:
@@ -130,15 +137,15 @@ def test_anm_s_goes_to_the_nodes_themselves() -> None:
 def test_aiisrfe_is_offered_views_for_its_tasks_alone() -> None:
     env, policy, observation = begin("aiisrfe")
     observation, *_ = env.step(policy.act(observation))
-    frontiers, unsure = (s for s in type(policy).brings.stages[0])
+    frontiers, unsure = (s for s in type(policy).native_settings.stages[0])
     candidates = policy.candidates(observation)
     np.testing.assert_array_equal(candidates.source(frontiers) | candidates.source(unsure), candidates.valid)
     assert candidates.source(frontiers).any()
 
 
 def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
-    assert Schedule().overrides() == {}
-    full = Schedule(
+    assert NativeSettings().overrides() == {}
+    full = NativeSettings(
         mapper="splatam",
         stages=(("turns",),),
         candidates=9,
@@ -150,7 +157,7 @@ def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
         "mapper.name": "splatam", "views.stages": (("turns",),), "views.max_candidates": 9, "mapper.iterations": 3,
         "motion.candidate_clearance": 0.5, "sensor.width": 64,
     }  # fmt: skip
-    config = configure("fast", Schedule(goal_keyframes=True).overrides())
+    config = configure("fast", NativeSettings(goal_keyframes=True).overrides())
     assert config.keyframe_every > config.frame_budget
 
 
@@ -163,13 +170,13 @@ def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
 )
 def test_keyframes_at_goals_alone_leave_no_number_of_frames_between_them(given: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Schedule(goal_keyframes=True, **given)
+        NativeSettings(goal_keyframes=True, **given)
 
 
 class Bringer(Policy):
     """Turns on its place."""
 
-    brings = Schedule(stages=(("turns?count=5",),), goal_keyframes=True)
+    native_settings = NativeSettings(stages=(("turns?count=5",),), goal_keyframes=True)
 
     def act(self, observation):
         return int(np.flatnonzero(observation["action_mask"])[1])
@@ -178,7 +185,7 @@ class Bringer(Policy):
 def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() -> None:
     spec = "tests.policies.test_schedule:Bringer"
     shared = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20))
-    native = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20, terms="native"))
+    native = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20, setup="native"))
     assert "terms" not in shared.as_dict() and shared.hash != native.hash
     assert Job.from_dict(native.as_dict()) == native and Job.from_dict(shared.as_dict()) == shared
     known = ground_truth_of(load_scene("box"))
@@ -186,7 +193,7 @@ def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() 
     policy, env = build(native, known)
     assert env.config.views.stages == (("turns?count=5",),)
     changed = Job(
-        "box", spec, 0, conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7),), terms="native")
+        "box", spec, 0, conditions=Conditions(preset="fast", overrides=(("keyframe_every", 7),), setup="native")
     )
     assert build(changed, known)[1].config.keyframe_every == 7  # what was asked for goes before
     observation, _ = env.reset(seed=0)
@@ -197,8 +204,8 @@ def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() 
 
 def test_wrong_terms_and_declarations_are_said() -> None:
     with pytest.raises(InputError, match="did you mean 'native'"):
-        Job("box", "random", 0, conditions=Conditions(terms="nativ"))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="what Odd brings must be a Schedule"):
-        schedule_of(type("Odd", (), {"brings": {"mapper": "splatam"}}), "native")
+        Job("box", "random", 0, conditions=Conditions(setup="nativ"))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="what Odd brings must be a NativeSettings"):
+        native_settings_of(type("Odd", (), {"native_settings": {"mapper": "splatam"}}), "native")
     with pytest.raises(InputError, match="give config as a dictionary"):
-        make_env_and_policy(Bringer, "box", terms="native", config=configure("fast"))
+        make_env_and_policy(Bringer, "box", setup="native", config=configure("fast"))

@@ -9,11 +9,11 @@ import numpy as np
 
 # Keyframes per decision for a trajectory without decisions. The PSNR of the keyframes, which the mapper uses, is
 # measured again at every decision (own choice).
-KEYFRAMES_PER_LEG = 4
+KEYFRAMES_PER_SEGMENT = 4
 
 
 @dataclass(frozen=True)
-class Leg:
+class PathSegment:
     """Hold the frames between two decisions."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the start pose
@@ -22,22 +22,22 @@ class Leg:
     stays: int = 0  # frames spent optimising in place; then there are no poses
 
 
-def regular_legs(poses: np.ndarray, keyframe_every: int) -> list[Leg]:
+def regular_segments(poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
     """Split a trajectory [T, 4, 4] into legs; its first pose is the start.
 
     Every ``keyframe_every``-th frame and the last one are keyframes.
     """
     frames = np.arange(2, len(poses) + 1)  # number of frames used when each pose after the first is reached
     mapped = (frames % keyframe_every == 0) | (frames == len(poses))
-    ends = np.flatnonzero(mapped)[KEYFRAMES_PER_LEG - 1 :: KEYFRAMES_PER_LEG] + 1
+    ends = np.flatnonzero(mapped)[KEYFRAMES_PER_SEGMENT - 1 :: KEYFRAMES_PER_SEGMENT] + 1
     legs = []
     for begin, end in zip([0, *ends], [*ends, len(frames)]):
         if begin < end:
-            legs.append(Leg(poses[1 + begin : 1 + end], tuple(int(keyframe) for keyframe in mapped[begin:end])))
+            legs.append(PathSegment(poses[1 + begin : 1 + end], tuple(int(keyframe) for keyframe in mapped[begin:end])))
     return legs
 
 
-def recorded_legs(arrays: Mapping[str, np.ndarray]) -> list[Leg]:
+def recorded_segments(arrays: Mapping[str, np.ndarray]) -> list[PathSegment]:
     """Return the legs of a run's ``trajectory.npz``; raise ValueError if its arrays are inconsistent.
 
     ``legs`` [D, 3] holds, at the end of each decision, the poses executed, the frames used, and 1 if they were spent
@@ -61,7 +61,7 @@ def recorded_legs(arrays: Mapping[str, np.ndarray]) -> list[Leg]:
     found = []
     for (begin, _, _), (end, _, stays), count, frames in zip(before, table, executed, paid):
         if stays:
-            found.append(Leg(poses[:0], (), stays=int(count)))
+            found.append(PathSegment(poses[:0], (), stays=int(count)))
         else:
-            found.append(Leg(poses[begin:end], tuple(times[begin:end].tolist()), lost=int(frames - count)))
+            found.append(PathSegment(poses[begin:end], tuple(times[begin:end].tolist()), lost=int(frames - count)))
     return found

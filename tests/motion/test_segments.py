@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.motion import recorded_legs, regular_legs
+from activestructure_gym.motion import recorded_segments, regular_segments
 
 
 def poses(count: int) -> np.ndarray:
@@ -15,13 +15,13 @@ def poses(count: int) -> np.ndarray:
 
 
 def test_every_fifth_frame_and_the_last_are_keyframes_of_a_bare_trajectory() -> None:
-    legs = regular_legs(poses(23), keyframe_every=5)
+    legs = regular_segments(poses(23), keyframe_every=5)
     assert [len(leg.poses) for leg in legs] == [19, 3], "four keyframes a leg: frames 5, 10, 15 and 20, then the last"
     rounds = [0, *legs[0].rounds, *legs[1].rounds]
     assert [frame for frame, times in enumerate(rounds, start=1) if times] == [5, 10, 15, 20, 23]
     np.testing.assert_array_equal(np.concatenate([leg.poses for leg in legs]), poses(23)[1:])
-    assert regular_legs(poses(1), 5) == []
-    assert [leg.rounds for leg in regular_legs(poses(2), 5)] == [(1,)]
+    assert regular_segments(poses(1), 5) == []
+    assert [leg.rounds for leg in regular_segments(poses(2), 5)] == [(1,)]
 
 
 def arrays() -> dict[str, np.ndarray]:
@@ -36,8 +36,10 @@ def arrays() -> dict[str, np.ndarray]:
 
 def test_the_legs_of_a_run_are_read_back() -> None:
     unsigned = {name: value.astype(np.uint64) for name, value in arrays().items() if name == "legs"}
-    assert [leg.rounds for leg in recorded_legs(arrays() | unsigned)] == [leg.rounds for leg in recorded_legs(arrays())]
-    walk, lost, stay, revisit = recorded_legs(arrays())
+    assert [leg.rounds for leg in recorded_segments(arrays() | unsigned)] == [
+        leg.rounds for leg in recorded_segments(arrays())
+    ]
+    walk, lost, stay, revisit = recorded_segments(arrays())
     assert walk.rounds == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])
     assert (lost.lost, len(lost.poses)) == (1, 0)
     assert (stay.stays, len(stay.poses), stay.lost) == (3, 0, 0)
@@ -60,4 +62,4 @@ def test_the_legs_of_a_run_are_read_back() -> None:
 )
 def test_legs_that_do_not_fit_are_refused(name: str, value: np.ndarray, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        recorded_legs({**arrays(), name: value})
+        recorded_segments({**arrays(), name: value})

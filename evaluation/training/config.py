@@ -82,7 +82,7 @@ class TrainingConfig:
     planes: int = 32  # sizes of the network, see NetworkConfig
     candidates: int = 48
     rounds: int = 2
-    planes_told: bool = True
+    use_planes: bool = True
     validation_layouts: int = 36  # one episode on each
     validate_every: int = 10  # epochs, or PPO iterations
     # Learning from an expert.
@@ -116,7 +116,7 @@ class TrainingConfig:
         if self.method not in get_args(Method):
             raise unknown_name("method", self.method, get_args(Method))
         check_ranges(self, _RANGES)
-        _check_kinds(self, texts=("teacher", "start"), flags=("mirror", "planes_told"))
+        _check_kinds(self, texts=("teacher", "start"), flags=("mirror", "use_planes"))
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
@@ -128,7 +128,7 @@ class TrainingConfig:
         return self._network(feature_columns(*self.world.features))
 
     def _network(self, features: tuple[str, ...]) -> NetworkConfig:
-        return NetworkConfig(features, self.planes, self.candidates, self.rounds, self.planes_told)
+        return NetworkConfig(features, self.planes, self.candidates, self.rounds, self.use_planes)
 
     @property
     def rate(self) -> float:

@@ -38,7 +38,7 @@ class NetworkConfig:
     planes: int = 32  # channels of a plane
     candidates: int = 48  # channels of a candidate
     rounds: int = 2  # of passing messages between neighbouring planes
-    planes_told: bool = True  # False: the network is shown an empty Plane Scene Graph, for an ablation
+    use_planes: bool = True  # False: an empty Plane Scene Graph is given to the network, for an ablation
 
     def __post_init__(self) -> None:
         features = self.features
@@ -53,8 +53,8 @@ class NetworkConfig:
                 raise InputError(
                     f"{name} of the network must be a whole number from {least} to {most}, got {short_repr(value)}"
                 )
-        if not isinstance(self.planes_told, bool):
-            raise InputError(f"planes_told of the network must be true or false, got {short_repr(self.planes_told)}")
+        if not isinstance(self.use_planes, bool):
+            raise InputError(f"use_planes of the network must be true or false, got {short_repr(self.use_planes)}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -64,7 +64,7 @@ class NetworkConfig:
     def from_dict(cls, content: Mapping[str, Any]) -> NetworkConfig:
         """The configuration that `as_dict` described; raises `InputError` for anything else."""
         known = {field.name for field in dataclasses.fields(cls)}
-        # Checkpoints of before the ablation do not say that they are told of planes.
-        if not isinstance(content, Mapping) or set(content) | {"planes_told"} != known:
+        # The shipped checkpoint has no ``use_planes``.
+        if not isinstance(content, Mapping) or set(content) | {"use_planes"} != known:
             raise InputError(f"a network is described by {listed(sorted(known))}, got {short_repr(content)}")
         return cls(**content)

@@ -60,7 +60,7 @@ class CandidateNetwork(nn.Module):
         The critic only reads what the scorer has learnt to see: its errors do not reach the shared layers, so a
         policy that begins from a copied expert is not bent by a critic that knows nothing yet.
         """
-        if not self.config.planes_told:
+        if not self.config.use_planes:
             observation = {**observation, **{key: torch.zeros_like(observation[key]) for key in PLANE_KEYS}}
         valid, present = observation["action_mask"], observation["plane_mask"]
         links = inputs.plane_links(observation)

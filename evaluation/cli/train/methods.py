@@ -34,8 +34,8 @@ class Learning(Episodes):
     """Train on this many procedural apartments."""
     features: Names = ("pixel", "hole_area")
     """Give the policy these features of every candidate (see `asg list features`)."""
-    planes_told: bool = True
-    """Give the network the Plane Scene Graph, or not (an ablation)."""
+    use_planes: bool = True
+    """Give the network the Plane Scene Graph, or an empty one (an ablation)."""
     noise: bool = True
     """Draw new sensor noise in every training episode, or not; validation has none."""
     reward: Reward = "rate"

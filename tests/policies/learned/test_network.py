@@ -53,9 +53,9 @@ def test_renumbering_planes_changes_nothing(network, make_observation, rng) -> N
     np.testing.assert_allclose(run(network, moved)[0], run(network, observation)[0], atol=1e-4)
 
 
-def test_without_planes_told_a_scene_with_planes_looks_like_one_without(make_observation) -> None:
+def test_without_use_planes_a_scene_with_planes_looks_like_one_without(make_observation) -> None:
     torch.manual_seed(0)
-    blind = CandidateNetwork(NetworkConfig(planes_told=False))
+    blind = CandidateNetwork(NetworkConfig(use_planes=False))
     with torch.no_grad():
         blind.scorer[-1].weight.normal_()
     sees = CandidateNetwork(NetworkConfig())
@@ -66,9 +66,9 @@ def test_without_planes_told_a_scene_with_planes_looks_like_one_without(make_obs
     assert not np.allclose(run(blind, observation)[0], run(sees, observation)[0])
     described = blind.config.as_dict()
     assert NetworkConfig.from_dict(described) == blind.config
-    assert NetworkConfig.from_dict({k: v for k, v in described.items() if k != "planes_told"}) == NetworkConfig()
-    with pytest.raises(InputError, match="planes_told"):
-        NetworkConfig(planes_told=1)
+    assert NetworkConfig.from_dict({k: v for k, v in described.items() if k != "use_planes"}) == NetworkConfig()
+    with pytest.raises(InputError, match="use_planes"):
+        NetworkConfig(use_planes=1)
 
 
 def test_more_empty_rows_change_nothing(network, make_observation) -> None:

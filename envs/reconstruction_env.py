@@ -13,10 +13,10 @@ import numpy as np
 from gymnasium import spaces
 
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
+from activestructure_gym.envs.exclusive_access import ExclusiveAccess
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
-from activestructure_gym.envs.turn import Turn
 from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
@@ -176,13 +176,13 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._frame: Frame | None = None
         self._view: LiveView | None = None
         self._ended = True
-        self._turn = Turn()
+        self._access = ExclusiveAccess()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
-        with self._turn.taken("reset"):
+        with self._access.claim("reset"):
             return self._begun(seed, options)
 
     def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -224,7 +224,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Walk to row ``action`` of the candidate table."""
-        with self._turn.taken("step"):
+        with self._access.claim("step"):
             if self._ended:
                 raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
             if not self.is_row(action):
@@ -281,7 +281,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
         None with ``"human"``: every step is shown as it is made.
         """
-        self._turn.check_open("render")
+        self._access.check_open("render")
         if self.render_mode is None:
             gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
             return None
@@ -296,7 +296,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
         A closed environment refuses `reset`, `step` and `render`; what it has reconstructed can still be read.
         """
-        self._turn.closed = True
+        self._access.closed = True
         if self._view is not None:
             self._view.close()
             self._view = None

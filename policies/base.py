@@ -28,7 +28,7 @@ class Policy(ABC):
     with an `InputError`.
     """
 
-    decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
+    criterion: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
     travel_term: ClassVar[str] = "none"  # how the path to a view counts in the original, for lists
     source: ClassVar[str] = ""  # the paper, for lists
     native_settings: ClassVar[NativeSettings] = (
@@ -219,7 +219,7 @@ def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: flo
     return best_valid(np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0), observation)
 
 
-def only_new(observation: Observation) -> Observation:
+def without_revisits(observation: Observation) -> Observation:
     """The observation with the revisits masked, as long as anything else is valid.
 
     For planners that know no way back to a keyframe. Up to four rows of every table are the worst rendered ones, often
@@ -237,9 +237,9 @@ def nearest_new(observation: Observation) -> int:
     be the present pose itself, where a source offers it.
     """
     candidates = Candidates(observation)
-    return best_valid(travel_discount(observation) - (candidates.revisit | standing(candidates)), observation)
+    return best_valid(travel_discount(observation) - (candidates.revisit | at_current_pose(candidates)), observation)
 
 
-def standing(candidates: Candidates) -> np.ndarray:  # [K] bool
+def at_current_pose(candidates: Candidates) -> np.ndarray:  # [K] bool
     """Which views are the one it has: a single frame and no way. A planner that takes one stands still."""
     return (candidates.path_length < 1e-3) & (candidates.frames == 1)

@@ -73,7 +73,7 @@ class Candidates:
         return self._table[:, _XYZ]
 
     @property
-    def look(self) -> np.ndarray:  # [K, 3]
+    def view_direction(self) -> np.ndarray:  # [K, 3]
         """Viewing directions: unit vectors in the world; 0 in rows without a candidate."""
         return self._table[:, _LOOK]
 
@@ -111,7 +111,7 @@ class Candidates:
             )
         return self._row(f"from_{name}") > 0 if f"from_{name}" in self._rows else self.valid
 
-    def ask(self, stage: int) -> int | None:
+    def stage_switch(self, stage: int) -> int | None:
         """The row that asks for another stage; None where that stage is on or was on since a frame was paid."""
         column = f"ask_{stage}"
         rows = np.nonzero(self._row(column) > 0)[0] if column in self._rows else np.zeros(0, int)
@@ -123,7 +123,7 @@ class Candidates:
         return self._row("stay") if "stay" in self._rows else np.zeros(len(self), np.float32)
 
     @property
-    def looks_at(self) -> np.ndarray:  # [K, 3]
+    def fixation_point(self) -> np.ndarray:  # [K, 3]
         """Metres: the point that the camera keeps in its axis on the way; NaN where there is none."""
         if "fixates" not in self._rows:
             return np.full((len(self), 3), np.nan, np.float32)

@@ -22,7 +22,7 @@ class Planner(Policy):
         `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
     """
 
-    least: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
+    min_gain: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class Planner(Policy):
         """The planner's own factor on the gain; 1 for a planner without a travel term."""
         return np.ones(len(observation["action_mask"]))
 
-    def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] -> [K]
+    def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] -> [K]
         """The planner's own score; to be replaced where its travel term is no factor."""
         return gain * self.native_travel(observation)
 
@@ -45,12 +45,12 @@ class Planner(Policy):
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
         """Scores of the views: gain and travel term, or the travel term alone where no valid view has a gain."""
-        gain = np.maximum(gain, self.least)
+        gain = np.maximum(gain, self.min_gain)
         if not gain[observation["action_mask"].astype(bool)].any():
             gain = np.ones_like(gain)
         if self.travel == "shared":
             return gain * travel_discount(observation)
-        return self.native(gain, observation)
+        return self.native_scores(gain, observation)
 
     def trace(self) -> dict[str, Any]:
         """Numbers that a planner noted about the chosen view."""
@@ -76,7 +76,7 @@ class SharedGreedy(Greedy):
     """
 
     travel_term = "the shared one"
-    least = 1e-6  # of gains that are shares of an image: below the share of any pixel
+    min_gain = 1e-6  # of gains that are shares of an image: below the share of any pixel
 
     def __init__(self) -> None:
         super().__init__("shared")

@@ -166,7 +166,7 @@ def test_the_rasteriser_s_example_runs() -> None:
 @pytest.mark.parametrize("name", sorted(POLICIES))
 def test_every_policy_says_in_its_folder_what_lists_show(name: str) -> None:
     kind = POLICIES.get(name)
-    assert kind.__doc__ and kind.decides_by and kind.source and kind.travel_term
+    assert kind.__doc__ and kind.criterion and kind.source and kind.travel_term
 
 
 def test_pictures_of_the_benchmark_s_curves_are_those_of_their_numbers() -> None:

@@ -51,7 +51,7 @@ def _card(name: str, told: dict) -> str:
     kind = POLICIES.get(name)
     behind = '<use href="#others"/>'
     chart = _chart(name, told, behind) if name in told["policies"] else '<p class="none">no run in the benchmark</p>'
-    decides = _plain(kind.decides_by or _first(kind))
+    decides = _plain(kind.criterion or _first(kind))
     equation = f"<code>{_plain(found)}</code>" if (found := _equation(kind)) else ""
     return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{equation}{chart}</a>'
 
@@ -60,7 +60,7 @@ def _page(name: str, told: dict) -> str:
     kind = POLICIES.get(name)
     parts = [
         f"# `{name}`\n",
-        f"Decides by: {kind.decides_by or _first(kind)}. Travel term: {kind.travel_term}. Source: {kind.source}.\n",
+        f"Criterion: {kind.criterion or _first(kind)}. Travel term: {kind.travel_term}. Source: {kind.source}.\n",
     ]
     if name in told["policies"]:
         row = " | ".join(f"{_benchmark(name, key):.1f}" for key in ("observed", "completion_ratio", "psnr"))
@@ -118,7 +118,7 @@ def _table(names: Sequence[str]) -> str:
     rows = ["| policy | decides by | own travel term | source |", "|---|---|---|---|"]
     for name in names:
         kind = POLICIES.get(name)
-        cells = (kind.decides_by or _first(kind), kind.travel_term, kind.source)
+        cells = (kind.criterion or _first(kind), kind.travel_term, kind.source)
         rows.append(f"| [`{name}`]({name}.md) | {' | '.join(map(escaped, cells))} |")
     return "\n".join(rows)
 

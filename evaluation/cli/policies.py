@@ -63,9 +63,9 @@ _HINT = "One with its options: asg policies NAME; your own: asg policies MODULE:
 def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
     """A policy's line of the list: name, source, and what it decides by; the source is its first part if not wide."""
     if wide:
-        return [facts["name"], facts["source"], ", ".join(facts["features"]), facts["decides_by"]]
+        return [facts["name"], facts["source"], ", ".join(facts["features"]), facts["criterion"]]
     source = _QUALIFIED.sub("after ", facts["source"]).partition(",")[0]
-    return [facts["name"], source, facts["decides_by"]]
+    return [facts["name"], source, facts["criterion"]]
 
 
 def _describe(facts: dict[str, Any]) -> None:
@@ -110,7 +110,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
     about = _own_words(kind)
     return {
         "name": name,
-        "decides_by": kind.decides_by or about.partition("\n")[0],
+        "criterion": kind.criterion or about.partition("\n")[0],
         "features": list(features_asked(name)),
         "travel_term": kind.travel_term,
         "source": kind.source,

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, without_revisits
 from activestructure_gym.policies.greedy import Greedy
 from activestructure_gym.policies.native_settings import NativeSettings
 
@@ -19,7 +19,7 @@ class ActiveGS(Greedy):
     taken; the original then draws scores by lot. Revisits are no candidates of it.
     """
 
-    decides_by = "unexplored voxels in sight, surface without confidence"
+    criterion = "unexplored voxels in sight, surface without confidence"
     travel_term = "share of the path length subtracted"
     source = "Jin et al., ActiveGS, RA-L 2025"
     required_features = ("confidence",)
@@ -33,14 +33,14 @@ class ActiveGS(Greedy):
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the trace says how far it is where that is no factor."""
-        choice = super().act(only_new(observation))
+        choice = super().act(without_revisits(observation))
         if self.travel == "native":
             gain = self.required_features[0]
             length = float(self.candidates(observation).path_length[choice])
             self._trace = {gain: self._trace[gain], "path_length": length}
         return choice
 
-    def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
+    def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
         """The difference of the two shares."""
         candidates = self.candidates(observation)
         valid, length = candidates.valid, candidates.path_length.astype(np.float64)

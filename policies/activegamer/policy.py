@@ -62,7 +62,7 @@ class ActiveGAMER(Planner):
     themselves, and post-refinement stands still. Source: [activegamer, code].
     """
 
-    decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
+    criterion = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     travel_term = "1 - softmax(metres)"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_features = ("uncovered",)
@@ -129,7 +129,7 @@ class ActiveGAMER(Planner):
         gain, valid = candidates["uncovered"].astype(np.float64), candidates.valid
         if self._stage < 2 and self._on == self._stage:
             pool = valid & candidates.source(SOURCES[self._stage])
-            names = np.round(100.0 * np.hstack([candidates.xyz, candidates.look])).astype(np.int64)
+            names = np.round(100.0 * np.hstack([candidates.xyz, candidates.view_direction])).astype(np.int64)
             keys = [tuple(name) for name in names.tolist()]
             self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
             rich = pool & np.array([key not in self._pruned for key in keys], dtype=bool)
@@ -150,7 +150,7 @@ class ActiveGAMER(Planner):
         here = valid & candidates.source(SOURCES[self._on])
         wished = [self._stage] if here.any() else [self._stage, 0, 1, 2]  # where nothing is on offer any other will do
         for stage in wished if self._on != self._stage or not here.any() else []:
-            row = candidates.ask(stage)
+            row = candidates.stage_switch(stage)
             if row is not None and valid[row]:
                 self._on = stage
                 return row
@@ -171,7 +171,7 @@ class ActiveGAMER(Planner):
 
         Coarse: of the offered views that stand for the same view of the coarse lattice, the nearest to it.
         """
-        xyz, look = candidates.xyz.astype(np.float64), candidates.look.astype(np.float64)
+        xyz, look = candidates.xyz.astype(np.float64), candidates.view_direction.astype(np.float64)
         pool = candidates.valid & ~candidates.revisit
         names = np.round(100.0 * np.hstack([xyz, look])).astype(np.int64)
         if STAGES[self._stage] == STAGES[0]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.anm_s.policy import Uncertainty
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing
+from activestructure_gym.policies.base import POLICIES, Observation, at_current_pose, best_valid, nearest_new
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
@@ -31,7 +31,7 @@ class ActiveINR(Planner):
     Source: [activeinr, code].
     """
 
-    decides_by = "the largest piece of uncertain surface"
+    criterion = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
     native_settings = NativeSettings(
         stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
@@ -56,7 +56,7 @@ class ActiveINR(Planner):
     def act(self, observation: Observation) -> int:
         """The candidate that stands for the largest cluster, or on the way the one nearest to the target."""
         candidates = self.candidates(observation)
-        usable = candidates.valid & ~candidates.revisit & ~standing(candidates)
+        usable = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates)
         share = np.where(usable, candidates[self._feature], 0.0)
         left = float(observation["budget"][0])
         if self._target is not None:

@@ -29,7 +29,7 @@ class ActivePolicy(Planner):
     Source: a digest of [activepolicy].
     """
 
-    decides_by = "the most central of the 16 views with most disagreeing depth"
+    criterion = "the most central of the 16 views with most disagreeing depth"
     travel_term = "none; ties by path length"
     source = "inspired by ActivePolicy, CVPR 2026"
     required_features = ("activepolicy",)
@@ -84,7 +84,7 @@ def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # 
 def relation(observation: Observation, rows: np.ndarray) -> np.ndarray:  # [n] rows -> [n, n] in 0..1
     """Overlap of the views times exp(-gamma distance / mean distance)."""
     candidates = Candidates(observation)
-    xyz, look = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.look))
+    xyz, look = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.view_direction))
     seen = (observation["candidate_planes"][rows] * observation["plane_mask"]).astype(np.float64)
     shared = seen @ seen.T
     either = seen.sum(axis=1)[:, None] + seen.sum(axis=1) - shared

@@ -36,7 +36,7 @@ class ActiveSplat(Planner):
     [activesplat, code], `planner_node.py`.
     """
 
-    decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"
+    criterion = "integer score of Voronoi nodes by what panoramas of the map lack"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
     native_settings = replace(SPLATAM, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees")
@@ -88,7 +88,7 @@ class ActiveSplat(Planner):
             choice = best_valid(self.scores(gain, observation), observation)
             self._leave(xyz[choice])
             return choice
-        turn = candidates.look.astype(np.float64) @ forward(observation["pose"][3:])
+        turn = candidates.view_direction.astype(np.float64) @ forward(observation["pose"][3:])
         local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
         local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
         repeated = (_apart(self._stops, self._stop) <= STOP_M).any()

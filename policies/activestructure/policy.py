@@ -115,7 +115,7 @@ class StructurePolicy(Policy):
 class ActiveStructureA(PixelOnly):
     """argmax IG_px g: rung A, pixels only."""
 
-    decides_by = "uncovered pixels"
+    criterion = "uncovered pixels"
     source = "ActiveStructure, rung A of Table 3"
     native_settings = SPLATAM
 
@@ -124,7 +124,7 @@ class ActiveStructureA(PixelOnly):
 class ActiveStructureB(StructurePolicy):
     """argmax (IG_px + omega sum alpha_i (1 - q_i)) g: rung B, A and the raw gain of every visible plane."""
 
-    decides_by = "uncovered pixels and bad planes in sight"
+    criterion = "uncovered pixels and bad planes in sight"
     source = "ActiveStructure, rung B of Table 3"
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
     on_base = replace(_ON_BASE, surprise=False, max_discount=0.0)
@@ -134,7 +134,7 @@ class ActiveStructureB(StructurePolicy):
 class ActiveStructureC(StructurePolicy):
     """argmax (IG_px (1 - rho) + omega sum alpha_i gamma_i) g: rung C, B by anomalies, with the discount of Eq. 12."""
 
-    decides_by = "uncovered pixels and anomalous planes in sight"
+    criterion = "uncovered pixels and anomalous planes in sight"
     source = "ActiveStructure, rung C of Table 3"
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
@@ -143,7 +143,7 @@ class ActiveStructureC(StructurePolicy):
 class ActiveStructureD(StructurePolicy):
     """argmax (IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def)) g: rung D, C and deficiency centres."""
 
-    decides_by = "uncovered pixels, anomalous planes and their deficiency centres"
+    criterion = "uncovered pixels, anomalous planes and their deficiency centres"
     source = "ActiveStructure, rung D of Table 3"
     deficiencies = True
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
@@ -157,7 +157,7 @@ class ActiveStructure(StructurePolicy):
     empty must not hold views through an open window.
     """
 
-    decides_by = "unknown space and deficient planes, in three phases"
+    criterion = "unknown space and deficient planes, in three phases"
     source = "ActiveStructure, Sec. 3; rung E of its Table 3"
     deficiencies = True
 
@@ -195,7 +195,7 @@ class ActiveStructure(StructurePolicy):
         not.
         """
         candidates = self.candidates(observation)
-        views = np.concatenate([candidates.xyz, candidates.look], axis=1)
+        views = np.concatenate([candidates.xyz, candidates.view_direction], axis=1)
         open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
         lowest = float(observation["fidelity"][0])
         settled = self._settled(bool(open_.any()), lowest)

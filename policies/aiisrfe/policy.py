@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, without_revisits
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner.policy import shortest_tour
@@ -26,7 +26,7 @@ class Aiisrfe(Planner):
     view, the share of the largest uncertainty for others, times the factor.
     """
 
-    decides_by = "frontiers, and by turns with them surface of unsure colour"
+    criterion = "frontiers, and by turns with them surface of unsure colour"
     travel_term = "shortest tour of tasks"
     source = "by a digest of Zeng et al., ICRA 2024"
     required_features = ("aiisrfe",)
@@ -47,7 +47,7 @@ class Aiisrfe(Planner):
 
     def act(self, observation: Observation) -> int:
         """The next task of the tour, as the view on offer that is nearest to it; the nearest new view without any."""
-        observation = only_new(observation)
+        observation = without_revisits(observation)
         candidates = self.candidates(observation)
         new = candidates.valid & ~candidates.revisit
         frontier = new & (candidates["aiisrfe_frontier"] >= 0)
@@ -79,14 +79,14 @@ class Aiisrfe(Planner):
         steps = np.linalg.norm(np.diff(places[order], axis=0), axis=1)
         metres = ways[order[0]] + np.concatenate([[0.0], np.cumsum(steps)])
         order = [row for row, way in zip(order, metres) if way <= max(EXECUTED_M, float(metres[0]))]
-        return np.hstack([places, candidates.look[tasks]])[order]
+        return np.hstack([places, candidates.view_direction[tasks]])[order]
 
     def _next(self, candidates: Candidates, new: np.ndarray, observation: Observation) -> int:
         if not len(self._left) or not new.any():
             return nearest_new(observation)
         place, look = self._left[0, :3], self._left[0, 3:]
         self._left = self._left[1:]
-        angle = np.arccos(np.clip(candidates.look @ look, -1.0, 1.0))
+        angle = np.arccos(np.clip(candidates.view_direction @ look, -1.0, 1.0))
         return best_valid(np.where(new, -np.linalg.norm(candidates.xyz - place, axis=1) - angle, -np.inf), observation)
 
 

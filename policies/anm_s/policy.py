@@ -7,7 +7,14 @@ from typing import Literal, get_args
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing, travel_discount
+from activestructure_gym.policies.base import (
+    POLICIES,
+    Observation,
+    at_current_pose,
+    best_valid,
+    nearest_new,
+    travel_discount,
+)
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
@@ -37,7 +44,7 @@ class AnmS(Planner):
     Source: [anm_s, code].
     """
 
-    decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
+    criterion = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
     travel_term = "ties by path length"
     source = "Kuang et al., ANM-S, IROS 2024"
     native_settings = NativeSettings(
@@ -82,7 +89,7 @@ class AnmS(Planner):
             self._looked, self._stop = self._looked[:0], places[choice]
         if candidates[f"{self._feature}_facing"][choice] >= FACING:
             self._left -= 1
-            self._looked = np.vstack([self._looked, candidates.look[choice]])
+            self._looked = np.vstack([self._looked, candidates.view_direction[choice]])
         self._goal = places[choice]
         self._trace = {
             "stage": stage,
@@ -114,7 +121,7 @@ class AnmS(Planner):
             return None
         rows = candidates.valid & ~candidates.revisit & self._at_stop(candidates)
         rows &= candidates[f"{self._feature}_facing"] >= FACING
-        rows &= (candidates.look @ self._looked.T < ONE_LOOK).all(axis=1)
+        rows &= (candidates.view_direction @ self._looked.T < ONE_LOOK).all(axis=1)
         if not rows.any():
             return None
         return best_valid(np.where(rows, -candidates.frames, -np.inf), observation)
@@ -132,7 +139,7 @@ class AnmS(Planner):
     def _next_node(self, observation: Observation, candidates: Candidates) -> int:
         """The best node's candidate that faces something there best; the nearest view where there is no node."""
         node = candidates["voronoi_node"]
-        rows = candidates.valid & ~candidates.revisit & ~standing(candidates) & (node >= 0)
+        rows = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates) & (node >= 0)
         if not rows.any():
             return nearest_new(observation)
         places, way = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)

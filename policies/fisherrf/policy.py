@@ -11,7 +11,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS, NativeS
 class FisherRF(Greedy):
     """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
 
-    decides_by = "information of a view over that of all keyframes"
+    criterion = "information of a view over that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf",)
     native_settings = NativeSettings(budget=SELECTED_VIEWS.budget)
@@ -24,7 +24,7 @@ class FisherRFCov(Greedy):
     The feature `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
     """
 
-    decides_by = "information of a view over that of all keyframes, and unseen space"
+    criterion = "information of a view over that of all keyframes, and unseen space"
     source = "this project, with the gain of Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf_cov",)
 
@@ -36,7 +36,7 @@ class FisherRFPath(Greedy):
     The feature `fisherrf_path`, formula and source there: the 20 most informative views by themselves, then their ways.
     """
 
-    decides_by = "information of a view and, each look counted as known to the next, of the way there"
+    criterion = "information of a view and, each look counted as known to the next, of the way there"
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)

@@ -11,7 +11,7 @@ from activestructure_gym.policies.native_settings import NativeSettings
 class Frontier(ActiveGS):
     """score = V / sum V - 0.5 L / sum L, V the unknown voxels in sight."""
 
-    decides_by = "unexplored voxels in sight"
+    criterion = "unexplored voxels in sight"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_features = ("unexplored",)
     native_settings = NativeSettings(

@@ -10,7 +10,7 @@ from activestructure_gym.policies.greedy import Greedy
 class GaussMI(Greedy):
     """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
 
-    decides_by = "how unreliable Gaussians are from a view's side"
+    criterion = "how unreliable Gaussians are from a view's side"
     travel_term = "revisits discounted"
     source = "Xie et al., GauSS-MI, 2025"
     required_features = ("gauss_mi",)
@@ -23,7 +23,7 @@ class GaussMICov(Greedy):
     The feature `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
     """
 
-    decides_by = "how unreliable Gaussians are from a view's side, and unseen space"
+    criterion = "how unreliable Gaussians are from a view's side, and unseen space"
     travel_term = "revisits discounted"
     source = "this project, with the gain of Xie et al., GauSS-MI, 2025"
     required_features = ("gauss_mi_cov",)

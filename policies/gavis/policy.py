@@ -13,7 +13,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 class Gavis(Planner):
     """argmax of the entropy of a view's colours, of which only what was seen from its side is known; no travel term."""
 
-    decides_by = "entropy of what a view shows, known only where it was seen from that side"
+    criterion = "entropy of what a view shows, known only where it was seen from that side"
     travel_term = "none; ties by path length"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
     required_features = ("gavis",)

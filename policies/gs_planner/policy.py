@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 
@@ -59,7 +59,7 @@ class GSPlanner(Planner):
     Source: [gs_planner], by its text.
     """
 
-    decides_by = "unobserved volume behind transmittance, badly rendered surface"
+    criterion = "unobserved volume behind transmittance, badly rendered surface"
     travel_term = "nearest places first, library of the rest"
     source = "by the text of Jin et al., GS-Planner, IROS 2024"
     required_features = ("gs_planner",)
@@ -78,7 +78,7 @@ class GSPlanner(Planner):
         """The best near view, or one from the library."""
         volume, loss = self.candidates(observation).feature("gs_planner").astype(np.float64).T
         gain = volume + QUALITY_WEIGHT * loss
-        observation = only_new(observation)
+        observation = without_revisits(observation)
         if self.travel == "shared":
             choice, source = best_valid(self.scores(gain, observation), observation), "all"
         else:
@@ -90,7 +90,7 @@ class GSPlanner(Planner):
     def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
         candidates = self.candidates(observation)
         valid, lengths = np.flatnonzero(candidates.valid), candidates.path_length.astype(np.float64)
-        views = np.hstack([candidates.xyz, candidates.look]).astype(np.float64)
+        views = np.hstack([candidates.xyz, candidates.view_direction]).astype(np.float64)
         rows = valid[best_per_viewpoint(views[valid, :3], lengths[valid], gain[valid])]
         rows = rows[gain[rows] >= MIN_GAIN]
         if len(rows):

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Greedy, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
@@ -36,7 +36,7 @@ class HGSPlanner(Greedy):
         them as the text does, which names no unit.
     """
 
-    decides_by = "unseen space through transmittance, Fisher information"
+    criterion = "unseen space through transmittance, Fisher information"
     travel_term = "local window, then a tour"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_features = ("hgs_planner", "hgs_coverage")
@@ -50,7 +50,7 @@ class HGSPlanner(Greedy):
 
     def act(self, observation: Observation) -> int:
         """The valid row of the present stage with the highest G."""
-        observation = only_new(observation)
+        observation = without_revisits(observation)
         if self.travel == "shared":
             return super().act(observation)
         candidates = self.candidates(observation)

@@ -10,6 +10,6 @@ from activestructure_gym.policies.greedy import SharedGreedy
 class HoleArea(SharedGreedy):
     """score = A / (1 + frames / 5), A the area of the unknown behind what the map leaves uncovered."""
 
-    decides_by = "unseen area behind holes of the map"
+    criterion = "unseen area behind holes of the map"
     source = "this project"
     required_features = ("hole_area",)

@@ -25,7 +25,7 @@ class Learned(Policy):
     A class for each checkpoint, made by `learned_from`, since an env is told by the class which features to evaluate.
     """
 
-    decides_by = "the score of a small network over all candidates"
+    criterion = "the score of a small network over all candidates"
     travel_term = "an input"
     source = "this project"
 

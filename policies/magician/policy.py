@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, without_revisits
 from activestructure_gym.policies.greedy import Planner, Travel
 
 Search = Literal["beam", "greedy"]
@@ -24,7 +24,7 @@ class Magician(Planner):
         ``"beam"`` plans ahead; ``"greedy"`` takes the view that alone sees most of it, the paper's N_b = N_d = 1.
     """
 
-    decides_by = "imagined surface that a plan of several views would see"
+    criterion = "imagined surface that a plan of several views would see"
     travel_term = "frames bound the plan"
     source = "by a digest of Li et al., MAGICIAN, CVPR 2026"
     required_features = ("magician",)
@@ -37,7 +37,7 @@ class Magician(Planner):
 
     def act(self, observation: Observation) -> int:
         """The valid row that the best plan begins with; the nearest new view where nothing is imagined in sight."""
-        observation = only_new(observation)
+        observation = without_revisits(observation)
         candidates = self.candidates(observation)
         gain = candidates["magician_plan" if self.search == "beam" else "magician_view"]
         if gain[candidates.valid].any():

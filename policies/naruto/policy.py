@@ -28,7 +28,7 @@ class Naruto(Planner):
     Source: [naruto, code].
     """
 
-    decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"
+    criterion = "uncertain places within 0.5 to 2 m, then a list of them to look at"
     source = "Feng et al., NARUTO, CVPR 2024"
     required_features = ("naruto", "naruto_look")
     native_settings = NativeSettings(
@@ -74,7 +74,7 @@ class Naruto(Planner):
             return None
         if self.travel == "shared":
             return best_valid(np.where(rows, count * travel_discount(observation), -1.0), observation)
-        turn = candidates.look @ forward(observation["pose"][3:])
+        turn = candidates.view_direction @ forward(observation["pose"][3:])
         return best_valid(np.where(rows, turn, -2.0), observation)
 
     def _next_goal(self, observation: Observation, candidates: Candidates) -> int:
@@ -103,7 +103,7 @@ class Naruto(Planner):
 def looked_at(candidates: Candidates, targets: np.ndarray) -> np.ndarray:  # [T, 3] metres -> [K, T] bool
     """Which targets each candidate faces; what stands in between is not asked, so near the goal only."""
     offset = targets - candidates.xyz[:, None]
-    along = (offset * candidates.look[:, None]).sum(axis=2)
+    along = (offset * candidates.view_direction[:, None]).sum(axis=2)
     return along >= FACING * np.maximum(np.linalg.norm(offset, axis=2), 1e-9)
 
 

@@ -13,7 +13,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 class NextBestSense(Greedy):
     """argmax .1 I_colour + I_depth and nothing else: the published selector of views."""
 
-    decides_by = "information of a view, above all of its depth, over that of all keyframes"
+    criterion = "information of a view, above all of its depth, over that of all keyframes"
     source = "Strong et al., Next Best Sense, ICRA 2025"
     required_features = ("next_best_sense",)
     native_settings = replace(SELECTED_VIEWS, budget="10 views by an arm, each the best of 10 poses around an object")
@@ -23,6 +23,6 @@ class NextBestSense(Greedy):
 class NextBestSenseCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = .1 I_colour + I_depth; no travel term, like its selector."""
 
-    decides_by = "information of a view, above all of its depth, and unseen space"
+    criterion = "information of a view, above all of its depth, and unseen space"
     source = "this project, with the gain of Strong et al., Next Best Sense, ICRA 2025"
     required_features = ("next_best_sense_cov",)

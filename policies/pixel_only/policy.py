@@ -10,6 +10,6 @@ from activestructure_gym.policies.greedy import SharedGreedy
 class PixelOnly(SharedGreedy):
     """score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0."""
 
-    decides_by = "uncovered pixels, with the shared travel factor"
+    criterion = "uncovered pixels, with the shared travel factor"
     source = "ActiveStructure, Eq. 15 with omega = rho = 0"
     required_features = ("pixel",)

@@ -23,7 +23,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 class LogDet(Greedy):
     """argmax sum log(1 + d / h), h = H + lambda: D-optimality."""
 
-    decides_by = "the volume of the map's uncertainty"
+    criterion = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet",)
     native_settings = SELECTED_VIEWS
@@ -33,7 +33,7 @@ class LogDet(Greedy):
 class LogDetCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum log(1 + d / h): D-optimality and unseen space."""
 
-    decides_by = "the volume of the map's uncertainty, and unseen space"
+    criterion = "the volume of the map's uncertainty, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet_cov",)
 
@@ -42,7 +42,7 @@ class LogDetCov(Greedy):
 class CovTrace(Greedy):
     """argmax sum 1 / h - 1 / (h + d), h = H + lambda: trace of the covariance."""
 
-    decides_by = "the sum of the map's variances"
+    criterion = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace",)
     native_settings = SELECTED_VIEWS
@@ -52,7 +52,7 @@ class CovTrace(Greedy):
 class CovTraceCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum 1 / h - 1 / (h + d): trace of the covariance and unseen space."""
 
-    decides_by = "the sum of the map's variances, and unseen space"
+    criterion = "the sum of the map's variances, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace_cov",)
 
@@ -61,7 +61,7 @@ class CovTraceCov(Greedy):
 class InfoTrace(Greedy):
     """argmax sum d: trace of the information."""
 
-    decides_by = "the sum of the map's information"
+    criterion = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace",)
     native_settings = SELECTED_VIEWS
@@ -71,7 +71,7 @@ class InfoTrace(Greedy):
 class InfoTraceCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum d: trace of the information and unseen space."""
 
-    decides_by = "the sum of the map's information, and unseen space"
+    criterion = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace_cov",)
 
@@ -80,7 +80,7 @@ class InfoTraceCov(Greedy):
 class MinEig(Greedy):
     """argmax min (h + d) - min h, h = H + lambda, both over the whole map: E-optimality."""
 
-    decides_by = "the worst known parameter of the map"
+    criterion = "the worst known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_min_eig",)
     native_settings = SELECTED_VIEWS
@@ -90,7 +90,7 @@ class MinEig(Greedy):
 class MinEigCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = min (h + d) - min h: E-optimality and unseen space."""
 
-    decides_by = "the worst known parameter of the map, and unseen space"
+    criterion = "the worst known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_min_eig_cov",)
 
@@ -99,7 +99,7 @@ class MinEigCov(Greedy):
 class LogDetBlock(Greedy):
     """argmax sum log det(H + B) - log det H, lambda in H: D-optimality by blocks."""
 
-    decides_by = "the volume of the map's uncertainty, by blocks"
+    criterion = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet_block",)
     native_settings = SELECTED_VIEWS
@@ -109,7 +109,7 @@ class LogDetBlock(Greedy):
 class LogDetBlockCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum log det(H + B) - log det H: by blocks, and unseen space."""
 
-    decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
+    criterion = "the volume of the map's uncertainty, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_logdet_block_cov",)
 
@@ -118,7 +118,7 @@ class LogDetBlockCov(Greedy):
 class CovTraceBlock(Greedy):
     """argmax sum tr H^-1 - tr (H + B)^-1, lambda in H: trace of the covariance by blocks."""
 
-    decides_by = "the sum of the map's variances, by blocks"
+    criterion = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace_block",)
     native_settings = SELECTED_VIEWS
@@ -128,6 +128,6 @@ class CovTraceBlock(Greedy):
 class CovTraceBlockCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum tr H^-1 - tr (H + B)^-1: by blocks, and unseen space."""
 
-    decides_by = "the sum of the map's variances, by blocks, and unseen space"
+    criterion = "the sum of the map's variances, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_cov_trace_block_cov",)

@@ -11,7 +11,7 @@ from activestructure_gym.policies.native_settings import NativeSettings
 class R3Recon(ActiveGS):
     """score = U / sum U - 0.5 L / sum L, as ActiveGS, from which it is made; U is what cannot be rendered well yet."""
 
-    decides_by = "unexplored voxels in sight, surface that could not be rendered from this side"
+    criterion = "unexplored voxels in sight, surface that could not be rendered from this side"
     source = "Jin et al., R3-RECON, arXiv 2601.07484"
     required_features = ("r3_recon",)
     # Frontier voxels alone are its regions of interest (`use_confidence: false`, [r3_recon, code]).

@@ -11,7 +11,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy
 class Random(Policy):
     """P(row) = 1 / n for each of the n valid candidates."""
 
-    decides_by = "chance"
+    criterion = "chance"
     source = "this project"
 
     def act(self, observation: Observation) -> int:

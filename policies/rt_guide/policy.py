@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.greedy import Planner
 from activestructure_gym.policies.native_settings import NativeSettings
 
@@ -19,7 +19,7 @@ class RTGuide(Planner):
     Revisits are no candidates of it.
     """
 
-    decides_by = "Gaussians that still move, against those that do not"
+    criterion = "Gaussians that still move, against those that do not"
     travel_term = "region by uncertainty / e^metres"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_features = ("rt_guide",)
@@ -28,7 +28,7 @@ class RTGuide(Planner):
 
     def act(self, observation: Observation) -> int:
         """The best view of the best region; the nearest region where no Gaussian has moved."""
-        observation = only_new(observation)
+        observation = without_revisits(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid
         xi, region, cuboid = candidates.feature("rt_guide").astype(np.float64).T

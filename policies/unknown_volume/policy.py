@@ -10,6 +10,6 @@ from activestructure_gym.policies.greedy import SharedGreedy
 class UnknownVolume(SharedGreedy):
     """score = V / (1 + frames / 5), V the unknown space opened on the way: phase I of `activestructure`, no planes."""
 
-    decides_by = "unknown space opened on the way"
+    criterion = "unknown space opened on the way"
     source = "this project, after [bircher2016] and [delmerico2018]"
     required_features = ("unknown_volume_way",)

@@ -18,7 +18,7 @@ class Unseen(SharedGreedy):
     what the map tells of the far sides of things.
     """
 
-    decides_by = "unknown space opened on the way and unseen sides"
+    criterion = "unknown space opened on the way and unseen sides"
     source = "this project"
     required_features = ("unknown_volume_way", "unseen_sides")
 

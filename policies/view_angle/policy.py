@@ -13,7 +13,7 @@ class ViewAngle(Planner):
     At first many views show nothing that is mapped and are worth exactly 1: the nearest of these is taken.
     """
 
-    decides_by = "directions from which the map was not seen"
+    criterion = "directions from which the map was not seen"
     travel_term = "none; ties by path length"
     source = "COVER, arXiv 2604.05259"
     required_features = ("view_angle",)

@@ -32,7 +32,7 @@ def observation() -> dict[str, np.ndarray]:
 def test_every_column_by_its_name(observation: dict[str, np.ndarray]) -> None:
     seen, table = Candidates(observation), observation["candidates"]
     assert len(seen) == 5
-    np.testing.assert_array_equal(np.hstack([seen.xyz, seen.look]), table[:, :6])
+    np.testing.assert_array_equal(np.hstack([seen.xyz, seen.view_direction]), table[:, :6])
     np.testing.assert_array_equal(np.column_stack([seen.path_length, seen.frames]), table[:, 6:8])
     assert seen.revisit.tolist() == [False, True, False, True, False]
     assert seen.valid.tolist() == [True, True, True, False, False]

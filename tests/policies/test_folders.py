@@ -29,7 +29,7 @@ from activestructure_gym.policies.native_settings import NativeSettings
 class Upward(Greedy):
     """argmax of the height of the view's axis."""
 
-    decides_by = "how far up a view looks"
+    criterion = "how far up a view looks"
     source = "this test"
     required_features = ("height_of_axis",)
     native_settings = NativeSettings(stages=(("upward_turns?rows=4",),), candidates=8)

@@ -36,7 +36,7 @@ class Halving(Plain):
 class Adding(Plain):
     """No factor: a term of a sum."""
 
-    def native(self, gain, observation):
+    def native_scores(self, gain, observation):
         frames = observation["candidates"][:, FRAMES]
         return gain / gain.sum() - frames / frames.sum()
 

@@ -117,7 +117,7 @@ def test_planners_of_driving_robots_are_offered_level_views_at_one_height(name: 
     height = observation["pose"][2]
     for _ in range(3):
         candidates = policy.candidates(observation)
-        assert np.abs(candidates.look[candidates.valid, 2]).max() < 1e-6
+        assert np.abs(candidates.view_direction[candidates.valid, 2]).max() < 1e-6
         np.testing.assert_allclose(candidates.xyz[candidates.valid, 2], height, atol=1e-6)
         observation, *_ = env.step(policy.act(observation))
 

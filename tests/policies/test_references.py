@@ -30,13 +30,17 @@ def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Planner], gain
     assert kind.required_features == (gain,)
     # Shares of the gain 0.3, 0.3, 0.4; of the way 0.3, 0.1, 0.6: 0.15, 0.25, 0.1.
     seen = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0])
-    np.testing.assert_allclose(kind().native(seen["candidate_features"][:, 0], seen), [0.15, 0.25, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(
+        kind().native_scores(seen["candidate_features"][:, 0], seen), [0.15, 0.25, 0.1], rtol=1e-6
+    )
     assert bound(kind()).act(seen) == 1
     assert bound(kind()).act(observation([3.0, 3.0, 6.0], [3.0, 1.0, 6.0])) == 1  # 0.25 - 0.05, 0.5 - 0.3
     assert bound(kind()).act(observation([2.0, 2.0, 6.0], [3.0, 1.0, 6.0])) == 2  # 0.2 - 0.05, 0.6 - 0.3
     # What is masked takes no share: alone, the first two have 0.5 each.
     masked = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0], [1, 1, 0])
-    np.testing.assert_allclose(kind().native(masked["candidate_features"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6)
+    np.testing.assert_allclose(
+        kind().native_scores(masked["candidate_features"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6
+    )
     # With everybody's term the last one is worth 4 / 13, the second 3 / 3.
     shared, native = bound(kind("shared")), bound(kind())
     assert shared.act(seen) == native.act(seen) == 1

@@ -84,23 +84,23 @@ def test_a_stage_is_asked_for_at_no_cost_and_once_until_a_frame_is_paid(env: Rec
     observation, _ = env.reset(seed=0)
     rows = read(env, observation)
     assert rows.source("pool").any() and not rows.source("turns?count=4").any()
-    assert rows.ask(0) is None and rows.ask(1) is not None and rows.ask(2) is not None
+    assert rows.stage_switch(0) is None and rows.stage_switch(1) is not None and rows.stage_switch(2) is not None
     assert (
-        rows.frames[rows.ask(1)] == 0
-        and rows.valid[rows.ask(1)]
-        and not observation["candidate_features"][rows.ask(1)].any()
+        rows.frames[rows.stage_switch(1)] == 0
+        and rows.valid[rows.stage_switch(1)]
+        and not observation["candidate_features"][rows.stage_switch(1)].any()
     )
-    observation, reward, *_, info = env.step(rows.ask(1))
+    observation, reward, *_, info = env.step(rows.stage_switch(1))
     assert (info["frames"], info["metres"], info["invalid_action"], reward) == (1, 0.0, False, 0.0)
     rows = read(env, observation)
     assert rows.source("turns?count=4").sum() == 4 and not rows.source("pool").any()
-    assert rows.ask(0) is None and rows.ask(1) is None and rows.ask(2) is not None
-    observation, *_ = env.step(rows.ask(2))
+    assert rows.stage_switch(0) is None and rows.stage_switch(1) is None and rows.stage_switch(2) is not None
+    observation, *_ = env.step(rows.stage_switch(2))
     rows = read(env, observation)
-    assert [rows.ask(stage) for stage in range(3)] == [None] * 3 and rows.valid.sum() == 3
+    assert [rows.stage_switch(stage) for stage in range(3)] == [None] * 3 and rows.valid.sum() == 3
     observation, *_ = env.step(2)  # a frame is paid; the stage stays, and the others can be asked for again
     rows = read(env, observation)
-    assert rows.source("turns?count=3").any() and rows.ask(0) is not None and rows.ask(1) is not None
+    assert rows.source("turns?count=3").any() and rows.stage_switch(0) is not None and rows.stage_switch(1) is not None
 
 
 def test_a_stage_with_nothing_to_offer_can_be_left_again() -> None:
@@ -109,15 +109,15 @@ def test_a_stage_with_nothing_to_offer_can_be_left_again() -> None:
     observation, _ = env.reset(seed=0)
     rows = read(env, observation)
     assert rows.source("pool").any()
-    observation, _, terminated, truncated, info = env.step(rows.ask(1))
+    observation, _, terminated, truncated, info = env.step(rows.stage_switch(1))
     rows = read(env, observation)
     assert not terminated and not truncated and info["frames"] == 1
-    assert rows.valid.sum() == 1 and rows.ask(0) is not None  # nothing but the way back
-    observation, *_ = env.step(rows.ask(0))
+    assert rows.valid.sum() == 1 and rows.stage_switch(0) is not None  # nothing but the way back
+    observation, *_ = env.step(rows.stage_switch(0))
     rows = read(env, observation)
-    assert rows.source("pool").any() and rows.ask(1) is None
+    assert rows.source("pool").any() and rows.stage_switch(1) is None
     observation, _, terminated, *_, info = env.step(0)
-    assert not terminated and info["frames"] > 1 and read(env, observation).ask(1) is not None
+    assert not terminated and info["frames"] > 1 and read(env, observation).stage_switch(1) is not None
 
 
 def test_where_no_stage_has_anything_the_episode_ends() -> None:
@@ -205,8 +205,8 @@ def test_a_point_is_looked_at_on_the_way() -> None:
         rows = read(env, observation)
     point = episode.trajectory[0][:3, 3] + [0.0, 0.3, 0.1]
     gazing = rows.source(GAZING)
-    np.testing.assert_allclose(rows.looks_at[gazing], np.tile(point, (gazing.sum(), 1)), atol=1e-5)
-    assert np.isnan(rows.looks_at[~gazing]).all()
+    np.testing.assert_allclose(rows.fixation_point[gazing], np.tile(point, (gazing.sum(), 1)), atol=1e-5)
+    assert np.isnan(rows.fixation_point[~gazing]).all()
     far = int(np.argmax(np.where(gazing, rows.path_length, -1.0)))
     goal, before = episode.candidates.world_from_camera[far], len(episode.trajectory)
     env.step(far)
@@ -257,9 +257,9 @@ def test_without_hooks_a_reader_sees_the_pool_alone() -> None:
     env = make([["pool"]])
     observation, _ = env.reset(seed=0)
     rows = read(env, observation)
-    assert rows.offers("pool") and not rows.offers("stay") and rows.ask(0) is None
+    assert rows.offers("pool") and not rows.offers("stay") and rows.stage_switch(0) is None
     np.testing.assert_array_equal(rows.source("pool"), rows.valid)
-    assert not rows.stay.any() and np.isnan(rows.looks_at).all()
+    assert not rows.stay.any() and np.isnan(rows.fixation_point).all()
     with pytest.raises(InputError, match=r"offers pool: name it in views\.stages"):
         rows.source("stay")
 

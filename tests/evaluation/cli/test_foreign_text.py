@@ -190,7 +190,7 @@ def test_commands_that_read_scenes_and_code(said: Callable[..., str], tmp_path: 
 
 def test_a_policy_that_describes_itself(said: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Random, "source", BAD)
-    monkeypatch.setattr(Random, "decides_by", BAD)
+    monkeypatch.setattr(Random, "criterion", BAD)
     monkeypatch.setattr(Random, "__doc__", BAD.replace("\n", " "))
     for words in (["policies"], ["policies", "random"], ["policies", "random", "--json"]):
         assert "forged" in said(*words)

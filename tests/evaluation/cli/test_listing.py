@@ -29,8 +29,8 @@ def test_every_policy_of_ours_says_what_it_decides_by_and_whose_it_is(capsys):
     for name in POLICIES:
         kind = POLICIES.get(name)
         if kind.__module__.startswith("activestructure_gym"):
-            assert kind.decides_by and kind.source, name
-            assert f"\n{name} " in out and kind.decides_by in out
+            assert kind.criterion and kind.source, name
+            assert f"\n{name} " in out and kind.criterion in out
     wide = said(capsys, "policies", "--wide")
     assert all(POLICIES.get(name).source in wide for name in POLICIES)
     assert "shared/research" not in out and "docs/" not in out
@@ -55,7 +55,7 @@ def test_a_policy_s_options_stand_with_their_defaults(capsys):
 def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
-    assert {"name", "decides_by", "features", "travel_term", "source", "native", "options", "required", "about"} == set(
+    assert {"name", "criterion", "features", "travel_term", "source", "native", "options", "required", "about"} == set(
         rows[0]
     )
 
@@ -138,7 +138,7 @@ def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(c
     assert "Chooses one row" not in out and "pixel" in out
     assert [line.split() for line in out.splitlines()[-4:-2]] == [["where", "must", "be", "given"], ["far", "2"]]
     facts = json.loads(said(capsys, "policies", "mute", "--json"))
-    assert facts["required"] == ["where"] and facts["about"] == facts["decides_by"] == ""
+    assert facts["required"] == ["where"] and facts["about"] == facts["criterion"] == ""
     assert main(["policies", "activeinr?travel=fast"]) == 2
     assert "travel" in capsys.readouterr().err
 

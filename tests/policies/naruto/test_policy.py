@@ -160,8 +160,8 @@ def test_on_native_terms_it_turns_in_place_and_looks_at_a_target_on_the_way() ->
         rows = policy.candidates(observation)
         facing = rows.valid & rows.source("targets?rows=128")
         # Every one of them faces a target from its end, and from all of its way.
-        aim = rows.looks_at[facing] - rows.xyz[facing]
-        cosine = (aim * rows.look[facing]).sum(axis=1) / np.linalg.norm(aim, axis=1)
+        aim = rows.fixation_point[facing] - rows.xyz[facing]
+        cosine = (aim * rows.view_direction[facing]).sum(axis=1) / np.linalg.norm(aim, axis=1)
         assert (cosine > 0.999).all()
         choice = policy.act(observation)
         if facing[choice]:

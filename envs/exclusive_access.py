@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import gymnasium as gym
 
 
-class Turn:
+class ExclusiveAccess:
     """Refuses calls of a closed environment, and those of a second thread; it can be copied and pickled."""
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Turn:
             raise gym.error.ClosedEnvironmentError(f"{call}() was called on a closed environment: make a new one")
 
     @contextmanager
-    def taken(self, call: str) -> Iterator[None]:
+    def claim(self, call: str) -> Iterator[None]:
         """Keep others out while the block runs; raise `gymnasium.error.AlreadyPendingCallError` for the second."""
         self.check_open(call)
         try:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs import ENV_IDS, ReconstructionEnv
-from activestructure_gym.envs.turn import Turn
+from activestructure_gym.envs.exclusive_access import ExclusiveAccess
 
 
 def test_a_closed_environment_refuses_and_keeps_what_it_has_reconstructed(box_options: dict[str, Any]) -> None:
@@ -46,14 +46,14 @@ def test_a_second_thread_is_refused_and_the_first_goes_on(box_options: dict[str,
     env = ReconstructionEnv(**box_options)
     env.reset(seed=0)
     inside, leave, steps = threading.Event(), threading.Event(), []
-    visit = env.reconstruction.visit
+    move_to = env.reconstruction.move_to
 
     def slow(row: int) -> Any:
         inside.set()
         assert leave.wait(10)
-        return visit(row)
+        return move_to(row)
 
-    monkeypatch.setattr(env.reconstruction, "visit", slow)
+    monkeypatch.setattr(env.reconstruction, "move_to", slow)
     thread = threading.Thread(target=lambda: steps.append(env.step(0)))
     thread.start()
     assert inside.wait(10)
@@ -63,14 +63,14 @@ def test_a_second_thread_is_refused_and_the_first_goes_on(box_options: dict[str,
     leave.set()
     thread.join(30)
     assert len(steps) == 1
-    env.step(0)  # the turn is free again
+    env.step(0)  # access is free again
 
 
-def test_the_turn_is_given_back_after_an_error_and_goes_with_copies() -> None:
-    turn = Turn()
-    with pytest.raises(ZeroDivisionError), turn.taken("step"):
+def test_access_is_released_after_an_error_and_in_copies() -> None:
+    access = ExclusiveAccess()
+    with pytest.raises(ZeroDivisionError), access.claim("step"):
         raise ZeroDivisionError
-    for other in (turn, copy.deepcopy(turn), pickle.loads(pickle.dumps(turn))):
-        with other.taken("step"), pytest.raises(gym.error.AlreadyPendingCallError) as error, other.taken("reset"):
+    for other in (access, copy.deepcopy(access), pickle.loads(pickle.dumps(access))):
+        with other.claim("step"), pytest.raises(gym.error.AlreadyPendingCallError) as error, other.claim("reset"):
             pass
         assert error.value.name == "reset"

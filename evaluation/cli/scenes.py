@@ -76,7 +76,7 @@ class Scenes:
             print_whole(console, _region_table(facts["regions"]))
         if self.picture is not None:
             from activestructure_gym.evaluation.archive.temporary import writing
-            from activestructure_gym.evaluation.report.pictures.scene import scene_picture
+            from activestructure_gym.evaluation.report.pictures.scene_figure import scene_picture
             from activestructure_gym.files import replaced
 
             with console.status("drawing"):

@@ -13,10 +13,9 @@ from jinja2.ext import Extension
 from markupsafe import Markup
 
 from activestructure_gym.errors import pluralised
-from activestructure_gym.evaluation.report.packing import packed
-from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.style import hue
 from activestructure_gym.evaluation.report.tables.layout import Cell, Table
+from activestructure_gym.evaluation.report.text_filters import compressed, without_folders
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # A line break beside a tag, with the indentation after it: there for whoever reads the template.
@@ -40,10 +39,10 @@ def _environment() -> Environment:
     environment.filters |= {
         "pluralised": pluralised,
         "hue": hue,
-        "packed": packed,
+        "compressed": compressed,
         "place": "{:.1f}".format,
         "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # none begins a line
-        "without_places": without_places,
+        "without_folders": without_folders,
     }
     return environment
 

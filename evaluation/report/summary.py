@@ -23,7 +23,6 @@ from activestructure_gym.evaluation.report.page.method_text import (
     statistics_text,
 )
 from activestructure_gym.evaluation.report.pictures.views_and_plans import compare_plans, compare_strip, compare_views
-from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, opened, source_of
 from activestructure_gym.evaluation.report.tables import verdicts
 from activestructure_gym.evaluation.report.tables.columns import aspects
@@ -33,6 +32,7 @@ from activestructure_gym.evaluation.report.tables.overview import overview, runs
 from activestructure_gym.evaluation.report.tables.paper import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.tables.planning import planning_table
 from activestructure_gym.evaluation.report.tables.published import published_tables
+from activestructure_gym.evaluation.report.text_filters import without_folders
 
 PAGE = "report.html"
 
@@ -143,7 +143,7 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
         f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.",
     ]
     lines += [f"Note: {note}." for note in info["notes"]]
-    lines = [lines[0], *(escaped(without_places(line)) for line in lines[1:])]
+    lines = [lines[0], *(escaped(without_folders(line)) for line in lines[1:])]
     if len(kept := results.foremost(scene)) < (everyone := len(results.shown(scene))):
         lines += ["", f"Pictures of the {len(kept)} policies with the highest C.R. (the baseline among them) of "
                   f"{everyone}; those of all stand on the page."]  # fmt: skip
@@ -159,7 +159,7 @@ def _link(run: Run, directory: Path) -> str:
 
 def _summary(results: Results, sections: Sequence[str]) -> str:
     seeds = len(results.seeds)
-    missing = [f"- {escaped(without_places(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
+    missing = [f"- {escaped(without_folders(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in meanings(results).items()]
@@ -169,7 +169,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     parts = [
         "# Comparison",
         "",
-        *(f"{code(without_places(source.command))}\n" for source in results.sources if source.command),
+        *(f"{code(without_folders(source.command))}\n" for source in results.sources if source.command),
         f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",

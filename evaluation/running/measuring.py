@@ -118,7 +118,7 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
 
 def draw_missing_pictures(run: store.Run) -> None:
     """Draw the pictures of a finished run that has none. A failure is a warning, since the run is complete without."""
-    from activestructure_gym.evaluation.report.pictures.run import VIEWS, draw_run
+    from activestructure_gym.evaluation.report.pictures.run_figures import VIEWS, draw_run
 
     if (run.directory / VIEWS).exists():
         return

@@ -222,7 +222,7 @@ def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
 def key_mark(index: int) -> Markup:
     """A policy's line and mark, for a legend."""
     line = shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
-    return render("key_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, mark(index, 17, 7)])
+    return render("legend_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, mark(index, 17, 7)])
 
 
 def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, title: str) -> str:

@@ -9,10 +9,15 @@ from typing import Any
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.charts.phases import bands, chosen_terms, drawn_decisions, drawn_steps
-from activestructure_gym.evaluation.report.charts.timeline import history_chart
+from activestructure_gym.evaluation.report.charts.episode_series import (
+    bands,
+    chosen_terms,
+    drawn_decisions,
+    drawn_steps,
+)
+from activestructure_gym.evaluation.report.charts.history_chart import history_chart
 from activestructure_gym.evaluation.report.html import html_table, render
-from activestructure_gym.evaluation.report.page.links import run_links
+from activestructure_gym.evaluation.report.page.run_links import run_links
 from activestructure_gym.evaluation.report.tables.columns import ratios_text, value_of
 from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table, number
 
@@ -29,7 +34,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
             parts.append(form.format(value))
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
     return " · ".join(parts), render(
-        "trace.html.j2",
+        "decisions.html.j2",
         timeline=timeline(run),
         history=history_chart(drawn_steps(run.steps)),
         table=html_table(trace_table(run), exact=False),
@@ -45,7 +50,7 @@ def timeline(run: Run) -> Markup | None:
     if not found:
         return None
     return render(
-        "timeline.html.j2",
+        "phase_strip.html.j2",
         bands=found,
         order=list(dict.fromkeys(band.phase for band in found)),
         end=max(1, *(band.end for band in found)),

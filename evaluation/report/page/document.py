@@ -11,8 +11,8 @@ from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.page.convergence_section import convergence_section
 from activestructure_gym.evaluation.report.page.glance_section import glance_section
+from activestructure_gym.evaluation.report.page.header_figure import first_sight
 from activestructure_gym.evaluation.report.page.method_section import method_section
-from activestructure_gym.evaluation.report.page.opening import first_sight
 from activestructure_gym.evaluation.report.page.scene_section import scene_section
 from activestructure_gym.evaluation.report.page.table_sections import (
     costs_section,

@@ -11,9 +11,9 @@ from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.page.method_text import definitions
-from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table
+from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def method_section(results: Results) -> Markup:
@@ -33,7 +33,7 @@ def _sources(results: Results) -> Table:
     rows = [
         [
             Cell(source.directory.name),
-            Cell(without_places(source.command) or "single run"),
+            Cell(without_folders(source.command) or "single run"),
             Cell(str(source.workers or "")),
         ]
         for source in results.sources
@@ -48,7 +48,7 @@ def _protocols(run: Run) -> list[Table]:
             f"protocol-{name}",
             f"Protocol {name}",
             _two("parameter", "value"),
-            [[Cell(key), Cell(without_places(str(value)))] for key, value in content["parameters"].items()],
+            [[Cell(key), Cell(without_folders(str(value)))] for key, value in content["parameters"].items()],
         )
         for name, content in run.protocols.items()
     ]
@@ -58,7 +58,7 @@ def _configuration(runs: Sequence[Run]) -> Table:
     found: dict[str, dict[str, str]] = {}
     for run in runs:
         for name, value in _flat(run.config["configuration"]):
-            found.setdefault(name, {}).setdefault(without_places(str(value)), run.policy)
+            found.setdefault(name, {}).setdefault(without_folders(str(value)), run.policy)
     rows = [
         [Cell(name), Cell(", ".join(values) if len(values) == 1 else "; ".join(f"{p}: {v}" for v, p in values.items()))]
         for name, values in found.items()

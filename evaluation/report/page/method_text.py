@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from activestructure_gym.evaluation.archive.jobs import is_trajectory
-from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import QUALITY, aspects, measured, reason_of, value_of
+from activestructure_gym.evaluation.report.text_filters import without_folders
 from activestructure_gym.evaluation.statistics import resampling
 from activestructure_gym.specs import Spec
 
@@ -49,7 +49,7 @@ def absences(results: Results) -> list[str]:
         for header, metric in columns:
             key = metric if own else f"{name}/{metric}"
             found = [reason_of(run, key) for run in results.runs if value_of(run, key) is None]
-            reason = next((without_places(reason) for reason in found if reason), None)
+            reason = next((without_folders(reason) for reason in found if reason), None)
             if reason is None:
                 continue
             where = "is left out" if key not in shown else f"is missing in {len(found)} of {len(results.runs)} runs"

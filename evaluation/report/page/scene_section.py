@@ -14,14 +14,14 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.page.convergence_section import chart_grid
 from activestructure_gym.evaluation.report.page.decisions import run_trace
-from activestructure_gym.evaluation.report.page.legends import DEFICIT_KEY, PLAN_KEY, TYPE_KEY
+from activestructure_gym.evaluation.report.page.html_legends import DEFICIT_KEY, PLAN_KEY, TYPE_KEY
 from activestructure_gym.evaluation.report.page.tiles import Tiles, plan_tile, planes_tile, views_strip
 from activestructure_gym.evaluation.report.pictures.floor_plan import flight
 from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK
-from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, opened
 from activestructure_gym.evaluation.report.tables.columns import COLUMNS
 from activestructure_gym.evaluation.report.tables.overview import overview, table_rows
+from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def scene_section(results: Results, scene: str, anchor: str, directory: Path | None = None) -> Markup:
@@ -78,4 +78,4 @@ def scene_facts(run: Run) -> str:
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
     seen = f"{metrics['true_area_m2']:.1f} m² of surface can be seen ({metrics['true_samples']:,} samples)"
     notes = "".join(f" Note: {note}." for note in info["notes"])
-    return without_places(f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}")
+    return without_folders(f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}")

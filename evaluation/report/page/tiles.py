@@ -12,12 +12,12 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.jobs import ranked_among
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.page.embedding import THUMBNAIL, WIDE, picture
-from activestructure_gym.evaluation.report.page.links import run_links
+from activestructure_gym.evaluation.report.page.data_uris import THUMBNAIL, WIDE, picture
+from activestructure_gym.evaluation.report.page.run_links import run_links
 from activestructure_gym.evaluation.report.pictures.canvas import stored_panels, to_image
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan
-from activestructure_gym.evaluation.report.pictures.planes_3d import draw_planes_3d
-from activestructure_gym.evaluation.report.pictures.planes_from_above import draw_planes_plan
+from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
+from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
 from activestructure_gym.evaluation.report.pictures.views_and_plans import telling_views
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal

@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.cli.closing import print_end
 from activestructure_gym.evaluation.cli.evaluate import Evaluate
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.report.pictures import run as pictures
+from activestructure_gym.evaluation.report.pictures import run_figures
 from activestructure_gym.evaluation.running import episode, measuring
 from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Result, run_comparison
@@ -157,7 +157,7 @@ def test_a_picture_that_fails_does_not_fail_the_run(kept, finished, job, monkeyp
         (directory / "views.png").touch()
         raise ValueError("no font")
 
-    monkeypatch.setattr(pictures, "draw_run", half_drawn)
+    monkeypatch.setattr(run_figures, "draw_run", half_drawn)
     with pytest.warns(InputWarning, match="no pictures of box · random · seed 0: no font"):
         episode.run_job(job, kept)
     _check_equal(finished, kept)
@@ -168,14 +168,14 @@ def test_pictures_that_a_killed_process_has_not_drawn_are_drawn_once(finished, t
 
     def draw(run: store.Run, directory: Path) -> None:
         drawn.append(run.directory)
-        (directory / pictures.VIEWS).touch()
+        (directory / run_figures.VIEWS).touch()
 
-    monkeypatch.setattr(pictures, "draw_run", draw)
+    monkeypatch.setattr(run_figures, "draw_run", draw)
     run = store.read_run(shutil.copytree(finished, tmp_path / "run"))
     result = Result([run], [], 0)
     for _ in range(2):
         print_end(make_console(), result, tmp_path, 1.0, None, wide=False)
-    assert drawn == [run.directory] and (run.directory / pictures.VIEWS).exists()
+    assert drawn == [run.directory] and (run.directory / run_figures.VIEWS).exists()
 
 
 def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path, monkeypatch):

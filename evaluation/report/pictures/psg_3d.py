@@ -7,8 +7,14 @@ from PIL import Image, ImageOps
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import write
-from activestructure_gym.evaluation.report.pictures.patches import NOTHING, Projection, extremes, fitted, nearest_planes
-from activestructure_gym.evaluation.report.pictures.planes_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
+from activestructure_gym.evaluation.report.pictures.plane_projection import (
+    NOTHING,
+    Projection,
+    extremes,
+    fitted,
+    nearest_planes,
+)
+from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
 from activestructure_gym.planes.record import GraphArrays
 
 _WIDTH, _HEIGHT = 620, 520  # pixels a panel has at most

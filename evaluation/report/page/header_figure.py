@@ -9,9 +9,9 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import render
-from activestructure_gym.evaluation.report.page.embedding import picture
-from activestructure_gym.evaluation.report.page.legends import PLAN_KEY
-from activestructure_gym.evaluation.report.page.links import replay_link
+from activestructure_gym.evaluation.report.page.data_uris import picture
+from activestructure_gym.evaluation.report.page.html_legends import PLAN_KEY
+from activestructure_gym.evaluation.report.page.run_links import replay_link
 from activestructure_gym.evaluation.report.pictures.canvas import to_image
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan, flight
 from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK, typical_view
@@ -29,7 +29,7 @@ def first_sight(results: Results, anchor: str, directory: Path | None = None) ->
     if len(runs) < len(everyone):
         where += f", the {len(runs)} policies with the highest C.R. (the baseline among them) of {len(everyone)}"
     return render(
-        "first_sight.html.j2",
+        "header_figure.html.j2",
         truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
         plan_key=PLAN_KEY,
         tiles=[_tile(run, index, results.palette.index(run.policy), directory) for run in runs],

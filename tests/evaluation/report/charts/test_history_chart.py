@@ -3,7 +3,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.charts.timeline import history_chart
+from activestructure_gym.evaluation.report.charts.history_chart import history_chart
 
 
 def titles(svg):

@@ -1,6 +1,10 @@
+import base64
+import json
+import zlib
+
 import pytest
 
-from activestructure_gym.evaluation.report.places import without_places
+from activestructure_gym.evaluation.report.text_filters import compressed, without_folders
 
 
 @pytest.mark.parametrize(
@@ -22,4 +26,12 @@ from activestructure_gym.evaluation.report.places import without_places
     ],
 )
 def test_of_an_absolute_path_the_name_is_left(text, shown):
-    assert without_places(text) == shown
+    assert without_folders(text) == shown
+
+
+def test_compressed_texts_come_out_as_they_went_in_and_similar_ones_cost_little():
+    texts = ["<td>1.2</td>" * 400, 'a "b" <é> &', ""]
+    word = compressed(texts)
+    assert word.isascii() and not set(word) & set("\"'<>& ")
+    assert json.loads(zlib.decompress(base64.b64decode(word))) == texts
+    assert len(compressed(texts[:1] * 50)) < 0.02 * 50 * len(texts[0])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from activestructure_gym.evaluation.report.charts.phases import (
+from activestructure_gym.evaluation.report.charts.episode_series import (
     Steps,
     bands,
     chosen_terms,

@@ -1,6 +1,6 @@
 import numpy as np
 
-from activestructure_gym.evaluation.report.pictures.patches import (
+from activestructure_gym.evaluation.report.pictures.plane_projection import (
     NOTHING,
     Projection,
     cover,

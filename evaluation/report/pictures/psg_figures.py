@@ -9,9 +9,9 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, Box, first_row, tile_grid, write
-from activestructure_gym.evaluation.report.pictures.planes_3d import draw_planes_3d
-from activestructure_gym.evaluation.report.pictures.planes_from_above import draw_planes_plan
-from activestructure_gym.evaluation.report.pictures.planes_legend import deficit_key, type_key, with_key
+from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
+from activestructure_gym.evaluation.report.pictures.psg_legend import deficit_key, type_key, with_key
+from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
 from activestructure_gym.planes.record import GraphArrays
 
 Pair = tuple[Image.Image, Image.Image]  # by type, by deficit

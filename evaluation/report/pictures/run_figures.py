@@ -6,7 +6,7 @@ from pathlib import Path
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.pictures.canvas import save_with_panels
-from activestructure_gym.evaluation.report.pictures.planes_pages import run_planes_3d, run_planes_plan
+from activestructure_gym.evaluation.report.pictures.psg_figures import run_planes_3d, run_planes_plan
 from activestructure_gym.evaluation.report.pictures.views_and_plans import run_plan, run_views
 
 VIEWS = "views.png"

@@ -7,14 +7,14 @@ from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import save_with_panels, stored_panels
-from activestructure_gym.evaluation.report.pictures.planes_3d import compass, draw_planes_3d, view_of
-from activestructure_gym.evaluation.report.pictures.planes_from_above import (
+from activestructure_gym.evaluation.report.pictures.psg_3d import compass, draw_planes_3d, view_of
+from activestructure_gym.evaluation.report.pictures.psg_figures import run_planes_3d, run_planes_plan
+from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH
+from activestructure_gym.evaluation.report.pictures.psg_plan import (
     draw_planes_plan,
     stretches,
     view_from_above,
 )
-from activestructure_gym.evaluation.report.pictures.planes_legend import SMOOTH
-from activestructure_gym.evaluation.report.pictures.planes_pages import run_planes_3d, run_planes_plan
 
 
 def at(picture, view, point) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.report.page.embedding import THUMBNAIL, WIDE, data_uri, picture
+from activestructure_gym.evaluation.report.page.data_uris import THUMBNAIL, WIDE, data_uri, picture
 
 
 def opened(uri):

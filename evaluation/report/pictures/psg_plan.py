@@ -10,8 +10,8 @@ from PIL import Image, ImageDraw
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_scale_bar, pixel_size, plan_base
-from activestructure_gym.evaluation.report.pictures.patches import Projection, borders, extremes, silhouette
-from activestructure_gym.evaluation.report.pictures.planes_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
+from activestructure_gym.evaluation.report.pictures.plane_projection import Projection, borders, extremes, silhouette
+from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
 from activestructure_gym.planes.record import GraphArrays, seen_cells
 
 _LEVEL = 0.8  # |z| of the normal from which a plane is an area of the plan and not a stroke

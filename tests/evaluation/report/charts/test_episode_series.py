@@ -1,8 +1,8 @@
 import numpy as np
 
-from activestructure_gym.evaluation.report.charts import phases
-from activestructure_gym.evaluation.report.charts.phases import Band, bands, chosen_terms
-from activestructure_gym.evaluation.report.charts.timeline import history_chart
+from activestructure_gym.evaluation.report.charts import episode_series
+from activestructure_gym.evaluation.report.charts.episode_series import Band, bands, chosen_terms
+from activestructure_gym.evaluation.report.charts.history_chart import history_chart
 
 
 def with_phases(steps):
@@ -54,7 +54,7 @@ def test_a_long_episode_that_changes_its_phase_often_is_drawn(steps):
         for number in range(70_000)
     ]
     assert len(bands(many)) == 14_000
-    drawn = phases.drawn_steps(many)
+    drawn = episode_series.drawn_steps(many)
     assert len(drawn) == 2001 and drawn[0] is many[0] and drawn[-1] is many[-1]
-    assert phases.drawn_steps(steps) == steps and phases.drawn_steps([]) == []
+    assert episode_series.drawn_steps(steps) == steps and episode_series.drawn_steps([]) == []
     assert len(history_chart(drawn)) < 1_000_000

@@ -141,7 +141,7 @@ class Reconstruction:
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
-        self.keyframe_rounds: list[int] = []  # iteration factor of each keyframe
+        self.refine_factors: list[int] = []  # iteration factor of each keyframe
         # At the end of each decision: number of poses executed, frames used, 1 if they were spent optimising in place.
         self.legs: list[tuple[int, int, int]] = []
         self.stops: list[np.ndarray] = []  # final pose of each decision
@@ -241,12 +241,12 @@ class Reconstruction:
         frames_before, metres_before, keyframes = self.frames, self.metres, list[Frame]()
         if leg.stays:
             self._stay(leg.stays)
-        for pose, rounds in zip(leg.poses, leg.rounds):
+        for pose, refine_factor in zip(leg.poses, leg.refine_factors):
             if self.exhausted:
                 break
             self._step_to(pose)
-            if rounds or self.exhausted:
-                keyframes.append(self._keyframe(rounds or 1))
+            if refine_factor or self.exhausted:
+                keyframes.append(self._keyframe(refine_factor or 1))
         self.frames = min(self.frames + leg.lost, self.frame_budget)
         self.stops.append(self.pose)
         self._note_segment(stays=bool(leg.stays))
@@ -302,8 +302,8 @@ class Reconstruction:
             self._step_to(poses[index])
             index += 1
             if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
-                rounds = self.config.revisit_rounds if revisits and index == len(poses) else 1
-                keyframes.append(self._keyframe(rounds))
+                refine_factor = self.config.revisit_rounds if revisits and index == len(poses) else 1
+                keyframes.append(self._keyframe(refine_factor))
                 with self._timed("planning"):
                     blocked = first_blocked(
                         self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
@@ -311,7 +311,7 @@ class Reconstruction:
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
 
-    def _keyframe(self, rounds: int = 1) -> Frame:
+    def _keyframe(self, refine_factor: int = 1) -> Frame:
         with self._timed("sensor"):
             frame = self.sensor.capture(self.pose)
         sensor = self.config.sensor
@@ -324,14 +324,14 @@ class Reconstruction:
             # Map and planes are independent. Mapping runs mostly in kernels, which release the GIL.
             planes = beside.submit(self.planes.integrate, frame) if default_threads() > 1 else None
             with self._timed("mapping"):
-                self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
+                self.mapper.observe(frame, iterations=refine_factor * self.config.mapper.iterations)
             with self._timed("planes"):  # the time that mapping did not overlap
                 if planes is None:
                     self.planes.integrate(frame)
                 else:
                     planes.result()
         self.keyframe_indices.append(len(self.trajectory) - 1)
-        self.keyframe_rounds.append(rounds)
+        self.refine_factors.append(refine_factor)
         return frame
 
     @property

@@ -283,7 +283,7 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
     arrays = {
         "world_from_camera": np.stack(played.trajectory),
         "keyframes": np.array(played.keyframe_indices),
-        "keyframe_rounds": np.array(played.keyframe_rounds),
+        "keyframe_rounds": np.array(played.refine_factors),
         "legs": np.array(played.legs),
     }
     again = Reconstruction(played.config)
@@ -294,7 +294,7 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
     assert again.mapper.map.count == count > 100
     assert again.mapper.map.parameters[:, :count].tobytes() == played.mapper.map.parameters[:, :count].tobytes()
     assert (again.frames, again.metres, again.decisions) == (played.frames, played.metres, played.decisions)
-    assert again.legs == played.legs and again.keyframe_rounds == played.keyframe_rounds
+    assert again.legs == played.legs and again.refine_factors == played.refine_factors
     np.testing.assert_array_equal(again.planes.state.deficit, played.planes.state.deficit)
 
 

@@ -107,7 +107,7 @@ class KeyframeMapper(ABC):
         self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
 
-    def _rounds(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
+    def _shuffled_views(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
         """Return ``iterations`` of the given keyframes (None: all), in shuffled rounds."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):

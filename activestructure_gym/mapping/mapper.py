@@ -122,7 +122,7 @@ class Mapper(KeyframeMapper):
 
         Only colours are optimised, unless ``config.refine_shapes``.
         """
-        views = self._rounds(iterations, keyframe_indices)
+        views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
         losses, pruned = self._optimize(views, refining=True)
         return summed_up(self.map.count, views, losses, pruned)

@@ -17,7 +17,7 @@ class PathSegment:
     """Hold the frames between two decisions."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the start pose
-    rounds: tuple[int, ...]  # [T] iteration factor of the mapper at each frame; 0 = no keyframe
+    refine_factors: tuple[int, ...]  # [T] iteration factor of the mapper at each frame; 0 = no keyframe
     lost: int = 0  # frames used without a pose: an unreachable view, or an invalid row
     stays: int = 0  # frames spent optimising in place; then there are no poses
 
@@ -44,20 +44,20 @@ def recorded_segments(arrays: Mapping[str, np.ndarray]) -> list[PathSegment]:
     optimising in place. ``keyframe_rounds`` [K] holds the iteration factor of each of ``keyframes``.
     """
     poses, table = arrays["world_from_camera"], np.asarray(arrays["legs"])
-    keyframes, rounds = np.asarray(arrays["keyframes"]), np.asarray(arrays["keyframe_rounds"])
-    if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu" or rounds.dtype.kind not in "iu":
+    keyframes, factors = np.asarray(arrays["keyframes"]), np.asarray(arrays["keyframe_rounds"])
+    if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu" or factors.dtype.kind not in "iu":
         raise ValueError(f"legs must be whole numbers [D, 3], got {table.dtype} {table.shape}")
     table = table.astype(np.int64)  # signed, since unsigned differences would wrap or become floats
     if keyframes.ndim != 1 or keyframes.dtype.kind not in "iu" or (keyframes < 0).any():
         raise ValueError(f"keyframes must be whole numbers [K] from 0 on, got {keyframes.dtype} {keyframes.shape}")
-    if rounds.shape != keyframes.shape or (rounds < 0).any() or (rounds > 1000).any():
+    if factors.shape != keyframes.shape or (factors < 0).any() or (factors > 1000).any():
         raise ValueError(f"keyframe_rounds must have a number from 0 to 1000 for each of {len(keyframes)} keyframes")
     before = np.vstack([[[1, 1, 0]], table])[:-1]
     executed, paid = (table - before)[:, 0], (table - before)[:, 1]
     if (executed < 0).any() or (paid < executed).any() or (len(table) and table[-1, 0] != len(poses)):
         raise ValueError(f"legs must rise to the {len(poses)} poses, and a frame be paid for each of them")
     times = np.zeros(len(poses), dtype=np.int64)
-    times[keyframes] = rounds
+    times[keyframes] = factors
     found = []
     for (begin, _, _), (end, _, stays), count, frames in zip(before, table, executed, paid):
         if stays:

@@ -103,8 +103,8 @@ class TrueQuality:
                 arrives = np.allclose(way.keyframes[-1], reconstruction.candidates.world_from_camera[row])
                 again = arrives and bool(reconstruction.candidates.revisit[row])
                 for number, pose in enumerate(way.keyframes, start=1):
-                    rounds = config.revisit_rounds if again and number == len(way.keyframes) else 1
-                    mapper.observe(sensor.capture(pose), iterations=rounds * config.mapper.iterations)
+                    refine_factor = config.revisit_rounds if again and number == len(way.keyframes) else 1
+                    mapper.observe(sensor.capture(pose), iterations=refine_factor * config.mapper.iterations)
                 after = self._measured(mapper.map)
                 found[row] = {
                     name: 100.0 * (after[name] - before[name]) / way.frames

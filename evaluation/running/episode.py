@@ -352,7 +352,7 @@ def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
     return {
         "world_from_camera": np.stack(reconstruction.trajectory),
         "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
-        "keyframe_rounds": np.array(reconstruction.keyframe_rounds, dtype=np.int64),
+        "keyframe_rounds": np.array(reconstruction.refine_factors, dtype=np.int64),
         "legs": np.array(reconstruction.legs, dtype=np.int64).reshape(-1, 3),
         "intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         "image_size": np.array([camera.width, camera.height], dtype=np.int64),

@@ -17,15 +17,15 @@ def poses(count: int) -> np.ndarray:
 def test_every_fifth_frame_and_the_last_are_keyframes_of_a_bare_trajectory() -> None:
     legs = regular_segments(poses(23), keyframe_every=5)
     assert [len(leg.poses) for leg in legs] == [19, 3], "four keyframes a leg: frames 5, 10, 15 and 20, then the last"
-    rounds = [0, *legs[0].rounds, *legs[1].rounds]
-    assert [frame for frame, times in enumerate(rounds, start=1) if times] == [5, 10, 15, 20, 23]
+    factors = [0, *legs[0].refine_factors, *legs[1].refine_factors]
+    assert [frame for frame, times in enumerate(factors, start=1) if times] == [5, 10, 15, 20, 23]
     np.testing.assert_array_equal(np.concatenate([leg.poses for leg in legs]), poses(23)[1:])
     assert regular_segments(poses(1), 5) == []
-    assert [leg.rounds for leg in regular_segments(poses(2), 5)] == [(1,)]
+    assert [leg.refine_factors for leg in regular_segments(poses(2), 5)] == [(1,)]
 
 
 def arrays() -> dict[str, np.ndarray]:
-    """A way of two frames, a frame lost, three frames in place, and a revisit of four rounds."""
+    """A way of two frames, a frame lost, three frames in place, and a revisit with a refine factor of four."""
     return {
         "world_from_camera": poses(7),
         "keyframes": np.array([0, 2, 6]),
@@ -36,14 +36,14 @@ def arrays() -> dict[str, np.ndarray]:
 
 def test_the_legs_of_a_run_are_read_back() -> None:
     unsigned = {name: value.astype(np.uint64) for name, value in arrays().items() if name == "legs"}
-    assert [leg.rounds for leg in recorded_segments(arrays() | unsigned)] == [
-        leg.rounds for leg in recorded_segments(arrays())
+    assert [leg.refine_factors for leg in recorded_segments(arrays() | unsigned)] == [
+        leg.refine_factors for leg in recorded_segments(arrays())
     ]
     walk, lost, stay, revisit = recorded_segments(arrays())
-    assert walk.rounds == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])
+    assert walk.refine_factors == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])
     assert (lost.lost, len(lost.poses)) == (1, 0)
     assert (stay.stays, len(stay.poses), stay.lost) == (3, 0, 0)
-    assert revisit.rounds == (4,) and revisit.lost == 0
+    assert revisit.refine_factors == (4,) and revisit.lost == 0
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ class DenseMapper(KeyframeMapper):
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
         """Optimise the whole map on the colours of all keyframes (or the given ones), in shuffled rounds."""
-        views = self._rounds(iterations, keyframe_indices)
+        views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
         losses = np.full((len(views), 3), np.nan)
         with one_thread():

@@ -119,7 +119,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
         """Learn from the rays kept of all keyframes (or of the given ones)."""
-        indices = sorted(set(self._rounds(len(self.keyframes), keyframe_indices)))
+        indices = sorted(set(self._shuffled_views(len(self.keyframes), keyframe_indices)))
         self.events += 1
         with one_thread():
             losses = self._learn(None, iterations, indices) if indices else np.zeros((0, 3))

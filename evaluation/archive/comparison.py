@@ -63,7 +63,7 @@ def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict
     return found, damaged
 
 
-def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
+def verified_runs(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
     """The runs in directories of comparisons and of runs, every file of each compared with its sum; and by directory
     why others are none.
     """

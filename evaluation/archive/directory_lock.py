@@ -16,7 +16,7 @@ from pathlib import Path
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.temporary import refuse_links
-from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.evaluation.machine.processes import is_alive, machine_id
 
 try:
     import fcntl
@@ -49,7 +49,7 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
         _take(descriptor, directory, shared=shared)
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, f"{os.getpid()} {machine_mark()}".encode())
+        os.write(descriptor, f"{os.getpid()} {machine_id()}".encode())
         yield descriptor
     finally:
         if fcntl is not None:
@@ -77,8 +77,8 @@ def _take(descriptor: int, directory: Path, *, shared: bool = False) -> None:
     waited = 0.0  # not by the clock: time during which everything is suspended does not count
     while not _try(descriptor, shared=shared):
         process, _, machine = _owner(descriptor).partition(" ")
-        if not process.isdigit() or machine != machine_mark() or is_alive(int(process)):
-            who = f"process {process}" if machine == machine_mark() else "a process of another machine"
+        if not process.isdigit() or machine != machine_id() or is_alive(int(process)):
+            who = f"process {process}" if machine == machine_id() else "a process of another machine"
             raise InputError(f"{who} is at work in '{directory}': wait until it has ended, or choose another --out")
         if waited > _PATIENCE:
             raise InputError(

@@ -20,8 +20,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, schema, store
-from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
 from activestructure_gym.evaluation.archive.plugin_code import changed_code
 from activestructure_gym.npz import read_npz
 
@@ -111,7 +111,7 @@ def damaged(file: Path, reason: Exception) -> InputError:
     return InputError(f"'{file}' is damaged: {reason}; delete '{file.parent}', and its episode is played again")
 
 
-def bring_files(place: Path, part: Path) -> None:
+def link_files(place: Path, part: Path) -> None:
     """Put the files of a played episode that its run keeps into another folder of the same file system.
 
     And no others: they would be written later, wherever links in ``place`` lead.

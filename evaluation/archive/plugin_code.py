@@ -67,7 +67,7 @@ def changed_code(directory: Path, job: Job, checksums: Callable[[str], str | Non
     return list(now) if then is None else [name for name, total in now.items() if then.get(name, total) != total]
 
 
-def is_as_it_was(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
+def is_unchanged(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
     """Check that all plug-in code with a checksum in the run exists and is unchanged."""
     then = _checksums_then(directory)
     return bool(then) and then == plugin_code_of(job, checksums)

@@ -43,7 +43,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
-from activestructure_gym.evaluation.archive.temporary import part_of, refuse_links, writing
+from activestructure_gym.evaluation.archive.temporary import refuse_links, temporary_suffix, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 from activestructure_gym.ranges import MAX_FRAMES
@@ -272,7 +272,7 @@ def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run
     """
     directory = Path(directory)
     if not (directory / DONE).is_file():
-        raise InputError(f"'{directory}' is not a finished run: {_unlike_a_run(directory)}")
+        raise InputError(f"'{directory}' is not a finished run: {_why_not_a_run(directory)}")
     return open_run(directory, scene)
 
 
@@ -305,7 +305,7 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
     before the name is. After an error, Ctrl-C included, nothing is left behind.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
-    part = directory.with_name(f".{directory.name}{part_of()}")
+    part = directory.with_name(f".{directory.name}{temporary_suffix()}")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
     try:
@@ -340,7 +340,7 @@ def aside_of(directory: Path) -> Path:
     return directory.with_name(f".{directory.name}.aside")
 
 
-def _unlike_a_run(directory: Path) -> str:
+def _why_not_a_run(directory: Path) -> str:
     """Why a directory is no finished run, in words."""
     if not directory.exists():
         return "there is nothing of that name"

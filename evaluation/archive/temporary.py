@@ -12,15 +12,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import FullDisk, InputError
-from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.evaluation.machine.processes import is_alive, machine_id
 from activestructure_gym.streams import FULL
 
 _MAX_REPORT_SECONDS = 86400.0  # seconds after which what another machine was writing counts as left behind
 
 
-def part_of() -> str:
+def temporary_suffix() -> str:
     """The end of a half-written folder's hidden name: who is writing it."""
-    return f".part-{machine_mark()}-{os.getpid()}"
+    return f".part-{machine_id()}-{os.getpid()}"
 
 
 @contextmanager
@@ -32,8 +32,8 @@ def atomic_files(directory: Path) -> Iterator[Path]:
     new = not directory.exists()
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-        remove_parts(directory, "files-*", others_after=_MAX_REPORT_SECONDS)  # it may be anybody's folder
-        part = Path(tempfile.mkdtemp(prefix=".files-", suffix=part_of(), dir=directory))
+        remove_leftovers(directory, "files-*", others_after=_MAX_REPORT_SECONDS)  # it may be anybody's folder
+        part = Path(tempfile.mkdtemp(prefix=".files-", suffix=temporary_suffix(), dir=directory))
     try:
         with writing(directory):
             yield part
@@ -81,7 +81,7 @@ def writing(place: str | os.PathLike[str]) -> Iterator[None]:
         raise kind(f"'{place}' cannot be written: {error.strerror or error}") from error
 
 
-def remove_parts(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:
+def remove_leftovers(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:
     """Remove what killed processes left half-written in ``directory``, of one name or of all.
 
     What a living process of this machine writes is left alone, and what another machine's has begun within the last
@@ -89,7 +89,7 @@ def remove_parts(directory: Path, name: str = "*", *, others_after: float = 0.0)
     """
     for part in directory.glob(f".{name}.part-*"):
         machine, _, process = part.name.rpartition(".part-")[2].partition("-")
-        if machine == machine_mark():
+        if machine == machine_id():
             left = not (process.isdigit() and is_alive(int(process)))
         else:
             left = _age(part) >= others_after

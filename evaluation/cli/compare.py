@@ -141,7 +141,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     if options.engine != "ray" and not as_recorded:
         comparison.check_machine()
     if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
-        options = _with_baseline(options, comparison.everybody())
+        options = _with_baseline(options, comparison.participants())
     if options.dry_run:
         recorded = recorded_jobs(directory) if as_recorded else None
         return _print_plan(console, comparison, recorded, shard, directory, demo=demo)
@@ -297,7 +297,7 @@ def _print_plan(
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.archive.store import completion_markers
 
-    policies = comparison.everybody()
+    policies = comparison.participants()
     comparison.check_scene_names()
     jobs = recorded or [
         Job(scene, policy, seed) for seed in comparison.seeds for scene in comparison.scenes for policy in policies

@@ -41,13 +41,13 @@ class Verify:
         from rich.progress import Progress as Bar
         from rich.progress import TextColumn
 
-        from activestructure_gym.evaluation.archive.comparison import each_run
+        from activestructure_gym.evaluation.archive.comparison import verified_runs
         from activestructure_gym.evaluation.reproduction.verifying import REFUTED, verify
 
         if not self.runs:
             raise InputError("name the directory of a comparison or of a run to play again")
         console = make_console()
-        runs, refused = each_run([Path(name) for name in self.runs])
+        runs, refused = verified_runs([Path(name) for name in self.runs])
         failed, unplayed, open_ = len(refused), 0, 0
         for reason in refused.values():
             console.print(f"[red]✗[/] damaged: {escape(reason)}")

@@ -17,7 +17,7 @@ UTF_8 = {"PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
 @cache
-def machine_mark() -> str:
+def machine_id() -> str:
     """Six hex digits that tell this machine from the others of a cluster, and give no name away."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 

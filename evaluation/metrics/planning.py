@@ -32,7 +32,7 @@ def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | 
     frames, observed = _points(curve, "observed")
     for level in LEVELS:
         name = f"frames_to_{level}"
-        scores[name] = first_above(frames, observed, float(level))
+        scores[name] = first_reaching(frames, observed, float(level))
         if scores[name] is None:
             notes[name] = f"> {frame_budget} frames: {observed[-1]:.1f} % observed" if len(frames) else "no curve of it"
     scores["observed_area"] = area_under(frames, observed, frame_budget) if len(frames) else None
@@ -45,7 +45,7 @@ def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | 
     return scores, notes
 
 
-def first_above(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
+def first_reaching(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
     """The first x at which the curve, straight between its points [P], reaches ``level``; None where it never does."""
     reached = np.flatnonzero(y >= level)
     if not len(reached):

@@ -115,7 +115,7 @@ class TrueQuality:
             sensor.close()
         return found
 
-    def wrong_points(self, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:  # [P, 3], [P]
+    def error_points(self, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:  # [P, 3], [P]
         """Points of the surface in the held-out views, and how wrong the map is around each in these pictures.
 
         A view is cut into blocks, each with the true point in its middle and the squared colour error of its pixels,
@@ -137,11 +137,11 @@ class TrueQuality:
             errors.append(blocks[known] / max(float(squared.sum()), 1e-12))
         return np.concatenate(points), np.concatenate(errors)
 
-    def errors_in_sight(
+    def visible_errors(
         self,
         reconstruction: Reconstruction,
         taken: Sequence[PlannedPath | None],
-        wrong: tuple[np.ndarray, np.ndarray],  # what `wrong_points` found
+        wrong: tuple[np.ndarray, np.ndarray],  # what `error_points` found
     ) -> np.ndarray:  # [n] per frame
         """How much of what is wrong the keyframes of every way would see, per frame paid; 0 where there is none."""
         points, errors = wrong

@@ -104,14 +104,14 @@ class OracleQuality(Oracle):
 
     def _shortlist(self) -> dict[int, PlannedPath]:
         """Row and way of those that are mapped, the most error in sight first, and of every place its best view."""
-        episode, wrong = self._env.reconstruction, self._quality.wrong_points(self._env.reconstruction)
+        episode, wrong = self._env.reconstruction, self._quality.error_points(self._env.reconstruction)
         poses = episode.candidates.world_from_camera
         least = episode.agent.least_frames(poses)
         ends = [PlannedPath(max(1, int(n)), pose[None]) if np.isfinite(n) else None for n, pose in zip(least, poses)]
-        at_end = self._quality.errors_in_sight(episode, ends, wrong)
+        at_end = self._quality.visible_errors(episode, ends, wrong)
         rows = np.argsort(-at_end, kind="stable")[:_FOLLOWED]
         taken = dict(zip(rows.tolist(), episode.agent.paths(episode.volume, poses[rows])))
-        on_way = self._quality.errors_in_sight(episode, list(taken.values()), wrong)
+        on_way = self._quality.visible_errors(episode, list(taken.values()), wrong)
         order = [row for row in rows[np.argsort(-on_way, kind="stable")].tolist() if taken[row] is not None]
         firsts: dict[bytes, int] = {}  # by place
         for row in order:

@@ -60,7 +60,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         store.read_all(run)
         if loose := store.without_checksum(run):
             raise InputError(f"{store.DONE} has no checksum of {', '.join(loose)}: a change would not be detected")
-        if untrue := untrue_evaluations(run):
+        if untrue := altered_evaluations(run):
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
         return Verification("damaged", (str(error),))
@@ -71,12 +71,12 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         again = run_job(run.job, Path(folder) / "again", tell)
-        evaluations, missing = evaluations_again(run, again)
+        evaluations, missing = remeasured_evaluations(run, again)
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:
         return Verification("not comparable here" if missing else "identical", tuple(missing))
     told = f"other bytes in {', '.join(others)}"
-    elsewhere = elsewhere_in(run, again) + missing
+    elsewhere = environment_differences(run, again) + missing
     if not elsewhere:
         return Verification("differs", (told, *numbers_that_differ(run, again)))
     codes = [one.config["versions"].get("code") for one in (run, again)]
@@ -118,7 +118,7 @@ def contradictions(run: Run) -> list[str]:
     return _first(wrong)
 
 
-def untrue_evaluations(run: Run) -> list[str]:
+def altered_evaluations(run: Run) -> list[str]:
     """Evaluations by the run's own protocol that say more than an LPIPS beside the run's own numbers, in words."""
     own, parameters = run.metrics["metrics"], store.plain(run.job.conditions.protocol.parameters())
     wrong = []
@@ -132,7 +132,7 @@ def untrue_evaluations(run: Run) -> list[str]:
     return wrong
 
 
-def evaluations_again(run: Run, again: Run) -> tuple[list[str], list[str]]:
+def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
     """Measure every stored evaluation again, those of later sittings too.
 
     Returns the files with other numbers, and in words what cannot be measured here: LPIPS without its weights, and
@@ -144,7 +144,7 @@ def evaluations_again(run: Run, again: Run) -> tuple[list[str], list[str]]:
     for name, content in run.evaluations.items():
         stored, parameters = content["metrics"], content["protocol"]
         own_name = run.job.conditions.protocol.name
-        if parameters["name"] == own_name:  # an LPIPS and nothing else, see `untrue_evaluations`
+        if parameters["name"] == own_name:  # an LPIPS and nothing else, see `altered_evaluations`
             pairs.append((stored, found))
             same = None in (_lpips_of(stored), _lpips_of(found)) or _lpips_of(stored) == _lpips_of(found)
         elif (made := again.evaluations.get(name)) is not None:
@@ -164,7 +164,7 @@ def evaluations_again(run: Run, again: Run) -> tuple[list[str], list[str]]:
     return [f"{store.EVALUATIONS}/{name}" for name in wrong], unknown
 
 
-def elsewhere_in(run: Run, again: Run) -> list[str]:
+def environment_differences(run: Run, again: Run) -> list[str]:
     """What a run was made with that is not what this machine has, where bytes can depend on it; in words."""
     found = []
     before, now = (str(one.timing["hardware"]["processor"]) for one in (run, again))

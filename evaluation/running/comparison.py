@@ -31,7 +31,7 @@ from activestructure_gym.evaluation.running.engines import Limits, Listener, Out
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
-from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
+from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
@@ -81,7 +81,7 @@ class Comparison:
         check_compiling()
         rasterizer(configure(self.conditions.preset, self.conditions.overrides).mapper.backend)
 
-    def everybody(self, policies: Sequence[str] = ()) -> list[str]:
+    def participants(self, policies: Sequence[str] = ()) -> list[str]:
         """Who takes part, as jobs call them: the policies (of these names, if they are known), then the references."""
         from activestructure_gym.evaluation.references.oracles import reference_job
 
@@ -103,7 +103,7 @@ class Comparison:
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
         policies = self._check_policies()
-        everybody = self.everybody(policies)
+        participants = self.participants(policies)
         self.check_scene_names()
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
@@ -116,7 +116,7 @@ class Comparison:
             Job(scene, policy, seed, hashes[scene], self.conditions)
             for seed in self.seeds
             for scene in self.scenes
-            for policy in everybody
+            for policy in participants
         ]
         _refuse_twins(jobs)
         return jobs
@@ -308,13 +308,13 @@ def run_comparison(
         raise _begun(directory)
     everything = merged(recorded, jobs, directory)
     if shard is None:
-        temporary.remove_parts(directory / store.JOBS)
+        temporary.remove_leftovers(directory / store.JOBS)
         for path in directory.glob(f".{store.COMPARISON}.*"):
             path.unlink(missing_ok=True)
     else:
         jobs = shard.part(jobs)
     asked = {job.name for job in jobs}
-    settle(everything if shard is None else jobs, asked, directory, tell)
+    review_finished(everything if shard is None else jobs, asked, directory, tell)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     before = read_record(directory)

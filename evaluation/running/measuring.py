@@ -43,7 +43,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
     with store.atomic_directory(directory) as part:
-        played.bring_files(place, part)
+        played.link_files(place, part)
         _write_numbers(part, job, known, metrics, episode["curve"])
         _write_steps(place / store.STEPS, part / store.STEPS, last)
         for other in map(get_protocol, job.conditions.also):

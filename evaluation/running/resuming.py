@@ -16,10 +16,10 @@ from typing import Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import plugin_code, store
-from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
+from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
 
 
 def recorded_jobs(directory: Path) -> list[Job]:
@@ -37,7 +37,7 @@ def recorded_jobs(directory: Path) -> list[Job]:
     return jobs
 
 
-def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
+def review_finished(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
     """Take from the finished runs those that are damaged, and of those ``asked`` for those that other code played.
 
     Other code: somebody's own, or in the native setup another schedule of the policy. ``asked`` holds names of jobs. A
@@ -48,14 +48,14 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
-        if store.is_withdrawn(place) and _is_as_it_was(place, job, checksums):
+        if store.is_withdrawn(place) and _is_unchanged(place, job, checksums):
             store.reinstate(place)
         if not store.is_done(place, job):
             continue
         if damage := store.damage_of(place, job):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
-        elif changed := [*plugin_code.changed_code(place, job, checksums), *_changed_schedule(place, job)]:
+        elif changed := [*plugin_code.changed_code(place, job, checksums), *_changed_settings(place, job)]:
             if job.name in asked:
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
@@ -65,13 +65,13 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
         tell(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
 
 
-def _is_as_it_was(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
+def _is_unchanged(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
     if plugin_code.plugin_code_of(job, checksums):
-        return plugin_code.is_as_it_was(place, job, checksums)
+        return plugin_code.is_unchanged(place, job, checksums)
     return job.conditions.setup == "native" and not changed_native_settings(place, job)
 
 
-def _changed_schedule(place: Path, job: Job) -> list[str]:
+def _changed_settings(place: Path, job: Job) -> list[str]:
     fields = changed_native_settings(place, job)
     return [f"the schedule of {policy_label(job.policy)} ({', '.join(fields)})"] if fields else []
 

@@ -45,8 +45,8 @@ def warming_up(
     from activestructure_gym.files import replaced
 
     smallest, features = smallest_job(policies, overrides), all_features(policies)
-    mark = mark_of(smallest, features)
-    if mark is not None and holds(mark):
+    marker = completion_marker(smallest, features)
+    if marker is not None and is_current(marker):
         yield
         return
     tally = Tally(notify, not_compiled(kernels_of(features), kernel_files()))
@@ -56,23 +56,23 @@ def warming_up(
     with told_to(tally), compiling_beside(calls, tally, worker_environment(slots=core_count())) as succeeded:
         yield
     tally.conclude()
-    if mark is not None and all(succeeded):
-        with suppress(OSError), replaced(mark) as file:
+    if marker is not None and all(succeeded):
+        with suppress(OSError), replaced(marker) as file:
             file.write("\n".join(map(str, kernel_files())).encode())
 
 
-def holds(mark: Path) -> bool:
-    """Return whether the mark is there, and all cache files of kernels that it lists are there and undamaged."""
+def is_current(marker: Path) -> bool:
+    """Return whether the marker is there, and all cache files of kernels that it lists are there and undamaged."""
     from activestructure_gym.compiling.files import is_whole
 
     try:
-        listed = mark.read_text(encoding="utf-8").split("\n")
+        listed = marker.read_text(encoding="utf-8").split("\n")
     except (OSError, ValueError):
         return False
     return all(is_whole(Path(file)) for file in listed)
 
 
-def mark_of(job: Job, features: Sequence[str] = ()) -> Path | None:
+def completion_marker(job: Job, features: Sequence[str] = ()) -> Path | None:
     """Return the file that says that this warm-up has succeeded; None if it is always made.
 
     Its name depends on the job, the features, all source files, the versions and the settings of the compiler. There is

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build
-from activestructure_gym.evaluation.running.warmup import all_features, mark_of, smallest_job
+from activestructure_gym.evaluation.running.warmup import all_features, completion_marker, smallest_job
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
@@ -100,7 +100,7 @@ def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None
     def mark() -> Path | None:
         policies = [canonical_policy("learned:run"), "random"]
         assert all_features(policies) == ["structure"]
-        return mark_of(smallest_job(policies, {}), all_features(policies))
+        return completion_marker(smallest_job(policies, {}), all_features(policies))
 
     first = mark()
     assert first is not None and first == mark()

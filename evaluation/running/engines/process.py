@@ -22,7 +22,7 @@ from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import JOBS, is_done
-from activestructure_gym.evaluation.archive.temporary import remove_parts, unlinked
+from activestructure_gym.evaluation.archive.temporary import remove_leftovers, unlinked
 from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.engines.last_words import last_words
@@ -143,7 +143,7 @@ class WorkerProcess:
         if self._process.stdin is not None:
             with suppress(BrokenPipeError):
                 self._process.stdin.close()
-        remove_parts(self.directory / JOBS, self.job.name)
+        remove_leftovers(self.directory / JOBS, self.job.name)
 
     def _await_end(self, messages: Messages) -> None:
         """Pass on what the process writes until it ends; a process that it left behind may hold the pipe for ever."""

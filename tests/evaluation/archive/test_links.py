@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.archive.directory_lock import LOCK, hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.comparison import check_output
 from activestructure_gym.evaluation.running.engines.base import LOGS
-from activestructure_gym.evaluation.running.resuming import settle
+from activestructure_gym.evaluation.running.resuming import review_finished
 from tests.evaluation.written_runs import write_comparison, write_run
 
 ARCHIVED = Job("room", "random", 0, scene_hash="ab" * 32)
@@ -46,7 +46,7 @@ def test_a_run_that_was_moved_and_is_damaged_is_made_again_in_its_place(comparis
     (larger / store.METRICS).write_text("x")
     before = content_of(larger)
     told: list[str] = []
-    settle([ARCHIVED], {ARCHIVED.name}, comparison, told.append)
+    review_finished([ARCHIVED], {ARCHIVED.name}, comparison, told.append)
     assert "counts as not finished" in told[0] and not store.is_done(place, ARCHIVED)
     with store.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
@@ -64,7 +64,7 @@ def test_whatever_has_a_runs_name_is_replaced_itself(
     targets = {"foreign": foreign, "dangling": tmp_path / "nowhere", "loop": place, "link to a file": foreign / "file"}
     place.write_text("x") if kind == "file" else place.symlink_to(targets[kind])
     assert not store.is_done(place, ARCHIVED)
-    settle([ARCHIVED], {ARCHIVED.name}, comparison, pytest.fail)
+    review_finished([ARCHIVED], {ARCHIVED.name}, comparison, pytest.fail)
     with store.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
             file.rename(part / file.name)

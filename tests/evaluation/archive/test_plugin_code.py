@@ -13,7 +13,7 @@ from activestructure_gym import registry
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.plugin_code import changed_code, checksum_of, is_as_it_was, plugin_code_of
+from activestructure_gym.evaluation.archive.plugin_code import changed_code, checksum_of, is_unchanged, plugin_code_of
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
     assert changed_code(run, job, lambda module: None) == []  # the module is gone: nobody can say
     for damaged in ("{", "[]", '{"own_code": "x"}', '{"own_code": {"a": 1}}'):
         (run / store.CONFIG).write_text(damaged)
-        assert changed_code(run, job, now) == ["policy mine_e:Mine"] and not is_as_it_was(run, job, now)
+        assert changed_code(run, job, now) == ["policy mine_e:Mine"] and not is_unchanged(run, job, now)
 
 
 def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
@@ -138,11 +138,11 @@ def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     run.mkdir()
     checksums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
     store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, checksums.get)})
-    assert is_as_it_was(run, job, checksums.get)
-    assert not is_as_it_was(run, job, {"mine_f": "a" * 64}.get)
-    assert not is_as_it_was(run, job, {**checksums, "mine_g": "c" * 64}.get)
+    assert is_unchanged(run, job, checksums.get)
+    assert not is_unchanged(run, job, {"mine_f": "a" * 64}.get)
+    assert not is_unchanged(run, job, {**checksums, "mine_g": "c" * 64}.get)
     store.write_json(run / store.CONFIG, {})
-    assert not is_as_it_was(run, job, {}.get)
+    assert not is_unchanged(run, job, {}.get)
 
 
 def test_a_withdrawn_run_can_be_reinstated(tmp_path: Path):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.metrics.planning import first_above, late_rate, planning_scores
+from activestructure_gym.evaluation.metrics.planning import first_reaching, late_rate, planning_scores
 
 # Of 200 frames: 0 -> 40 -> 80 -> 90 % at frames 0, 50, 100, 200; PSNR and depth error beside it.
 CURVE = [
@@ -44,9 +44,9 @@ def test_without_late_frames_or_without_what_was_observed_nothing_is_made_up():
 
 def test_the_first_crossing_counts_and_a_start_above_costs_its_own_frames():
     frames, share = np.array([1.0, 11.0, 21.0]), np.array([50.0, 90.0, 88.0])
-    assert first_above(frames, share, 85.0) == pytest.approx(1.0 + 10.0 * 35.0 / 40.0)
-    assert first_above(frames, share, 50.0) == 1.0
-    assert first_above(frames[:0], share[:0], 50.0) is None
+    assert first_reaching(frames, share, 85.0) == pytest.approx(1.0 + 10.0 * 35.0 / 40.0)
+    assert first_reaching(frames, share, 50.0) == 1.0
+    assert first_reaching(frames[:0], share[:0], 50.0) is None
 
 
 def test_a_straight_line_has_its_own_slope_wherever_its_points_stand():

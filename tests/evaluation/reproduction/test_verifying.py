@@ -22,8 +22,8 @@ from activestructure_gym.evaluation.machine.hardware import code_checksum, hardw
 from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.reproduction.verifying import (
     Verification,
-    evaluations_again,
-    untrue_evaluations,
+    altered_evaluations,
+    remeasured_evaluations,
     verify,
 )
 
@@ -146,10 +146,10 @@ def test_numbers_of_a_further_protocol_must_come_out_too(
         one.directory.mkdir()
         write_evaluation(one.directory, {"name": "activegamer", "version": 1}, other, numbers | changed)
     wrong = ["evaluations/activegamer.json"]
-    assert evaluations_again(again, again) == ([], [])
-    assert evaluations_again(forged, again)[0] == evaluations_again(more, again)[0] == wrong
-    assert evaluations_again(none, again)[0] == wrong
-    found, unmeasured = evaluations_again(partial, again)
+    assert remeasured_evaluations(again, again) == ([], [])
+    assert remeasured_evaluations(forged, again)[0] == remeasured_evaluations(more, again)[0] == wrong
+    assert remeasured_evaluations(none, again)[0] == wrong
+    found, unmeasured = remeasured_evaluations(partial, again)
     assert not found and "LPIPS cannot be measured here" in unmeasured[0]
     # Measured later: the protocol's numbers of the map that was made again count.
     measuring = "activestructure_gym.evaluation.reproduction.verifying.measure_again"
@@ -157,10 +157,10 @@ def test_numbers_of_a_further_protocol_must_come_out_too(
     parameters = get_protocol("activegamer").parameters()
     for one, changed in ((again, {}), (forged, {"psnr": 30.0})):
         write_evaluation(one.directory, parameters, other, numbers | changed)
-    assert evaluations_again(replace(again), replace(none)) == ([], [])
-    assert evaluations_again(replace(forged), replace(none)) == (wrong, [])
+    assert remeasured_evaluations(replace(again), replace(none)) == ([], [])
+    assert remeasured_evaluations(replace(forged), replace(none)) == (wrong, [])
     write_evaluation(again.directory, {"name": "activegamer", "version": 99}, other, numbers)
-    found, unmeasured = evaluations_again(replace(again), replace(none))
+    found, unmeasured = remeasured_evaluations(replace(again), replace(none))
     assert not found and "cannot be measured here" in unmeasured[0]
 
 
@@ -173,7 +173,7 @@ def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(r
         ({"f_score": 99.0}, ["evaluations/standard.json has another f_score than metrics.json"]),
     ):
         write_evaluation(run.directory, run.job.conditions.protocol.parameters(), "", numbers | changed)
-        assert untrue_evaluations(replace(one)) == said
+        assert altered_evaluations(replace(one)) == said
     found = verify(run)
     assert found.verdict == "damaged" and found.why[0].startswith("evaluations/standard.json has another psnr, ")
 

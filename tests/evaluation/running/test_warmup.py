@@ -11,8 +11,8 @@ from activestructure_gym.evaluation.running.warmup import (
     Tally,
     all_features,
     compile_map,
-    holds,
-    mark_of,
+    completion_marker,
+    is_current,
     play,
     smallest_job,
     warming_up,
@@ -67,12 +67,12 @@ def test_nothing_is_started_where_the_same_warm_up_came_to_its_end(room, started
 
 def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, started, monkeypatch):
     def marked() -> bool:
-        return holds(mark_of(smallest_job(["random"], {})))
+        return is_current(completion_marker(smallest_job(["random"], {})))
 
     kernel = room / "__pycache__" / "module.kernel-1.kernel"
     assert not marked()
     warm()
-    assert marked() and not holds(mark_of(smallest_job(["pixel_only"], {})))
+    assert marked() and not is_current(completion_marker(smallest_job(["pixel_only"], {})))
     (room / "__pycache__" / "module.other-2.kernel").touch()  # what is compiled later does no harm
     assert marked()
     with monkeypatch.context() as patch:
@@ -93,11 +93,11 @@ def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, sta
 def test_no_mark_for_what_lies_outside_or_cannot_be_kept(room, monkeypatch):
     mine = type("Mine", (Policy,), {"__module__": "my_package", "act": lambda *_: 0})
     monkeypatch.setitem(POLICIES._entries, "mine", mine)
-    assert mark_of(smallest_job(["mine"], {})) is None
-    assert mark_of(smallest_job(["random"], {"features": "my_package:gain"})) is None
-    assert mark_of(smallest_job(["random"], {})) is not None
+    assert completion_marker(smallest_job(["mine"], {})) is None
+    assert completion_marker(smallest_job(["random"], {"features": "my_package:gain"})) is None
+    assert completion_marker(smallest_job(["random"], {})) is not None
     monkeypatch.setattr(files, "cache_place", lambda: None)
-    assert mark_of(smallest_job(["random"], {})) is None
+    assert completion_marker(smallest_job(["random"], {})) is None
 
 
 def test_the_folders_are_those_with_kernels():

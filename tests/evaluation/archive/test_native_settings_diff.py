@@ -10,10 +10,10 @@ import pytest
 
 from activestructure_gym.config import configure
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.brought import changed_native_settings
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.resuming import settle
+from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
+from activestructure_gym.evaluation.running.resuming import review_finished
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.native_settings import NativeSettings
 
@@ -67,7 +67,7 @@ def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back
 
     def go_on(asked: tuple[str, ...] = (JOB.name,)) -> list[str]:
         told.clear()
-        settle([JOB], asked, tmp_path, told.append)
+        review_finished([JOB], asked, tmp_path, told.append)
         return told
 
     assert go_on() == [] and store.is_done(place, JOB)

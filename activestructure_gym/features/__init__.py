@@ -1,14 +1,15 @@
-"""Features: what a candidate view is worth, has or stands for, computed from the current reconstruction only.
+"""Compute features of candidate views from the current reconstruction, without ground truth.
 
-A feature is a function of a `FeatureContext` that returns [K], or [K, C] with named columns::
+A feature is a function of a `FeatureContext`. It returns one number per candidate [K], or C named columns [K, C]::
 
     @FEATURES.register("mine", unit="share", low=0.0, high=1.0)
     def mine(context):
         return (1 - context.alpha).mean(axis=(1, 2))
 
-The env evaluates those it is asked for (``features=("pixel", "mine")``); ``"package.module:function"`` works as a name
-without registering, in every worker process. This room holds the features that two planners or more use; `FEATURES`
-finds them and those in the planners' folders. The table in docs/guide/observation.md lists all of them.
+The environment evaluates the features that it is asked for (``features=("pixel", "mine")``). The name
+``"package.module:function"`` works without registration, in every worker process. This package holds the features
+that at least two planners use; `FEATURES` also finds those in the planners' folders. docs/guide/observation.md has a
+table of all features.
 """
 
 from activestructure_gym.features.context import FeatureContext

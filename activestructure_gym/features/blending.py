@@ -1,4 +1,4 @@
-"""Images of any per-Gaussian number, rendered from every candidate."""
+"""Render images of any number per Gaussian, from every candidate."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ def blended(
     *,
     repaint: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> np.ndarray:  # [K, h, w] float32
-    """Sum of weight times value along every pixel's ray, as colours are blended: divide by alpha for the mean.
+    """Return the sum of weight times value along the ray of each pixel, blended as colours are.
 
-    The numbers take the place of the red colour in a copy of the map. ``repaint(row, pose)`` changes them in place
-    [N] before the picture of each candidate ``pose`` [4, 4] is drawn, for numbers that depend on the view.
+    Divide it by alpha for the weighted mean. The values replace the red channel in a copy of the map. For values that
+    depend on the view, ``repaint(row, pose)`` writes them into ``row`` [N] before the image of each candidate ``pose``
+    [4, 4] is rendered.
     """
     gaussians, camera, poses = context.mapper.map, context.camera, context.world_from_camera
     render = context.mapper.rasterizer.render

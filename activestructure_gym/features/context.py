@@ -1,4 +1,4 @@
-"""`FeatureContext`: the parts of the reconstruction that a feature may read."""
+"""Define `FeatureContext`, the parts of the reconstruction that a feature may read."""
 
 from __future__ import annotations
 
@@ -21,62 +21,62 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class FeatureContext:
-    """The reconstruction and the candidates of one step.
+    """Hold the reconstruction and the candidates of one step.
 
-    No scene is in here: no feature can reach ground truth but where the agent stands.
+    It has no scene: the true pose of the agent is the only ground truth that a feature can reach.
     """
 
     mapper: KeyframeMapper  # the Gaussian map and its keyframes
-    volume: VoxelVolume  # known free, occupied and unknown space
+    volume: VoxelVolume  # free, occupied and unknown voxels
     planes: PlaneSceneGraph  # as of the last keyframe
-    camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`
+    camera: PinholeCamera  # the sensor's camera, reduced by `ViewConfig.scoring_scale`
     bounds: np.ndarray  # [2, 3] metres, the workspace
     coverage_alpha: float  # a pixel is covered where alpha exceeds this
-    max_range: float  # metres, the sensor's
+    max_range: float  # metres, range of the sensor
     world_from_camera: np.ndarray  # [K, 4, 4] the candidates
-    agent: Agent | None = None  # how it would get to them; None: nobody stands anywhere
-    revisit: np.ndarray | None = None  # [K] bool, as the table says; None: whose pose is a keyframe's as reported
+    agent: Agent | None = None  # plans paths to the candidates; None without an agent
+    revisit: np.ndarray | None = None  # [K] bool, from the candidate table; None: compare with the keyframe poses
 
     @cached_property
     def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
         depth, alpha = (image.view() for image in self.mapper.render_depth_alpha(self.camera, self.world_from_camera))
-        depth.flags.writeable = alpha.flags.writeable = False  # one feature must not change what the next one reads
+        depth.flags.writeable = alpha.flags.writeable = False  # all features share these arrays
         return depth, alpha
 
     @property
     def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
-        """The map's depth from every candidate; rendered once, shared by all features, and read only."""
+        """Return the rendered depth of every candidate; rendered once, shared by all features, read-only."""
         return self._rendered[0]
 
     @property
     def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
-        """The map's accumulated opacity from every candidate, read only."""
+        """Return the accumulated opacity of every candidate; read-only."""
         return self._rendered[1]
 
     @cached_property
     def visible(self) -> np.ndarray:  # [K, N] bool
-        """Which planes of the graph every candidate would see (V_c^vis), occlusion included."""
+        """Return which planes of the graph each candidate would see (V_c^vis of Sec. 3.4), with occlusion."""
         return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
 
     @cached_property
     def revisits(self) -> np.ndarray:  # [K] bool
-        """Which candidates are a stored keyframe's pose."""
+        """Return which candidates have the pose of a stored keyframe."""
         if self.revisit is not None:
             return self.revisit
         known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
         return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
 
     def once(self, compute: Callable[[FeatureContext], T]) -> T:
-        """``compute(self)``, called at most once per step: what several features have in common."""
+        """Return ``compute(self)``, computed at most once per step: a result that several features share."""
         if compute not in self._results:
             self._results[compute] = compute(self)
         return self._results[compute]
 
     def episode(self, make: Callable[[FeatureContext], T]) -> T:
-        """``make(self)``, called at most once per episode: what a feature keeps from one step to the next.
+        """Return ``make(self)``, made at most once per episode: the state that a feature keeps between steps.
 
-        The object belongs to the episode's map and is copied with it. With methods ``before_steps`` and ``after_steps``
-        it is called around the optimisation steps of every mapping event from then on.
+        The mapper owns the object, and copies of the mapper copy it. If the object has the methods ``before_steps`` and
+        ``after_steps``, the mapper calls them around the optimisation steps of every later mapping event.
         """
         memory = self.mapper.memory
         if make not in memory:
@@ -94,10 +94,10 @@ def grid_rays(
     world_from_camera: np.ndarray,  # [K, 4, 4]
     stride: int,  # pixels between rays
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """Arguments that all kernels share which walk the rays of pixels through the voxel grid.
+    """Return the arguments shared by all kernels that trace pixel rays through the voxel grid.
 
-    The corner of voxel (0, 0, 0) [3], the size of a voxel, the poses [K, 4, 4], and the rays [h, w, 3] in the camera's
-    frame with depth 1.
+    They are the corner of voxel (0, 0, 0) [3] in metres, the voxel size in metres, the poses [K, 4, 4], and the rays
+    [h, w, 3] in the camera frame with depth 1.
     """
     poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
     rays = camera.rays()[::stride, ::stride].astype(np.float64)

@@ -1,4 +1,4 @@
-"""FisherRF's feature: the Fisher information of a view relative to that of the keyframes ([fisherrf])."""
+"""Score views by FisherRF: Fisher information of a view relative to that of the keyframes ([fisherrf])."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.information import COLOR, LOG_SCALE, LOGIT, MEAN, diagonal_gain, register_both
 
 KINDS = (MEAN, LOG_SCALE, LOGIT, COLOR)
-TIMES = np.array([1.0] * 7 + [3.0])  # the three colours have one entry
+TIMES = np.array([1.0] * 7 + [3.0])  # number of parameters per entry: the three colours share one
 
 
 @register_both("fisherrf")
 def fisherrf(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum over parameters of H_c / (H_train + lambda), per Gaussian of the map.
+    """Return the sum over parameters of H_c / (H_train + lambda), divided by the number of Gaussians.
 
-    Parameters are mean, log-scale, opacity logit and the three colours, which all have the same information; not the
-    rotation, as in the released selector. Lambda there is 1e-6 of no unit.
+    Parameters are mean, log-scale, opacity logit and the three colours, whose entries are equal. The rotation is left
+    out, as in the released selector. That selector uses lambda = 1e-6 without a unit.
     """
     return diagonal_gain(context, lambda known, seen: seen / known * TIMES, kinds=KINDS)

@@ -1,4 +1,4 @@
-"""Whether a view's place lies within what the newest keyframe on the way has seen."""
+"""Test whether a view is inside the bounding box that the newest keyframe of the path has seen."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voronoi_node import places, voronoi_node
 from activestructure_gym.sensors import Frame
 
-_MOVED = 0.05  # metres in the plane: half a step
-_CLEAR = 1e-3  # metres of clearance: every voxel on the way is free
+_MOVED = 0.05  # metres in the floor plane: half a step of the agent
+_CLEAR = 1e-3  # metres of clearance: every voxel of the path is free
 
 
 @FEATURES.register("in_horizon", unit="0 or 1", low=0.0, high=1.0)
 def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
-    """1 where the straight way to the view's Voronoi node (or itself) is free and ends inside the last box.
+    """Return 1 where the straight path to the view's Voronoi node is free and ends inside the horizon, else 0.
 
-    The box holds, in the plane, the camera and all returns of `last_on_the_way`. Where no node with a free way lies in
-    it, every free way counts. ActiveSplat's and ANM-S's rule: [activesplat, code], [anm_s, code].
+    A view without a node is its own end point. The horizon is the bounding box, in the floor plane, of the camera and
+    all depth returns of the keyframe `last_moved`. If no node with a free path is inside it, all free paths count. The
+    rule of ActiveSplat and ANM-S: [activesplat, code], [anm_s, code].
     """
-    frame, ends = last_on_the_way(context.mapper.keyframes), places(context)
+    frame, ends = last_moved(context.mapper.keyframes), places(context)
     here, camera = context.mapper.keyframes[-1].world_from_camera[:3, 3], frame.world_from_camera
     seen = frame.camera.backproject(frame.depth)[frame.depth > 0] @ camera[:3, :3].T + camera[:3, 3]
     box = np.vstack([seen, camera[:3, 3]])[:, :2]
     inside = ((ends[:, :2] >= box.min(axis=0)) & (ends[:, :2] <= box.max(axis=0))).all(axis=1)
-    sight = context.volume.segments_free(here, ends, min_clearance=_CLEAR)
+    free = context.volume.segments_free(here, ends, min_clearance=_CLEAR)
     at_node = context.once(voronoi_node) >= 0
-    return (sight & inside if (sight & inside & at_node).any() else sight).astype(np.float64)
+    return (free & inside if (free & inside & at_node).any() else free).astype(np.float64)
 
 
-def last_on_the_way(keyframes: list[Frame]) -> Frame:
-    """The newest keyframe that was taken somewhere else than the one before; the newest of all where there is none.
+def last_moved(keyframes: list[Frame]) -> Frame:
+    """Return the newest keyframe whose position differs from its predecessor's; the newest of all if there is none.
 
-    So what is in the box does not hang on where the agent happens to look at a stop.
+    The horizon then does not depend on the view direction at a stop.
     """
     at = np.array([frame.world_from_camera[:2, 3] for frame in keyframes])
     moved = np.flatnonzero(np.linalg.norm(np.diff(at, axis=0), axis=1) > _MOVED)

@@ -1,12 +1,13 @@
-"""Shared parts of the information features: the prior, the candidates' information, the term for unseen space.
+"""Provide the common parts of the information features: prior, Fisher information, and the term for unseen space.
 
-H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`):
-H_train of all keyframes, H_c of a candidate, both at the candidates' camera; with ``of_depth`` of the rendered depth.
-Metres, logarithms and colours have other units, and one prior for all would mean something else in every map: so every
-entry is counted in units of what is known in the median about its kind, and the prior lambda is the same small share of
-that unit for all.
+H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`).
+H_train sums all keyframes, H_c is that of one candidate; both use the candidates' camera. With ``of_depth``, H is the
+information about the rendered depth.
 
-Sources: [fisherrf], [popgs]; how large lambda may be: docs/notebook/groundwork.md.
+Means, log-scales, logits and colours have different units. Every entry is therefore divided by the median of H_train
+for its kind of parameter. The prior lambda is the same fraction of this unit for all kinds.
+
+Sources: [fisherrf], [popgs]; range of lambda: docs/notebook/groundwork.md.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
-LAMBDA = 1e-2  # of the unit
-LITTLE = 0.05  # of a view of nothing but unseen space (own choice)
-WINDOW = 6.0  # metres, side of HGS-Planner's local window
+LAMBDA = 1e-2  # prior, as a fraction of the unit
+MIN_COVERAGE = 0.05  # fraction of the coverage of a view of unseen space alone (own choice)
+WINDOW = 6.0  # metres, side length of the local window (HGS-Planner)
 ADAPTIVE = "share of the best coverage, plus weighted information"  # unit of `adaptive`
 MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
-_COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # of `ViewInformation.numbers`, by kind
+_COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # columns of `ViewInformation.numbers`, by kind
 
 
 class _Trained:
-    """H_train of an episode: measured when it is asked for, and at most once between two mapping events.
+    """Keep the H_train of an episode; computed on request, at most once between two mapping events.
 
-    So it does not depend on how many features ask for it.
+    Its value therefore does not depend on the number of features that use it.
     """
 
     of_depth = False
@@ -46,7 +47,7 @@ class _Trained:
         )
         self._event, self._found = -1, np.empty((0, COLUMNS))
 
-    def of(self, mapper: KeyframeMapper) -> np.ndarray:  # [N, 24] float64, to be read only
+    def of(self, mapper: KeyframeMapper) -> np.ndarray:  # [N, 24] float64, read-only
         if self._event != mapper.events:
             self._event, self._found = mapper.events, self._information.update(mapper.keyframes)
         return self._found
@@ -57,29 +58,30 @@ class _TrainedOfDepth(_Trained):
 
 
 def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
-    """H_train, columns as in `ViewInformation.numbers`."""
+    """Return H_train; columns as in `ViewInformation.numbers`."""
     return context.episode(_Trained).of(context.mapper)
 
 
 def trained_of_depth(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
-    """H_train of the rendered depth."""
+    """Return the H_train of the rendered depth; columns as in `ViewInformation.numbers`."""
     return context.episode(_TrainedOfDepth).of(context.mapper)
 
 
 def units(context: FeatureContext) -> np.ndarray:  # [4]
-    """`median_units` of H_train."""
+    """Return the `median_units` of H_train."""
     return median_units(trained(context))
 
 
 def units_of_depth(context: FeatureContext) -> np.ndarray:  # [4]
-    """`median_units` of the depth's H_train."""
+    """Return the `median_units` of the H_train of the rendered depth."""
     return median_units(trained_of_depth(context))
 
 
 def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
-    """Unit per kind of parameter: median information over the Gaussians that have any; 1 without any.
+    """Return the unit of each kind of parameter: the median over Gaussians with information; 1 if there are none.
 
-    Of the mean over a Gaussian's entries of that kind: along the thin axis of a disk an entry is next to nothing.
+    The median is that of the mean over a Gaussian's entries of the kind, since the entry along the thin axis of a disk
+    is almost 0.
     """
     entries = [known[:, columns].mean(axis=1) for columns in _COLUMNS]
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
@@ -88,14 +90,14 @@ def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
 def diagonal_units(
     context: FeatureContext, kinds: tuple[int, ...], *, of_depth: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
-    """Columns of the diagonal entries of these kinds, and the unit of each."""
+    """Return the columns of the diagonal entries of these kinds of parameters, and the unit of each."""
     of_kind = context.once(units_of_depth if of_depth else units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
     return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
 
 
 def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
-    """The second pass over every candidate, one after the other."""
+    """Yield the information of every candidate about the map, one by one."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     for pose in context.world_from_camera:
         unseen = parts.unseen(context.camera, pose)
@@ -103,7 +105,7 @@ def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
 
 
 def depth_informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
-    """`informed_views` of the rendered depth."""
+    """Yield the information about the rendered depth of every candidate, one by one."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     for pose in context.world_from_camera:
         unseen = parts.unseen(context.camera, pose)
@@ -117,9 +119,10 @@ def diagonal_gain(
     *,
     of_depth: bool = False,
 ) -> np.ndarray:  # [K]
-    """Sum of ``criterion(h + lambda, d)`` over the parameters a candidate informs about, per Gaussian of the map.
+    """Return the sum of ``criterion(h + lambda, d)`` over all parameters, divided by the number of Gaussians.
 
-    h and d [S, P]: diagonals of H_train and H_c in their units. What a candidate does not see must add nothing.
+    ``h`` and ``d`` [S, P] are the diagonals of H_train and H_c in their units, for the S Gaussians that a candidate
+    sees. A criterion must be 0 where ``d`` is 0, since the other Gaussians are left out.
     """
     columns, unit = diagonal_units(context, kinds, of_depth=of_depth)
     known = trained_of_depth(context) if of_depth else trained(context)
@@ -130,36 +133,39 @@ def diagonal_gain(
 
 
 def observed_share(context: FeatureContext) -> float:  # 0..1
-    """lambda_o: how much of the local window around the agent has been looked into (`VoxelVolume.unobserved`)."""
+    """Return lambda_o, the observed fraction of the local window around the agent (`VoxelVolume.unobserved`)."""
     volume, eye = context.volume, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     size = volume.config.voxel_size
     low = np.floor((eye[:2] - 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
     high = np.ceil((eye[:2] + 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
-    # The outermost voxels lie outside of the workspace: nobody can observe them.
+    # The outermost voxels are outside the workspace and cannot be observed.
     x, y = (slice(max(1, a), max(1, min(b, n - 1))) for a, b, n in zip(low, high, volume.shape))
     window = volume.unobserved[x, y, 1:-1]
     return 1.0 - float(window.mean()) if window.size else 0.0
 
 
 def adaptive(context: FeatureContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
-    """G = G_cov + lambda_o G_Q (HGS-Planner): coverage as a share of the best candidate's, quality by its rank.
+    """Return G = G_cov + lambda_o G_Q (HGS-Planner), with coverage relative to its maximum and quality by rank.
 
-    The two have no common unit. Information spans many orders of magnitude, and of some criteria the best view has a
-    hundred times the median's: as a share of the best nearly all candidates would have none of it, and coverage alone
-    would decide. Where even the best candidate's G_cov is below `LITTLE` of a whole view, it counts as a share of that:
-    what is left to cover must not hide the other term.
+    The two terms have no common unit. Information spans orders of magnitude: for some criteria the best view has a
+    hundred times the median. Relative to the maximum it would be near 0 for almost all candidates, hence the rank. If
+    the maximum of G_cov is below `MIN_COVERAGE`, G_cov is relative to `MIN_COVERAGE` instead, so that little remaining
+    coverage does not outweigh quality.
     """
-    most = max(coverage.max(initial=0.0), LITTLE)
+    most = max(coverage.max(initial=0.0), MIN_COVERAGE)
     return coverage / most + observed_share(context) * share_below(quality)
 
 
 def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
-    """For every value the share of all values that are not above it; 0 where the value is 0."""
+    """Return for each value the fraction of all values that are at most as large; 0 where the value is 0."""
     return np.where(values > 0, np.searchsorted(np.sort(values), values, side="right") / max(1, len(values)), 0.0)
 
 
 def register_both(name: str, unit: str = "per Gaussian of the map") -> Callable[[Compute], Feature]:
-    """Decorator of a score that is blind to unseen space: as ``NAME``, and with `hole_area` for it as ``NAME_cov``."""
+    """Return a decorator that registers a score as ``NAME``, and combined with `hole_area` as ``NAME_cov``.
+
+    It is for scores that cannot measure unseen space.
+    """
 
     def register(compute: Compute) -> Feature:
         alone = FEATURES.register(name, unit=unit, low=0.0)(compute)
@@ -168,7 +174,7 @@ def register_both(name: str, unit: str = "per Gaussian of the map") -> Callable[
         def with_coverage(context: FeatureContext) -> np.ndarray:  # [K]
             return adaptive(context, hole_area(context), context.once(alone))
 
-        with_coverage.__doc__ = f"G_cov + lambda_o G_Q with `hole_area` and `{name}`; see `adaptive`."
+        with_coverage.__doc__ = f"Return G_cov + lambda_o G_Q of `hole_area` and `{name}`; see `adaptive`."
         FEATURES.register(f"{name}_cov", unit=ADAPTIVE, low=0.0)(with_coverage)
         return alone
 

@@ -1,14 +1,14 @@
-"""Fisher information of the keyframes about every Gaussian: the sum of their blocks, kept between decisions.
+"""Sum the Fisher information of the keyframes about every Gaussian, incrementally from decision to decision.
 
-FisherRF renders all keyframes at every planning step, so planning takes longer with every keyframe. Here the share of
-each keyframe is stored, and at every decision only the ones that have no share yet are rendered, and of the others the
-stalest, ``renders`` in all (more only if more are new). What that means for the sum:
+FisherRF renders all keyframes at every decision, so its planning time grows with their number. Here the contribution of
+each keyframe is stored. A decision renders the new keyframes and those with the oldest contributions, ``renders`` in
+all (more if more are new). The sum has these properties:
 
-- it counts every keyframe once, each with the map as it was when that keyframe was last rendered: up to ``renders``
-  keyframes it is exact, beyond that shares grow old as fast as new keyframes take their place in the ``renders``;
-- Gaussians that were removed are gone from it at once, those that are new have nothing from a keyframe until its turn;
-- when the shares outgrow ``budget_mb``, the stalest are settled: they stay in the sum as they are (and follow removals)
-  but cannot be measured anew.
+- Each keyframe counts once, with the map at the time it was last rendered. The sum is exact up to ``renders``
+  keyframes; with more, contributions become outdated.
+- Removed Gaussians leave the sum at once. A new Gaussian has no contribution from a keyframe until it is rendered.
+- If the contributions need more than ``budget_mb``, the oldest become fixed: they remain in the sum and follow
+  removals, but are not computed again.
 
 Source: [fisherrf], the H of all training views.
 """
@@ -27,16 +27,16 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.splatting.fisher import depth_information, view_information
 
-COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights
-RENDERS = 16  # of keyframes per decision
-BUDGET_MB = 256.0
+COLUMNS = 24  # of `ViewInformation.numbers`: 21 of the block, opacity logit, squared weights (colour), weights
+RENDERS = 16  # keyframes rendered per decision
+BUDGET_MB = 256.0  # memory of the contributions
 
 
 @dataclass
-class _Share:
-    """The blocks that one keyframe has added to the sum."""
+class _Contribution:
+    """Hold the blocks that one keyframe has added to the sum."""
 
-    ids: np.ndarray  # [S] int64 of Gaussians
+    ids: np.ndarray  # [S] int64, ids of Gaussians
     numbers: np.ndarray  # [S, 24] float32
 
     @property
@@ -45,10 +45,10 @@ class _Share:
 
 
 class KeyframeInformation:
-    """The sum over the keyframes of the first 24 columns of `ViewInformation.numbers`, row by row as the map's columns.
+    """Sum the first 24 columns of `ViewInformation.numbers` over the keyframes, one row per Gaussian.
 
-    ``camera`` is the one the keyframes are rendered with: that of the candidates, so that both count the same pixels;
-    without it each keyframe's own. ``of_depth`` asks about the rendered depth (`depth_information`).
+    Keyframes are rendered with ``camera``, so that they have the same pixels as the candidates; None means the camera
+    of each keyframe. With ``of_depth``, the information is that about the rendered depth (`depth_information`).
     """
 
     def __init__(
@@ -62,31 +62,31 @@ class KeyframeInformation:
         if budget_mb <= 0:
             raise ValueError(f"budget_mb must be above 0, got {budget_mb}")
         self._map, self._camera, self._of_depth, self._budget = gaussians, camera, of_depth, budget_mb * 1e6
-        self._sum = RowsById(gaussians, COLUMNS)  # float64, since shares are taken out again
-        self._shares: dict[int, _Share] = {}  # by keyframe, the stalest first
+        self._sum = RowsById(gaussians, COLUMNS)  # float64, since contributions are subtracted again
+        self._contributions: dict[int, _Contribution] = {}  # by keyframe, oldest first
         self._bytes = 0
-        self._known = 0  # keyframes that are in the sum, settled ones too
+        self._known = 0  # number of keyframes in the sum, including fixed ones
 
     @property
     def megabytes(self) -> float:
-        """Megabytes of all stored shares; at most the budget."""
+        """Return the memory of the stored contributions in megabytes; at most the budget."""
         return self._bytes / 1e6
 
     @property
-    def settled(self) -> int:
-        """Keyframes whose share can no longer be measured anew."""
-        return self._known - len(self._shares)
+    def fixed(self) -> int:
+        """Return the number of keyframes whose contribution cannot be computed again."""
+        return self._known - len(self._contributions)
 
     def update(
         self,
-        keyframes: Sequence[Frame],  # all of them; a longer list than the last one's, or the same
+        keyframes: Sequence[Frame],  # all keyframes, those of the previous call first
         *,
         renders: int | None = RENDERS,
-    ) -> np.ndarray:  # [N, 24] float64, one row per Gaussian, a view until the next call
-        """Measure the keyframes that have no share yet and up to ``renders`` keyframes in all, the stalest first.
+    ) -> np.ndarray:  # [N, 24] float64, one row per Gaussian, valid until the next call
+        """Render the new keyframes, then the oldest up to ``renders`` in all, and return the sum.
 
-        ``renders=None`` measures all that are not settled. In a steady state the cost does not grow with the number of
-        keyframes.
+        ``renders=None`` renders all that are not fixed. With a constant number of new keyframes per call, the cost does
+        not grow with the number of keyframes.
         """
         if len(keyframes) < self._known:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
@@ -94,13 +94,13 @@ class KeyframeInformation:
             raise ValueError(f"renders must not be negative, got {renders}")
         self._sum.follow()
         new = list(range(self._known, len(keyframes)))
-        old = len(self._shares) if renders is None else max(0, renders - len(new))
-        stalest = [index for index, _ in zip(self._shares, range(old))]
-        parts = MapParts(self._map) if len(new) + len(stalest) > 3 else None
-        for index in stalest + new:
+        old = len(self._contributions) if renders is None else max(0, renders - len(new))
+        oldest = [index for index, _ in zip(self._contributions, range(old))]
+        parts = MapParts(self._map) if len(new) + len(oldest) > 3 else None
+        for index in oldest + new:
             self._measure(index, keyframes[index], parts)
         self._known = len(keyframes)
-        self._settle()
+        self._limit_memory()
         return self._sum.values
 
     def _measure(self, index: int, frame: Frame, parts: MapParts | None) -> None:
@@ -110,17 +110,17 @@ class KeyframeInformation:
             seen = depth_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
         else:
             (seen,) = view_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
-        before = self._shares.pop(index, None)
+        before = self._contributions.pop(index, None)
         if before is not None:
             rows = self._sum.rows_of(before.ids)
             there = rows >= 0
             self._sum.values[rows[there]] -= before.numbers[there]
             self._bytes -= before.bytes
-        share = _Share(self._map.ids[seen.indices], seen.numbers[:, :COLUMNS].copy())
-        self._sum.values[seen.indices] += share.numbers
-        self._shares[index] = share  # the last one is the freshest
-        self._bytes += share.bytes
+        added = _Contribution(self._map.ids[seen.indices], seen.numbers[:, :COLUMNS].copy())
+        self._sum.values[seen.indices] += added.numbers
+        self._contributions[index] = added  # last in the dictionary: the newest
+        self._bytes += added.bytes
 
-    def _settle(self) -> None:
+    def _limit_memory(self) -> None:
         while self._bytes > self._budget:
-            self._bytes -= self._shares.pop(next(iter(self._shares))).bytes
+            self._bytes -= self._contributions.pop(next(iter(self._contributions))).bytes

@@ -1,4 +1,4 @@
-"""IG_px of the paper: the share of uncovered pixels."""
+"""Compute IG_px of the paper, the share of uncovered pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from activestructure_gym.features.registry import FEATURES
 
 @FEATURES.register("pixel", unit="share of the image", low=0.0, high=1.0)
 def pixel(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """IG_px = |{p : M_c(p) = 0}| (Sec. 3.4) as a share of the image: pixels without confident Gaussian coverage.
+    """Return IG_px = |{p : M_c(p) = 0}| (Sec. 3.4), the pixels without confident coverage, as a share of the image.
 
     M_c(p) = 1 where the accumulated alpha exceeds ``coverage_alpha``.
     """

@@ -1,4 +1,4 @@
-"""Features by name: what is registered, which columns each has, and their values for the candidates of a step."""
+"""Register features by name, and evaluate them for the candidates of a step."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ Compute = Callable[[FeatureContext], np.ndarray]  # -> [K], or [K, C] with C col
 
 
 class Feature:
-    """A feature of candidate views: a function of a `FeatureContext`, with names, units and ranges of its columns.
+    """Hold a feature: a function of a `FeatureContext`, with names, units and ranges of its columns.
 
     Parameters
     ----------
     compute : callable
         ``compute(context)`` returns [K] finite numbers, one for each candidate, or [K, C] with C columns.
     columns : iterable of str
-        Names of the columns. In full a column is called ``<feature>_<column>``, and the one named ``""`` like the
-        feature.
+        Names of the columns. The full name of a column is ``<feature>_<column>``; the column ``""`` has the name of
+        the feature.
     unit : str or iterable of str
-        Of all columns, or of each: ``m``, ``deg^2``, ``share of the image``, ``index``, ``0 or 1``.
+        Unit of all columns, or one per column: ``m``, ``deg^2``, ``share of the image``, ``index``, ``0 or 1``.
     low, high : float or iterable of float
-        Between which values lie, of all columns or of each.
+        Smallest and largest possible value of all columns, or one per column.
 
     Raises
     ------
     InputError
-        No column, two of the same name, or units or bounds of another number of columns.
+        There is no column, two have the same name, or the number of units or bounds does not fit.
     """
 
     def __init__(
@@ -64,12 +64,12 @@ class Feature:
         return values
 
     def __call__(self, context: FeatureContext) -> np.ndarray:  # [K] or [K, C]
-        """The values for the candidates of a step, as the function returns them."""
+        """Return the values for the candidates of a step, unchecked."""
         return self.compute(context)
 
 
 class FeatureRegistry(Registry[Feature]):
-    """The registry of features, which also finds columns by their full names."""
+    """Register features, and find them by the full names of their columns too."""
 
     def register(  # type: ignore[override]
         self,
@@ -80,44 +80,44 @@ class FeatureRegistry(Registry[Feature]):
         low: float | Iterable[float] = -np.inf,
         high: float | Iterable[float] = np.inf,
     ) -> Callable[[Compute], Feature]:
-        """Decorator: ``@FEATURES.register("mine", columns=("x", "y"), unit="m")``; keywords as in `Feature`."""
+        """Return a decorator, ``@FEATURES.register("mine", unit="m")``; the keywords are those of `Feature`."""
         keep, names = super().register(name), tuple(columns)
         return lambda compute: keep(Feature(compute, columns=names, unit=unit, low=low, high=high))
 
     def get(self, name: str) -> Feature:
-        """The feature called ``name``; a plain function, found as ``package.module:function``, has one column."""
+        """Return the feature ``name``; a plain function (``package.module:function``) becomes one with one column."""
         found = super().get(name)
         return found if isinstance(found, Feature) else Feature(found)
 
     def module_of(self, name: str) -> str | None:
-        """As of any registry, also by a column's full name."""
+        """Return the module of a feature, or of the feature with a column of this full name; None if unknown."""
         for owner in (name, *_beginnings(name)):
             if (module := super().module_of(owner)) or owner in self._entries:
                 return module
         return None
 
     def columns(self, name: str) -> tuple[str, ...]:
-        """Full names of a feature's columns. Raises `InputError` for an unknown feature."""
+        """Return the full names of a feature's columns; raise `InputError` for an unknown feature."""
         return tuple(f"{name}_{column}" if column else name for column in self.get(name).columns)
 
     def owner(self, asked: str) -> str:
-        """The feature called ``asked``, else the one that has a column of this full name.
+        """Return the name of the feature ``asked``, else of the feature with a column of this full name.
 
-        Raises `InputError` where there is neither.
+        Raises `InputError` if there is neither.
         """
         names = [asked, *_beginnings(asked)] if isinstance(asked, str) else []
-        at_hand = [name for name in names if name in self._entries]
-        for name in (*at_hand, *names):  # what has to be imported comes last
+        loaded = [name for name in names if name in self._entries]
+        for name in (*loaded, *names):  # names that must be imported come last
             with suppress(InputError):
                 if asked in (name, *self.columns(name)):
                     return name
-        self.get(asked)  # which says what is wrong with it
+        self.get(asked)  # raises the error with suggestions
         raise InputError(f"there is no feature {short_repr(asked)}")
 
     def expanded(self, asked: str) -> tuple[str, ...]:
-        """The columns of the feature called ``asked``, or the one column of this full name.
+        """Return the full names of the columns of the feature ``asked``, or the one column of this full name.
 
-        Raises `InputError` where there is neither, and for a feature whose column has the name of another's.
+        Raises `InputError` if there is neither, and if two features have a column of the same name.
         """
         owner = self.owner(asked)
         names = self.columns(owner) if owner == asked else (asked,)
@@ -137,22 +137,50 @@ FEATURES = FeatureRegistry(
 
 
 def _beginnings(column: str) -> list[str]:
-    """Names of features that could have the column ``a_b_c``: ``a_b`` and ``a``."""
+    """Return the names of features that could have the column ``a_b_c``: ``a_b`` and ``a``."""
     return [column[:place] for place in range(len(column) - 1, 0, -1) if column[place] == "_"]
 
 
 def column_names(asked: Iterable[str]) -> tuple[str, ...]:
-    """The columns that are asked for, in this order and each once: all of a feature's, or single ones by full name.
+    """Return the full names of the requested columns, in order, without duplicates.
 
-    Raises `InputError` for a name that is neither a feature's nor a column's.
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of features, each of which means all its columns, or full names of columns.
+
+    Returns
+    -------
+    tuple of str
+        The G full names.
+
+    Raises
+    ------
+    InputError
+        A name is neither that of a feature nor that of a column.
     """
     return tuple(dict.fromkeys(name for each in asked for name in FEATURES.expanded(each)))
 
 
 def evaluate_features(asked: Iterable[str], context: FeatureContext) -> np.ndarray:  # [K, G] float32
-    """The columns that `column_names` tells, each feature computed once.
+    """Compute the columns named by `column_names`; each feature is computed once.
 
-    Raises `InputError` if a feature returns anything but finite numbers, one row for each candidate.
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of features or full names of columns.
+    context : FeatureContext
+        The reconstruction and its K candidates.
+
+    Returns
+    -------
+    ndarray
+        [K, G] float32, one row per candidate and one column per name.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, or a feature returns values that are not finite or have the wrong shape.
     """
     names = column_names(asked)
     table = np.zeros((len(context.world_from_camera), len(names)), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Numbers that belong to Gaussians, kept beside the map and in the order of its columns."""
+"""Keep additional numbers per Gaussian, in the order of the map's columns."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from activestructure_gym.mapping.gaussian_map import GaussianMap
 
 
 class RowsById:
-    """One row of numbers per Gaussian, 0 for new ones; `follow` brings the rows into the order of the map's columns.
+    """Keep one row of numbers per Gaussian, 0 for new ones; `follow` sorts the rows like the map's columns.
 
-    The ids of the Gaussians (`GaussianMap.ids`) tell which row is whose, so the map knows nothing of its followers,
-    and the cost of following is that of what has changed since the last time.
+    Rows are matched with Gaussians by `GaussianMap.ids`. The cost of `follow` is proportional to the number of columns
+    that changed since the last call.
     """
 
     def __init__(self, gaussians: GaussianMap, columns: int) -> None:
         self._map = gaussians
         self._values = np.zeros((0, columns))  # [capacity, columns]
-        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], whose the rows are
-        self._rows = np.zeros(0, dtype=np.int32)  # by id, the row of a Gaussian, -1 for none
+        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], id of the Gaussian of each row
+        self._rows = np.zeros(0, dtype=np.int32)  # row of each id; -1 for none
         self._count = 0
 
     @property
     def values(self) -> np.ndarray:  # [N, columns] float64
-        """The rows as they were last followed: a view, to be written to, valid until `follow`."""
+        """Return a writable view of the rows in their order at the last `follow`; valid until the next one."""
         return self._values[: self._count]
 
     def rows_of(self, ids: np.ndarray) -> np.ndarray:  # [S] int64 -> [S] int32
-        """The rows of Gaussians that had a row when `follow` was last called, -1 where they are gone."""
+        """Return the rows of Gaussians that were in the map at any `follow`; -1 for removed ones."""
         return self._rows[ids]
 
     def follow(self) -> np.ndarray:  # [N, columns] float64
-        """Rows in the order of the map's columns; returns `values`."""
+        """Sort the rows like the map's columns and return `values`."""
         gaussians, before = self._map, self._count
         count = gaussians.count
         if len(self._values) < count:

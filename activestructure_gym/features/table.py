@@ -1,4 +1,4 @@
-"""Texts about features: columns, units and ranges, for lists and for docs/guide/observation.md."""
+"""Describe the columns, units and ranges of features, for lists and for docs/guide/observation.md."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ import numpy as np
 
 from activestructure_gym.features.registry import FEATURES, Feature
 
-_MAX_NAMED = 4  # columns that are all named
+_MAX_NAMED = 4  # columns; with more, only the first two and the last are named
 
 
 def columns_in_words(feature: Feature) -> str:
-    """Names of its columns, ``itself`` for the one that is called like the feature; of many the first and the last."""
+    """Return the column names, abbreviated if there are many; ``itself`` is the column named like the feature."""
     names = [column or "itself" for column in feature.columns]
     return ", ".join(names) if len(names) <= _MAX_NAMED else f"{names[0]}, {names[1]} .. {names[-1]} ({len(names)})"
 
 
 def units_in_words(feature: Feature) -> str:
-    """One unit, or those of the columns in their order."""
+    """Return the common unit, or the units of the columns in order."""
     return _same(feature.units)
 
 
 def ranges_in_words(feature: Feature) -> str:
-    """One range, or those of the columns in their order."""
+    """Return the common range, or the ranges of the columns in order."""
     return _same([_range(low, high) for low, high in zip(feature.low, feature.high)])
 
 
 def feature_table() -> str:
-    """Markdown: the features of this package with their columns, units, ranges and files.
+    """Return a Markdown table of this package's features: columns, units, ranges and files.
 
-    ``NAME_cov`` has no row of its own: its file is that of ``NAME``, and all of them have one unit.
+    ``NAME_cov`` has no row: its file is that of ``NAME``, and all features of this kind have the same unit.
     """
     rows = ["| feature | columns | unit | range | file |", "|---|---|---|---|---|"]
     ours = f"{__name__.partition('.')[0]}."

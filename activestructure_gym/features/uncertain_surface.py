@@ -1,8 +1,8 @@
-"""Uncertainty of the map's surface, and its connected most uncertain pieces: ANM's view targets.
+"""Estimate the uncertainty of the map's surface, and find connected uncertain regions: the view targets of ANM.
 
-ANM and ANM-S perturb the weights W of a signed distance network and take
-u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)| as the uncertainty of a surface point. Here W are the Gaussians
-and f is the depth they are rendered at. Sources: [anm], [activeinr, code], [anm_s, code].
+ANM and ANM-S perturb the weights W of a signed distance network. The uncertainty of a surface point is
+u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)|. Here W are the parameters of the Gaussians and f is the rendered
+depth. Sources: [anm], [activeinr, code], [anm_s, code].
 """
 
 from __future__ import annotations
@@ -18,58 +18,57 @@ from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LO
 from activestructure_gym.volume import FREE, VoxelVolume
 
 PERTURBATIONS = 20  # M
-VIEWS = 12  # candidates from which the perturbed map is rendered: those that see most of the surface together
-STEP = (
-    0.001  # metres, standard deviation by which a mean is moved along each axis: too little to change who is in front
-)
-RELATIVE_STEP = 0.01  # the same of log-scales, quaternions and opacity logits; only the order of u matters
-MIN_SHARE = 0.005  # of the uncertain part of the surface: smaller pieces are no clusters
+VIEWS = 12  # candidates that render the perturbed map; chosen to cover the surface
+STEP = 0.001  # metres, standard deviation of the perturbation of a mean per axis; too small to change the depth order
+RELATIVE_STEP = 0.01  # the same for log-scales, quaternions and opacity logits; only the order of u is used
+MIN_SHARE = 0.005  # of the uncertain voxels; smaller regions are not clusters
 STAND_OFF = 0.5  # metres from the surface along its normal
-_STRIDE = 4  # pixels, where it is counted who sees what
-_NEAR = 2  # voxels within which the free side of a surface is looked for
+_STRIDE = 4  # pixels between those that count visible voxels
+_NEAR = 2  # voxels, radius of the neighbourhood that determines a normal
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface voxels: what stands for the vertices of a mesh with sides of 0.1 m."""
+    """Hold the surface voxels; they replace the vertices of a mesh with edges of 0.1 m."""
 
     voxels: np.ndarray  # [V, 3] int64
     points: np.ndarray  # [V, 3] metres, world
-    normals: np.ndarray  # [V, 3] unit, to the free side
+    normals: np.ndarray  # [V, 3] unit, towards free space
     uncertainty: np.ndarray  # [V]
 
     def below(self, height: float) -> Surface:
-        """The part of it that lies lower than ``height`` metres."""
+        """Return the part of the surface below ``height`` metres."""
         low = self.points[:, 2] < height
         return Surface(self.voxels[low], self.points[low], self.normals[low], self.uncertainty[low])
 
 
 @dataclass(frozen=True)
 class Clusters:
-    """Connected uncertain pieces of a surface, the largest first."""
+    """Hold the C connected uncertain regions of a surface, largest first."""
 
-    shares: np.ndarray  # [C] of the surface
-    targets: np.ndarray  # [C, 3] metres: mean of v + 0.5 n, from where to look at it
+    shares: np.ndarray  # [C] share of all surface voxels
+    targets: np.ndarray  # [C, 3] metres: camera position, mean of v + 0.5 n
     centres: np.ndarray  # [C, 3] metres: mean of v
-    directions: np.ndarray  # [C, 3] unit (0 where the normals cancel): -mean n
+    directions: np.ndarray  # [C, 3] unit view directions, -mean n; 0 if the normals cancel
 
 
 def by_perturbing_means(context: FeatureContext) -> Surface:
-    """ANM-S: the geometry alone is perturbed, there the head of the network that holds the distance."""
+    """Return the surface with uncertainty by perturbing means, as ANM-S perturbs the distance head of its network."""
     return _perturbed(context, everything=False)
 
 
 def by_perturbing_all(context: FeatureContext) -> Surface:
-    """ANM: all parameters are perturbed (of which colours do not change a depth)."""
+    """Return the surface with uncertainty by perturbing all parameters but colours, which do not change depth (ANM)."""
     return _perturbed(context, everything=True)
 
 
 def by_proxy(context: FeatureContext) -> Surface:
-    """u = sqrt(sum o_k^2) / sum o_k over the Gaussians k of a voxel: the perturbation to first order, not rendered.
+    """Return the surface with u = sqrt(sum o_k^2) / sum o_k over the Gaussians k of a voxel, without rendering.
 
-    The depth is a mean of the Gaussians' depths, weighted about as their opacities. Independent offsets of one size
-    move such a mean by that size times this root: by 1 / sqrt(n) for n equal Gaussians.
+    This is the perturbation to first order. The depth is a mean of the Gaussians' depths, weighted approximately by
+    their opacities o_k. Independent offsets with one standard deviation change it by that deviation times u:
+    u = 1 / sqrt(n) for n equal Gaussians.
     """
     gaussians, volume = context.mapper.map, context.volume
     inside = volume.contains(gaussians.means)
@@ -86,7 +85,7 @@ def by_proxy(context: FeatureContext) -> Surface:
 
 
 def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
-    """u of every surface voxel: mean over M perturbations and the pixels it fills of |difference of the depths|."""
+    """Return u of every surface voxel: mean |depth difference| over M perturbations and the pixels of the voxel."""
     volume, camera = context.volume, context.camera
     views = covering_views(context)
     poses = context.world_from_camera[views]
@@ -116,7 +115,7 @@ def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
 
 
 def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
-    """Candidates chosen one after the other, each for the surface voxels it sees and those before it do not."""
+    """Choose candidates greedily, each by the number of surface voxels not visible from the previous ones."""
     volume, at = context.volume, slice(_STRIDE // 2, None, _STRIDE)
     alpha, rays = context.alpha[:, at, at], context.camera.rays()[at, at]
     depth = context.depth[:, at, at] / np.maximum(alpha, 1e-6)
@@ -138,7 +137,7 @@ def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
 
 
 def clusters(surface: Surface, keep: float) -> Clusters:
-    """Connected pieces (over all 26 neighbours) of the most uncertain share ``keep`` of the surface."""
+    """Return the connected regions (26 neighbours) of the most uncertain fraction ``keep`` of the surface."""
     total = len(surface.voxels)
     if not total:
         return Clusters(np.zeros(0), *(np.zeros((0, 3)) for _ in range(3)))
@@ -170,9 +169,9 @@ def _with_normals(volume: VoxelVolume, voxel_ids: np.ndarray, points: np.ndarray
 
 
 def free_side(volume: VoxelVolume, voxels: np.ndarray) -> np.ndarray:  # [V, 3] -> [V, 3] unit, 0 where none
-    """Direction from each voxel to the free voxels around it: the gradient of a distance that grows into free space.
+    """Return the unit direction from each voxel to the free voxels around it, as a normal.
 
-    0 where nothing around is free, and where as much is free on either side.
+    It is 0 without free voxels in the neighbourhood, and where those on opposite sides cancel.
     """
     free = np.pad(volume.state == FREE, _NEAR)
     steps = np.stack(np.meshgrid(*[np.arange(-_NEAR, _NEAR + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

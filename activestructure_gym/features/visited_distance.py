@@ -1,4 +1,4 @@
-"""Distance of a view's place in the plane to the nearest keyframe."""
+"""Compute the horizontal distance of a view to the nearest keyframe."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from activestructure_gym.features.voronoi_node import places
 
 @FEATURES.register("visited_distance", unit="m", low=0.0)
 def visited_distance(context: FeatureContext) -> np.ndarray:  # [K] metres
-    """Distance in the plane from the view's Voronoi node (or itself) to the nearest keyframe's position.
+    """Return the horizontal distance from the view's Voronoi node (or the view itself) to the nearest keyframe.
 
-    Every fifth frame is a keyframe and a step is 0.1 m, so the way between them is known to a quarter of a metre.
+    Every fifth frame is a keyframe and a step is at most 0.1 m. The distance to the path is therefore known within
+    0.25 m.
     """
-    way = np.stack([frame.world_from_camera[:2, 3] for frame in context.mapper.keyframes])
-    return np.linalg.norm(places(context)[:, None, :2] - way, axis=2).min(axis=1)
+    positions = np.stack([frame.world_from_camera[:2, 3] for frame in context.mapper.keyframes])
+    return np.linalg.norm(places(context)[:, None, :2] - positions, axis=2).min(axis=1)

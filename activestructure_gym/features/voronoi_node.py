@@ -1,4 +1,4 @@
-"""Which node of the floor plan's Voronoi graph a view stands for."""
+"""Assign each view to a node of the floor plan's Voronoi graph."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.motion import VoronoiGraph, planar_graph
 
-NODE_REACH = 0.5  # metres in the plane: views farther from every node stand for none; a step of the view lattice
+NODE_REACH = 0.5  # metres, largest horizontal distance to the node of a view; one step of the view lattice
 
 
 @FEATURES.register("voronoi_node", unit="index", low=-1.0)
-def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] whole numbers
-    """Index of the nearest node of `floor_graph`, -1 beyond `NODE_REACH`. Indices are of this step only."""
+def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] integers
+    """Return the index of the nearest node of `floor_graph`; -1 beyond `NODE_REACH`. Valid in this step only."""
     positions, nodes = context.world_from_camera[:, :2, 3], context.once(floor_graph).nodes
     if not len(nodes):
         return np.full(len(positions), -1.0)
@@ -22,12 +22,12 @@ def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] whole numbers
 
 
 def floor_graph(context: FeatureContext) -> VoronoiGraph:
-    """The Voronoi graph at the height where the agent started; share it by ``context.once(floor_graph)``."""
+    """Return the Voronoi graph at the start height; ``context.once(floor_graph)`` shares it between features."""
     return planar_graph(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
 
 
 def places(context: FeatureContext) -> np.ndarray:  # [K, 3] metres
-    """Position of every view's node, or of the view itself where it has none; at the view's height."""
+    """Return the position of each view's node, or of the view if it has none, at the height of the view."""
     positions = context.world_from_camera[:, :3, 3].copy()
     node = context.once(voronoi_node).astype(np.int64)
     positions[node >= 0, :2] = context.once(floor_graph).nodes[node[node >= 0]]

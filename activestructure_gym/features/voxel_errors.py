@@ -1,4 +1,4 @@
-"""How wrong the map's pictures are where keyframes saw something, gathered by voxels."""
+"""Sum the rendering errors of keyframes by the voxel of the measured surface."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.volume import VoxelVolume
 
-LOSS_KEYFRAMES = 16  # rendered per step, half of them the newest ones: the cost does not grow with the episode
-Error = Callable[[Frame, Rendering], np.ndarray]  # of every pixel, [H, W]
+LOSS_KEYFRAMES = 16  # rendered per step, half of them the newest; a constant number bounds the cost
+Error = Callable[[Frame, Rendering], np.ndarray]  # returns the error of every pixel [H, W]
 
 
 def squared_colour_error(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W]
-    """Mean over the colours."""
+    """Return the squared error of the colour, averaged over the three channels."""
     return np.asarray(((shown.color - frame.rgb / 255.0) ** 2).mean(axis=-1))
 
 
 def squared_depth_error(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] m^2
-    """Of the accumulated depth over the opacity, as the map is trained to it."""
+    """Return the squared error of the accumulated depth divided by alpha, the depth that the mapper optimises."""
     return np.asarray((shown.depth / np.maximum(shown.alpha, 1e-6) - frame.depth) ** 2)
 
 
 def voxel_sums(
     mapper: KeyframeMapper, volume: VoxelVolume, error: Error
 ) -> tuple[np.ndarray, np.ndarray]:  # [X, Y, Z] sum of the errors, [X, Y, Z] pixels
-    """Over the pixels whose measured surface lies in each voxel, of 16 keyframes: half of them the newest ones.
+    """Return, per voxel, the sum of errors and the number of pixels whose measured surface point is in the voxel.
 
-    The map is drawn as it is now, so that nothing has to be kept and nothing is out of date.
+    The pixels are those of `LOSS_KEYFRAMES` keyframes, rendered from the current map.
     """
     sums, number = np.zeros(volume.state.size), np.zeros(volume.state.size)
     for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
@@ -46,13 +46,13 @@ def voxel_sums(
 
 
 def voxel_colour_errors(mapper: KeyframeMapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
-    """Mean squared error of the rendered colours over what 16 keyframes saw in each voxel; 0 where they saw nothing."""
+    """Return the mean squared colour error per voxel over `LOSS_KEYFRAMES` keyframes; 0 without pixels."""
     sums, number = voxel_sums(mapper, volume, squared_colour_error)
     return (sums / np.maximum(number, 1.0)).astype(np.float32)
 
 
 def spread(count: int, most: int) -> list[int]:
-    """At most ``most`` of the indices below ``count``: half of them the last ones, the others evenly over the rest."""
+    """Return at most ``most`` indices below ``count``: the last ``most // 2``, the others evenly over the rest."""
     newest = range(max(0, count - most // 2), count)
     rest = count - len(newest)
     others = np.unique(np.linspace(0, rest - 1, min(rest, most - len(newest))).round().astype(int))

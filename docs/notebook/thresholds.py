@@ -38,7 +38,7 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
         "gain worth going for": (hgs, "WORTH"),
         "half the local window, metres": (hgs, "LOCAL_M"),
         "side of the parts of the tour, metres": (hgs, "CUBOID_M"),
-        "least G_cov that counts as the best": (information, "LITTLE"),
+        "least G_cov that counts as the best": (information, "MIN_COVERAGE"),
         "lambda beside what is known": (information, "LAMBDA"),
     },
 }

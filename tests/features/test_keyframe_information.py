@@ -110,13 +110,13 @@ def test_memory_stays_within_the_budget(grown):
     gaussians, keyframes, rng = grown
     information = KeyframeInformation(gaussians, budget_mb=0.03)
     first = information.update(keyframes[:6]).copy()
-    assert close(first, made_anew(gaussians, keyframes[:6]))  # what is settled still counts
-    assert 0 < information.megabytes <= 0.03 and 0 < information.settled < 6
-    settled = information.settled
+    assert close(first, made_anew(gaussians, keyframes[:6]))  # fixed contributions still count
+    assert 0 < information.megabytes <= 0.03 and 0 < information.fixed < 6
+    fixed = information.fixed
     gaussians.keep(rng.random(gaussians.count) < 0.8)
     exact = made_anew(gaussians, keyframes[:6])
     found = information.update(keyframes[:6], renders=None)
-    assert information.settled == settled and found.shape == exact.shape and not close(found, exact)
+    assert information.fixed == fixed and found.shape == exact.shape and not close(found, exact)
 
 
 def test_another_camera_can_be_asked_for(grown):

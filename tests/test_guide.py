@@ -32,10 +32,8 @@ def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.Monk
     from activestructure_gym.evaluation.protocols import PROTOCOLS
     from activestructure_gym.evaluation.running.engines import ENGINES
 
-    for names in (PROTOCOLS, ENGINES):
-        for name in ("two_scales", "in_turn"):
-            monkeypatch.setitem(names, name, None)  # type: ignore[misc,arg-type]
-            monkeypatch.delitem(names, name)
+    for registry in (PROTOCOLS, ENGINES):
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     module = ModuleType("shown_in_the_guide")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, module.__name__, module)
     exec(compile(blocks(page)[number], f"{page}, block {number}", "exec"), module.__dict__)

@@ -13,14 +13,14 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.tracking import TrackingConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import Rendering
-from activestructure_gym.splatting.backends import BACKENDS, Backend
+from activestructure_gym.splatting.backends import BACKENDS
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,13 @@ class BaseMapperConfig:
     made_by: ClassVar[str] = ""  # package.module:Class, imported when the mapper is made: it may load torch
 
     name: str = ""  # registered name of the mapper, or package.module:Name
-    backend: Backend = "cpu"  # renders and optimises: our kernels, or torch through gsplat (CUDA) or the reference
+    backend: str = "cpu"  # cpu (our kernels), gsplat (CUDA), reference (torch), or package.module:Name
     iterations: int = 5  # per observed frame (row C15; 15 for quality)
     keyframe_reduction: int = 1  # stored keyframes have this factor fewer pixels a side; seeds use all pixels
     tracking: TrackingConfig = field(default_factory=TrackingConfig)  # of the pose of every keyframe; off by default
 
     def __post_init__(self) -> None:
-        if self.backend not in BACKENDS:
-            raise unknown_name("mapper backend", self.backend, BACKENDS)
+        BACKENDS.get(self.backend)
         check_ranges(self, {"iterations": "[0, 100000]", "keyframe_reduction": "[1, 64]"})
 
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:

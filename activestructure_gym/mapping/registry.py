@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from activestructure_gym.mapping.base import BaseMapperConfig
 from activestructure_gym.registry import Registry
@@ -30,11 +28,3 @@ def mapper_config(name: str) -> BaseMapperConfig:
     """
     entry = MAPPERS.get(name)
     return replace(entry() if isinstance(entry, type) else entry, name=name)
-
-
-def mapper_names(overrides: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the mapper's name in overrides of a configuration, nested or with dots, if there is one."""
-    nested = overrides.get("mapper")
-    for name in (overrides.get("mapper.name"), nested.get("name") if isinstance(nested, Mapping) else None):
-        if isinstance(name, str):
-            yield name

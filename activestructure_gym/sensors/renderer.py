@@ -6,16 +6,15 @@ import importlib.util
 import os
 import subprocess
 import sys
-from typing import Literal, Protocol, get_args
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.scene import Scene
-
-RendererName = Literal["auto", "raycast", "pyrender"]
-RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
 
 
 class Renderer(Protocol):
@@ -42,19 +41,33 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: RendererName, scene: Scene) -> Renderer:
+RENDERERS: Registry[Callable[[Scene], Renderer]] = Registry(
+    "sensor backend", "renderers", fits=callable, wanted="a function of a Scene that returns a Renderer"
+)
+
+
+def make_renderer(name: str, scene: Scene) -> Renderer:
     """Return the renderer called ``name``; ``auto`` is ray casting if embreex is installed, else pyrender.
 
     Raises `InputError` for an unknown name, or a missing package (with what to install).
     """
-    if name not in RENDERERS:
-        raise unknown_name("sensor backend", name, RENDERERS)
-    if name == "auto":
-        name = "pyrender" if importlib.util.find_spec("embreex") is None else "raycast"
-    if name == "pyrender":
-        from activestructure_gym.sensors.pyrender_backend import PyrenderRenderer
+    return RENDERERS.get(name)(scene)
 
-        return PyrenderRenderer(scene)
+
+@RENDERERS.register("auto")
+def _best(scene: Scene) -> Renderer:
+    return make_renderer("pyrender" if importlib.util.find_spec("embreex") is None else "raycast", scene)
+
+
+@RENDERERS.register("pyrender")
+def _by_pyrender(scene: Scene) -> Renderer:
+    from activestructure_gym.sensors.pyrender_backend import PyrenderRenderer
+
+    return PyrenderRenderer(scene)
+
+
+@RENDERERS.register("raycast")
+def _by_raycast(scene: Scene) -> Renderer:
     if importlib.util.find_spec("embreex") is None:
         raise InputError("the sensor backend 'raycast' needs the package embreex: pip install embreex")
     from activestructure_gym.sensors.raycast import RaycastRenderer

@@ -12,7 +12,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import MAX_ASPECT_RATIO, check_ranges
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DEPTH_NOISE, DepthNoise, drop_edges, noisy_depth, noisy_pose
-from activestructure_gym.sensors.renderer import RENDERERS, Renderer, RendererName, make_renderer
+from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer
 
 # Rays per image. More is a typing mistake.
 _MAX_RAYS = 1 << 25
@@ -37,7 +37,7 @@ class SensorConfig:
     horizontal_fov_deg: float = 90.0  # degrees; the paper's 60 x 90 deg
     max_range: float = 10.0  # metres along the optical axis; farther returns become 0
     supersample: int = 2  # colour samples per pixel and axis; with 1, aliasing alone limits PSNR to about 30 dB
-    backend: RendererName = "auto"  # renderer
+    backend: str = "auto"  # renderer: auto, raycast, pyrender, or package.module:Name
     depth_noise: DepthNoise = "none"  # the paper has none
     noise_multiplier: float = 1.0  # scales every depth error; 0 = none
     edge_dropout: bool = False  # holes near depth edges and on slanted surfaces
@@ -59,8 +59,7 @@ class SensorConfig:
             )
         if not isinstance(self.edge_dropout, (bool, np.bool_)):
             raise InputError(f"sensor edge_dropout must be True or False, got {short_repr(self.edge_dropout)}")
-        if self.backend not in RENDERERS:
-            raise unknown_name("sensor backend", str(self.backend), RENDERERS)
+        RENDERERS.get(self.backend)
         if self.depth_noise not in DEPTH_NOISE:
             raise unknown_name("depth noise", str(self.depth_noise), DEPTH_NOISE)
 

@@ -10,7 +10,7 @@ import torch
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
-from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_status
+from activestructure_gym.splatting.gsplat_backend import gsplat_max_alpha, gsplat_status, rasterize_gsplat
 from activestructure_gym.splatting.packing import parameter_rows
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, blend_reference, camera_centre
 from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
@@ -69,7 +69,7 @@ def rasterize(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,
     median_depth: bool = False,
-    backend: Backend | Literal["auto"] = "auto",
+    backend: Literal["auto", "cpu", "gsplat", "reference"] = "auto",
     max_alpha: float = 0.999,
     threads: int | None = None,
 ) -> Rasterization:
@@ -144,8 +144,8 @@ def rasterize(
     >>> picture.color.shape, bool(picture.alpha[12, 16] > 0.5)
     (torch.Size([24, 32, 3]), True)
     """
-    if backend != "auto" and backend not in BACKENDS:
-        raise unknown_name("splatting backend", backend, BACKENDS)
+    if backend != "auto" and backend not in _RENDERERS:
+        raise unknown_name("splatting backend", backend, _RENDERERS)
     request = _Request(
         means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, camera, max_alpha,
         centre_depth, blur_variance, median_depth, threads,
@@ -254,11 +254,9 @@ def _reference_of_one(request: _Request, pose: torch.Tensor) -> Rasterization:
 
 
 def _render_gsplat(request: _Request) -> Rasterization:
-    status = backend_status()["gsplat"]
+    status = gsplat_status()
     if status != "works":
         raise InputError(f"splatting backend 'gsplat' cannot run here ({status}); use backend='cpu'.")
-    from activestructure_gym.splatting.gsplat_backend import gsplat_max_alpha, rasterize_gsplat
-
     if request.means.dtype != torch.float32 or not request.means.is_cuda:
         raise InputError(
             f"splatting backend 'gsplat' takes float32 tensors on a CUDA device, got {request.means.dtype} on "

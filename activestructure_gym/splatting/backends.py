@@ -1,46 +1,55 @@
-"""Report which implementations of the rasteriser can run here."""
+"""Register implementations of the rasteriser, and report which can run here."""
 
 from __future__ import annotations
 
-import functools
-import importlib.util
-from typing import Literal, get_args
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
 
-Backend = Literal["cpu", "gsplat", "reference"]
-BACKENDS: tuple[Backend, ...] = get_args(Backend)
+from activestructure_gym.registry import Registry
+
+WORKS = "works"
+
+
+@dataclass(frozen=True)
+class Backend:
+    """Hold an implementation of `rasterizers.Rasterizer`."""
+
+    make: Callable[[], Any]  # returns it; imports it first, since it may load torch
+    status: Callable[[], str] = lambda: WORKS  # `WORKS`, or one sentence on what is missing
+
+
+BACKENDS: Registry[Backend] = Registry(
+    "splatting backend",
+    "backends",
+    fits=lambda entry: isinstance(entry, Backend),
+    wanted="a splatting.backends.Backend",
+)
 
 
 def backend_status() -> dict[str, str]:
     """Return for every backend ``"works"`` or one sentence on what is missing (shown by ``asg doctor``)."""
-    return {"cpu": "works", "gsplat": _gsplat_status(), "reference": "works"}
+    return {name: BACKENDS.get(name).status() for name in BACKENDS}
 
 
-@functools.cache
+def _cpu() -> Any:
+    from activestructure_gym.splatting import cpu
+
+    return cpu
+
+
+def _by_torch(name: Literal["gsplat", "reference"]) -> Any:
+    from activestructure_gym.splatting.torch_rasterizer import TorchRasterizer
+
+    return TorchRasterizer(name)
+
+
 def _gsplat_status() -> str:
-    """Test gsplat by rendering one Gaussian.
+    from activestructure_gym.splatting.gsplat_backend import gsplat_status
 
-    Importing gsplat succeeds without a compiler or CUDA device.
-    """
-    if importlib.util.find_spec("gsplat") is None:
-        return "package gsplat is missing: pip install 'activestructure-gym[gpu]'"
-    import torch
+    return gsplat_status()
 
-    if not torch.cuda.is_available():
-        return "no CUDA device is visible to torch"
-    from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
 
-    try:
-        device = torch.device("cuda")
-        color, _, _, _ = rasterize_gsplat(
-            torch.tensor([[0.0, 0.0, 1.0]], device=device),
-            torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device),
-            torch.full((1, 3), -2.0, device=device),
-            torch.full((1,), 3.0, device=device),
-            torch.ones((1, 3), device=device),
-            torch.eye(4, device=device)[None],
-            PinholeCamera.from_size(16, 16),
-        )
-    except Exception as error:  # a missing compiler, driver or wheel causes errors of many types
-        return f"gsplat cannot render: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
-    return "works" if bool(color[0, 8, 8, 0] > 0.5) else "gsplat renders a black picture"
+BACKENDS.register("cpu")(Backend(_cpu))
+BACKENDS.register("gsplat")(Backend(lambda: _by_torch("gsplat"), _gsplat_status))
+BACKENDS.register("reference")(Backend(lambda: _by_torch("reference")))

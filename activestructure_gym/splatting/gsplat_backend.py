@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import importlib.util
 
 import torch
 
@@ -21,6 +22,32 @@ def gsplat_max_alpha() -> float:
                     importlib.metadata.version("gsplat").split(".")[:2])  # fmt: skip
     since, before, after = _ALPHA_LIMITS
     return after if version >= since else before
+
+
+@functools.cache
+def gsplat_status() -> str:
+    """Return ``"works"`` or what is missing, found by rendering one Gaussian.
+
+    Importing gsplat succeeds without a compiler or CUDA device.
+    """
+    if importlib.util.find_spec("gsplat") is None:
+        return "package gsplat is missing: pip install 'activestructure-gym[gpu]'"
+    if not torch.cuda.is_available():
+        return "no CUDA device is visible to torch"
+    try:
+        device = torch.device("cuda")
+        color, _, _, _ = rasterize_gsplat(
+            torch.tensor([[0.0, 0.0, 1.0]], device=device),
+            torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device),
+            torch.full((1, 3), -2.0, device=device),
+            torch.full((1,), 3.0, device=device),
+            torch.ones((1, 3), device=device),
+            torch.eye(4, device=device)[None],
+            PinholeCamera.from_size(16, 16),
+        )
+    except Exception as error:  # a missing compiler, driver or wheel causes errors of many types
+        return f"gsplat cannot render: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
+    return "works" if bool(color[0, 8, 8, 0] > 0.5) else "gsplat renders a black picture"
 
 
 def rasterize_gsplat(

@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import cpu
-from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_status
+from activestructure_gym.splatting.backends import BACKENDS, WORKS
 
 
 class Rasterizer(Protocol):
@@ -74,18 +74,13 @@ class Rasterizer(Protocol):
 
 
 @functools.cache
-def rasterizer(name: Backend) -> Rasterizer:
+def rasterizer(name: str) -> Rasterizer:
     """Return the rasteriser called ``name``.
 
     Raises `InputError` for an unknown name, or with what is missing for one that cannot run here.
     """
-    if name not in BACKENDS:
-        raise unknown_name("splatting backend", name, BACKENDS)
-    status = backend_status()[name]
-    if status != "works":
+    backend = BACKENDS.get(name)
+    if (status := backend.status()) != WORKS:
         raise InputError(f"splatting backend '{name}' cannot run here ({status}); use mapper.backend=cpu.")
-    if name == "cpu":
-        return cpu
-    from activestructure_gym.splatting.torch_rasterizer import TorchRasterizer
-
-    return TorchRasterizer(name)
+    made: Rasterizer = backend.make()
+    return made

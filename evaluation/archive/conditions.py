@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, short_repr
-from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
+from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
 from activestructure_gym.policies.native_settings import NATIVE_PRESET, Setup, native_settings_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Conditions:
     protocol
         The protocol that every map is measured by.
     also
-        Names of further protocols, ``("activegamer",)``, with their default constants.
+        Names of further protocols with their default constants: ``("activegamer",)``, ``("mine:Protocol",)``.
     setup
         ``"shared"`` (equal candidates, keyframes and mapper) or ``"native"`` (each policy's own).
 
@@ -59,18 +59,23 @@ class Conditions:
             raise InputError(f"also is a list of names, as ['{self.also}'], got the text {short_repr(self.also)}")
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
+        for name in self.also:
+            if not PROTOCOLS.imports(str(name)):
+                PROTOCOLS.get(name)
         native_settings_of(None, self.setup)
         if self.preset is None:
             object.__setattr__(self, "preset", NATIVE_PRESET if self.setup == "native" else "default")
-        object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
+        object.__setattr__(self, "also", tuple(sorted(set(self.also))))
         object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON. The shared setup is left out."""
+        """Return plain values for JSON, without the shared setup; a protocol that is a plug-in is not imported."""
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
-        content["also"] = [get_protocol(name).parameters() for name in self.also]
+        content["also"] = [
+            {"name": name} if PROTOCOLS.imports(name) else get_protocol(name).parameters() for name in self.also
+        ]
         if self.setup == "shared":
             del content["setup"]
         return content
@@ -82,7 +87,9 @@ class Conditions:
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
             raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
-        also = tuple(protocol_from(parameters).name for parameters in values.pop("also"))
+        also = tuple(
+            one["name"] if PROTOCOLS.imports(one["name"]) else protocol_from(one).name for one in values.pop("also")
+        )
         start_pose = values.pop("start_pose")
         overrides = {k: tuple(v) if isinstance(v, list) else v for k, v in values.pop("overrides").items()}
         start_pose = None if start_pose is None else tuple(start_pose)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.protocols import PROTOCOLS
 from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
@@ -120,22 +121,35 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
 
 
 def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
-    """Yield policy, features, candidate sources and mapper of a job, each with the registry that has it."""
-    from activestructure_gym.features import FEATURES
-    from activestructure_gym.mapping.registry import MAPPERS, mapper_names
+    """Yield the parts that a job names, each with its registry: policy, protocols, parts in the overrides."""
     from activestructure_gym.policies import POLICIES
-    from activestructure_gym.sources import SOURCES, sources_in
 
     if not (is_reference(job.policy) or is_trajectory(job.policy)):
         yield POLICIES, job.policy
-    features = job.conditions.overrides.get("features", ())
-    for name in (features,) if isinstance(features, str) else features if isinstance(features, list | tuple) else ():
-        if isinstance(name, str):
-            yield FEATURES, name
-    for name in sources_in(dict(job.conditions.overrides)):
-        yield SOURCES, name
-    for name in mapper_names(job.conditions.overrides):
-        yield MAPPERS, name
+    for name in job.conditions.also:
+        yield PROTOCOLS, name
+    yield from named_in_overrides(job.conditions.overrides)
+
+
+def named_in_overrides(overrides: Mapping[str, Any]) -> Iterator[tuple[Registry[Any], str]]:
+    """Yield features, candidate sources, mapper and backends in overrides of a configuration, nested or with dots."""
+    from activestructure_gym.features import FEATURES
+    from activestructure_gym.mapping import MAPPERS
+    from activestructure_gym.sensors import RENDERERS
+    from activestructure_gym.sources import SOURCES, sources_in
+    from activestructure_gym.splatting.backends import BACKENDS
+
+    given = overrides.get("features", ())
+    features = given if isinstance(given, list | tuple) else [given]
+    found: list[tuple[Registry[Any], Any]] = [(FEATURES, name) for name in features]
+    found += [(SOURCES, name) for name in sources_in(overrides)]
+    for registry, room, key in (
+        (MAPPERS, "mapper", "name"), (BACKENDS, "mapper", "backend"), (RENDERERS, "sensor", "backend")
+    ):  # fmt: skip
+        nested = overrides.get(room)
+        found.append((registry, overrides.get(f"{room}.{key}")))
+        found.append((registry, nested.get(key) if isinstance(nested, Mapping) else None))
+    yield from ((registry, name) for registry, name in found if isinstance(name, str))
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

@@ -40,7 +40,7 @@ JOB: Check = table(
         "scene": text, "policy": text, "seed": number(0, 2**63 - 1, whole=True), "scene_hash": text, "preset": text,
         "frame_budget": maybe(number(1, whole=True)), "overrides": table(),
         "start_pose": maybe(each(number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=4)), "protocol": PROTOCOL,
-        "also": each(PROTOCOL),
+        "also": each(table({"name": text}, {"version": number(whole=True)})),
     },
     {"setup": text},
 )  # fmt: skip

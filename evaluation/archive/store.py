@@ -42,7 +42,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
-from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
+from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label, slug
 from activestructure_gym.evaluation.archive.temporary import refuse_links, temporary_suffix, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
@@ -366,7 +366,7 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
 
     Raises `InputError` where the directory cannot be written.
     """
-    path = directory / EVALUATIONS / f"{parameters['name']}.json"
+    path = directory / EVALUATIONS / f"{slug(parameters['name'])}.json"
     content = {"format": FORMAT_VERSION, "protocol": parameters, "scene": scene_hash, "metrics": metrics}
     refuse_links(directory, EVALUATIONS)
     with writing(path):

@@ -12,7 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.renderer import Renderer, RendererName, make_renderer, renderer_status
+from activestructure_gym.sensors.renderer import Renderer, make_renderer, renderer_status
 
 SIZES = ((160, 90), (320, 180), (640, 360))
 
@@ -68,7 +68,7 @@ def run_sensor_benchmark(
     if repeats < 1 or views < 1:
         raise InputError(f"repeats and views must be at least 1, got {repeats} and {views}")
     status = renderer_status()["pyrender"]
-    names: tuple[RendererName, ...] = ("raycast", "pyrender") if status == "works" else ("raycast",)
+    names: tuple[str, ...] = ("raycast", "pyrender") if status == "works" else ("raycast",)
     rows = []
     for spec in scenes:
         scene = load_scene(spec)

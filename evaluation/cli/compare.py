@@ -123,12 +123,12 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
-    from activestructure_gym.evaluation.running.engines import Limits, get_engine
+    from activestructure_gym.evaluation.running.engines import ENGINES, Limits
     from activestructure_gym.evaluation.running.resuming import recorded_jobs
     from activestructure_gym.evaluation.running.sharding import Shard
 
     limits = Limits(options.workers, options.timeout_min, options.retries)
-    get_engine(options.engine).check(limits)
+    ENGINES.get(options.engine).check(limits)
     shard = None if options.shard is None else Shard.parse(options.shard)
     check_output(directory, resume=options.resume, shared=shard is not None)
     began = time.monotonic()

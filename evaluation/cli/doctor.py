@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,19 +111,27 @@ def _print_dataset(*asked: str) -> int:
 
 def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
     """The backends that the main job needs, and (part, backend, state) of all."""
+    from activestructure_gym.evaluation.running.engines import ENGINES
     from activestructure_gym.scenes.cache import cache_directory
     from activestructure_gym.sensors.renderer import renderer_status
     from activestructure_gym.splatting.backends import backend_status
 
     rows = [("sensor", name, state) for name, state in renderer_status().items()]
     rows += [("rasteriser", name, state) for name, state in backend_status().items()]
-    rows.append(("engine", "inline", "works"))
-    rows.append(("engine", "local", "works"))
-    with_ray = importlib.util.find_spec("ray") is not None
-    rows.append(("engine", "ray", "works" if with_ray else "not installed: pip install 'activestructure-gym[ray]'"))
+    rows += [("engine", name, _engine_state(name)) for name in ENGINES]
     rows.append(("cache", str(cache_directory()), _cache_state()))
     rows.append(("kernels", *_kernels_state()))
     return {"raycast", "cpu", _NUMBA}, rows
+
+
+def _engine_state(name: str) -> str:
+    from activestructure_gym.evaluation.running.engines import ENGINES, Limits
+
+    try:
+        ENGINES.get(name).check(Limits())
+    except InputError as error:
+        return str(error)
+    return "works"
 
 
 def _kernels_state() -> tuple[str, str]:

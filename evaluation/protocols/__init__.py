@@ -3,62 +3,81 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from typing import Any
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
+from activestructure_gym.registry import Registry, refuse_code
 
-# By name; the first is the one every run is measured by, others come on top of it.
-PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
-    protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
-}
+
+def _fits(entry: object) -> bool:
+    members = ("name", "version", "parameters", "truth", "evaluate")
+    return isinstance(entry, type) and is_dataclass(entry) and all(hasattr(entry, member) for member in members)
+
+
+# `standard` measures every run; others are measured in addition.
+PROTOCOLS: Registry[type[EvaluationProtocol]] = Registry(
+    "protocol", "protocols", fits=_fits, wanted="a frozen dataclass with the members of EvaluationProtocol"
+)
+PROTOCOLS.register("standard")(StandardProtocol)
+PROTOCOLS.register("activegamer")(ActiveGamerProtocol)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
-    """The protocol of that name with its usual constants.
+    """Return the protocol of that name with its default constants.
 
     Parameters
     ----------
     name
-        ``"standard"`` or ``"activegamer"``.
+        ``"standard"``, ``"activegamer"``, another registered name, or ``"package.module:Class"``.
 
     Returns
     -------
     EvaluationProtocol
-        With its usual constants.
+        Its field ``name`` is the given name.
 
     Raises
     ------
     InputError
-        There is none of this name.
+        The name is unknown, or not that of a protocol.
 
     Examples
     --------
     >>> get_protocol("standard").version
     5
     """
-    if name not in PROTOCOLS:
-        raise unknown_name("protocol", name, PROTOCOLS)
-    return PROTOCOLS[name]()
+    return _named(name, PROTOCOLS.get(name)())
 
 
-def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
-    """Return the protocol that `parameters()` described; raises `InputError` if no protocol here measures it."""
+def protocol_from(parameters: Mapping[str, Any], file: object = "") -> EvaluationProtocol:
+    """Return the protocol that `parameters()` described in a ``file``.
+
+    Raises `InputError` if no protocol here measures it, or if its name is code of an untrusted file.
+    """
     values: dict[str, Any] = dict(parameters)
     name, version = values.pop("name", None), values.pop("version", None)
-    known = next((entry for entry in PROTOCOLS.values() if (entry.name, entry.version) == (name, version)), None)
-    if known is None:
-        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in PROTOCOLS.values())
+    if PROTOCOLS.imports(name):
+        refuse_code(PROTOCOLS.kind, name, file)
+    known = PROTOCOLS.get(name) if PROTOCOLS.imports(name) or name in PROTOCOLS else None
+    if known is None or known.version != version:
+        have = ", ".join(f"'{entry}' version {PROTOCOLS.get(entry).version}" for entry in PROTOCOLS)
         raise InputError(
             f"the run was made with protocol '{name}' version {version}, this version knows {have}; run it again"
         )
     try:
         constants: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return known(**constants)
+        return _named(name, known(**constants))
     except TypeError as error:
         raise InputError(f"protocol '{name}' version {version} has other parameters here: {error}") from error
+
+
+def _named(name: str, protocol: EvaluationProtocol) -> EvaluationProtocol:
+    if protocol.name != name:
+        object.__setattr__(protocol, "name", name)  # which the class of a plug-in does not know
+    return protocol
 
 
 __all__ = [

@@ -30,7 +30,7 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
     for name in names:
         get_protocol(name)
     return [
-        (protocol_from(stored[name]["parameters"]), stored[name]["metrics"])
+        (protocol_from(stored[name]["parameters"], run.directory), stored[name]["metrics"])
         if name in stored
         else (get_protocol(name), None)
         for name in names or stored

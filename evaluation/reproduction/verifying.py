@@ -152,7 +152,7 @@ def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
             same = parameters == made["protocol"] and _same_numbers(*pairs[-1])
         else:
             try:
-                pairs.append((stored, measure_again(again, protocol_from(parameters))))
+                pairs.append((stored, measure_again(again, protocol_from(parameters, run.directory))))
                 same = _same_numbers(*pairs[-1])
             except InputError as error:
                 unknown.append(f"{store.EVALUATIONS}/{name} cannot be measured here: {error}")

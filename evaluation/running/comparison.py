@@ -22,12 +22,12 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
-from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
+from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
-from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
+from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
@@ -35,7 +35,6 @@ from activestructure_gym.evaluation.running.resuming import merged, recorded_job
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
-from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
@@ -124,8 +123,11 @@ class Comparison:
     def _check_policies(self) -> list[str]:
         """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
         from activestructure_gym.config import configure
-        from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
+        from activestructure_gym.policies import canonical_policy, make_policy
 
+        for spec in self.policies:  # before anything is imported
+            plugin_code_of(Job("", spec, 0, conditions=self.conditions), first_checksum_of)
+        list(map(get_protocol, self.conditions.also))
         configure(self.conditions.preset, self.conditions.overrides)  # what policies replace must be usable too
         changes = dict(self.conditions.overrides)
         if self.conditions.frame_budget is not None:
@@ -137,8 +139,6 @@ class Comparison:
                 configure(self.conditions.preset, given.changes(changes))
                 named.append(given.spec)
                 continue
-            if module := POLICIES.module_of(Spec.of(spec).name):
-                first_checksum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             brought = native_settings_of(policy, self.conditions.setup).overrides()
@@ -302,7 +302,7 @@ def run_comparison(
     InputError
         The jobs do not fit those that the directory records (`resuming.merged`), or the engine is unknown.
     """
-    chosen, limits = get_engine(engine), limits or Limits()
+    chosen, limits = ENGINES.get(engine), limits or Limits()
     recorded = recorded_jobs(directory)
     if recorded and not resume and shard is None:
         raise _begun(directory)

@@ -71,8 +71,8 @@ def measure_played(directory: Path) -> store.Run | None:
     if place is None:
         return None
     job = played.job_of(place)
-    # Nobody plays here: of what the job names only the scene is loaded.
-    refuse_code([replace(job, policy="random", conditions=Conditions())], place / store.CONFIG)
+    # No policy acts here: of what the job names only scene and protocols are loaded.
+    refuse_code([replace(job, policy="random", conditions=Conditions(also=job.conditions.also))], place / store.CONFIG)
     known = ground_truth_of(load_job_scene(job))
     return measure(job, place, directory, known, job.conditions.protocol.truth(known))
 

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.jobs import named_in_overrides
 from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
 from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.archive.temporary import refuse_links, unlinked
@@ -33,10 +34,8 @@ from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.stopwatch import Timing
 from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
-from activestructure_gym.mapping.registry import MAPPERS, mapper_names
 from activestructure_gym.policies.learned.checkpoint import MAX_WEIGHT_BYTES
 from activestructure_gym.registry import refuse_code
-from activestructure_gym.sources import SOURCES, sources_in
 
 if TYPE_CHECKING:
     import torch
@@ -69,16 +68,10 @@ def read_config(directory: Path) -> TrainingConfig:
         config = TrainingConfig.from_dict(content["training"])
     except InputError as error:
         raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
-    overrides = dict(config.world.overrides).get("features", ())
-    for name in (*config.world.features, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
-        if isinstance(name, str) and FEATURES.imports(name):
-            refuse_code("feature", name, file)
-    for name in sources_in(dict(config.world.overrides)):
-        if SOURCES.imports(name):
-            refuse_code("candidate source", name, file)
-    for name in mapper_names(dict(config.world.overrides)):
-        if MAPPERS.imports(name):
-            refuse_code("mapper", name, file)
+    told = [(FEATURES, name) for name in (*config.world.features, config.teacher) if isinstance(name, str)]
+    for registry, name in [*told, *named_in_overrides(dict(config.world.overrides))]:
+        if registry.imports(name):
+            refuse_code(registry.kind, name, file)
     return config
 
 

@@ -25,7 +25,6 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.splatting import Rendering
-from activestructure_gym.splatting.backends import Backend
 from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.rasterizers import rasterizer
 
@@ -41,7 +40,7 @@ LIMIT = 10.0  # of the log-odds
 class DirectionalReliability:
     """Log-odds of every Gaussian for the directions +x, +y, -x, -y; 0, that is one half, for new ones."""
 
-    def __init__(self, gaussians: GaussianMap, backend: Backend = "cpu") -> None:
+    def __init__(self, gaussians: GaussianMap, backend: str = "cpu") -> None:
         self._map, self._backend = gaussians, backend
         self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted

@@ -170,7 +170,7 @@ def test_a_further_protocol_is_measured_kept_and_reproduced(runs, capsys, monkey
 
     from activestructure_gym.evaluation.protocols import PROTOCOLS
 
-    monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
+    monkeypatch.setitem(PROTOCOLS._entries, "activegamer", SmallActiveGamer)
     copy = shutil.copytree(runs[0].directory, tmp_path / "run")
     assert main(["evaluate", str(copy), "--protocols", "activegamer"]) == 0
     assert "measured for the first time" in capsys.readouterr().out
@@ -195,7 +195,7 @@ def test_a_job_that_asks_for_a_further_protocol_writes_its_numbers(runs, monkeyp
 
     from activestructure_gym.evaluation.protocols import PROTOCOLS
 
-    monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
+    monkeypatch.setitem(PROTOCOLS._entries, "activegamer", SmallActiveGamer)
     conditions = replace(runs[0].job.conditions, frame_budget=3)
     job = replace(runs[0].job, conditions=replace(conditions, also=("activegamer",)))
     assert job.hash != replace(job, conditions=conditions).hash
@@ -214,7 +214,7 @@ class SmallStandard(StandardProtocol):
 def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys, monkeypatch):
     from activestructure_gym.evaluation.protocols import PROTOCOLS
 
-    monkeypatch.setitem(PROTOCOLS, "standard", SmallStandard)
+    monkeypatch.setitem(PROTOCOLS._entries, "standard", SmallStandard)
     run = runs[1]
     stored = run.metrics["metrics"]
     for form, name in (("ply", "map.ply"), ("splatam", "params.npz")):

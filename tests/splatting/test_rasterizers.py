@@ -3,6 +3,7 @@
 import copy
 import sys
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import LossWeights, backends, cpu, ssim_and_gradient
+from activestructure_gym.splatting import LossWeights, cpu, ssim_and_gradient
+from activestructure_gym.splatting.backends import BACKENDS
 from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, blend_reference
 from activestructure_gym.splatting.torch_losses import ssim
@@ -180,11 +182,13 @@ def test_names(monkeypatch):
     assert copy.deepcopy(rasterizer("reference")).backend == "reference"
     with pytest.raises(InputError, match="did you mean 'gsplat'"):
         rasterizer("gsplt")
-    monkeypatch.setattr(backends, "_gsplat_status", lambda: "no CUDA device is visible to torch")
+    gsplat = BACKENDS.get("gsplat")
+    missing = replace(gsplat, status=lambda: "no CUDA device is visible to torch")
+    monkeypatch.setitem(BACKENDS._entries, "gsplat", missing)
     rasterizer.cache_clear()
     with pytest.raises(InputError, match="'gsplat' cannot run here .no CUDA device is visible to torch.; use mapper"):
         rasterizer("gsplat")
-    monkeypatch.setattr(backends, "_gsplat_status", lambda: "works")
+    monkeypatch.setitem(BACKENDS._entries, "gsplat", replace(gsplat, status=lambda: "works"))
     assert rasterizer("gsplat").device == "cuda"
     rasterizer.cache_clear()
 

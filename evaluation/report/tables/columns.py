@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import LEVELS
 
@@ -164,7 +165,7 @@ class Aspect:
 
     def of(self, table: str) -> str:
         """File name of this aspect's ``table``."""
-        return f"{table}-{self.name}" if self.name else table
+        return f"{table}-{slug(self.name)}" if self.name else table
 
 
 def aspects(runs: Sequence[Run]) -> list[Aspect]:

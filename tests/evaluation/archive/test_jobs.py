@@ -176,6 +176,9 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"conditions": Conditions(overrides={"features": "os:system"})}, "feature"),
         ({"conditions": Conditions(overrides={"mapper.name": "os:system"})}, "mapper"),
         ({"conditions": Conditions(overrides={"mapper": {"name": "os:system"}})}, "mapper"),
+        ({"conditions": Conditions(overrides={"mapper.backend": "os:system"})}, "splatting backend"),
+        ({"conditions": Conditions(overrides={"sensor": {"backend": "os:system"}})}, "sensor backend"),
+        ({"conditions": Conditions(also=("os:system",))}, "protocol"),
     ],
 )
 def test_what_a_record_names_is_not_imported(change, what, monkeypatch):

@@ -23,6 +23,7 @@ from activestructure_gym.evaluation.running.engines import Limits, Outcome
 from activestructure_gym.evaluation.running.resuming import merged
 from activestructure_gym.registry import TRUST
 from activestructure_gym.splatting import rasterizers
+from activestructure_gym.splatting.backends import BACKENDS
 from tests.evaluation.written_runs import write_comparison
 
 
@@ -133,7 +134,7 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
         ("--retries -1", "--retries must be a whole number from 0 to 1000, got -1"),
         ("--workers -1", "--workers must be a whole number from 0 to 4096, got -1"),
         ("--engine inline --timeout-min 3", "engine 'inline' cannot stop a run"),
-        ("--set mapper.backend=foo", "unknown mapper backend 'foo'"),
+        ("--set mapper.backend=foo", "unknown splatting backend 'foo'"),
         ("--set mapper.keyframe_reduction=0", "keyframe_reduction must be a whole number from 1 to 64, got 0"),
         ("--set mapper.keyframe_reduction=-1", "keyframe_reduction must be a whole number from 1 to 64, got -1"),
         ("--set mapper.keyframe_reduction=2.5", "keyframe_reduction must be a whole number, got 2.5"),
@@ -156,7 +157,8 @@ def test_mistakes_are_one_sentence_and_leave_no_folder(words, message, monkeypat
 
 def test_a_backend_that_cannot_run_here_is_refused_before_anything_is_prepared(monkeypatch, tmp_path, capsys):
     rasterizers.rasterizer.cache_clear()
-    monkeypatch.setattr(rasterizers, "backend_status", lambda: {"gsplat": "it is not here"})
+    missing = dataclasses.replace(BACKENDS.get("gsplat"), status=lambda: "it is not here")
+    monkeypatch.setitem(BACKENDS._entries, "gsplat", missing)
     monkeypatch.setattr(Comparison, "prepare", lambda self, notify: pytest.fail("prepared"))
     monkeypatch.chdir(tmp_path)
     assert main("compare --scenes box --policies random --set mapper.backend=gsplat".split()) == 2

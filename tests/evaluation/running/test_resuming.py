@@ -65,7 +65,7 @@ def ran(monkeypatch):
             listener.ended(Outcome(job, attempts=1 + job.seed))
 
     engine = Engine(run, slots=lambda jobs, limits: 2, check=lambda limits: None)
-    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    monkeypatch.setitem(engines.ENGINES._entries, "fake", engine)
     monkeypatch.setattr(store, "read_run", lambda place, scene: place.name)
     monkeypatch.setattr(store, "damage_of", lambda place, job: None)
     monkeypatch.setattr(store, "read_done", lambda place, job, scene: place.name if place.exists() else None)
@@ -236,7 +236,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
             listener.ended(Outcome(job))
 
     engine = Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None)
-    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    monkeypatch.setitem(engines.ENGINES._entries, "fake", engine)
     heard = []
     result, listener = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
     assert done == grid[:2] and listener.begun == ([job.title for job in grid[:2]], 0)
@@ -253,7 +253,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
 
 def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_path):
     engine = Engine(lambda *_, **__: pytest.fail("run"), slots=lambda *_: 1, check=lambda limits: None)
-    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    monkeypatch.setitem(engines.ENGINES._entries, "fake", engine)
     grid = [variant(seed=seed) for seed in range(2)]
     write_comparison(tmp_path / "all", grid)
     (tmp_path / "all" / store.COMPARISON).write_bytes(b"\x00\xff")
@@ -314,7 +314,7 @@ def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, 
         def stopped(*_, **__):
             raise KeyboardInterrupt
 
-        patch.setitem(engines.ENGINES, "local", Engine(stopped, lambda *_: 1, lambda _: None))
+        patch.setitem(engines.ENGINES._entries, "local", Engine(stopped, lambda *_: 1, lambda _: None))
         with pytest.raises(KeyboardInterrupt):
             go_on(resume=True)
     assert not mark.exists()  # what an older text played does not count meanwhile

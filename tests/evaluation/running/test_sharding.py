@@ -43,7 +43,8 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
             listener.ended(outcomes[-1])
         return outcomes
 
-    monkeypatch.setitem(ENGINES, "counted", Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None))  # type: ignore[arg-type]
+    engine = Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None)  # type: ignore[arg-type]
+    monkeypatch.setitem(ENGINES._entries, "counted", engine)
     return ran
 
 

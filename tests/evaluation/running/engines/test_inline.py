@@ -1,5 +1,5 @@
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.engines import Limits, Outcome, get_engine, inline
+from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Outcome, inline
 from activestructure_gym.evaluation.running.engines.base import LOGS
 
 
@@ -26,7 +26,7 @@ def test_a_job_that_fails_is_reported_with_its_traceback_and_the_others_go_on(tm
 
     monkeypatch.setattr(inline, "run_job", run_job)
     jobs = [Job("box", "bad", 0), Job("box", "exits", 0), Job("box", "good", 0)]
-    outcomes = get_engine("inline").run(jobs, tmp_path, Silent(), Limits())
+    outcomes = ENGINES.get("inline").run(jobs, tmp_path, Silent(), Limits())
     assert outcomes == [
         Outcome(jobs[0], "ZeroDivisionError: the policy divided by zero"),
         Outcome(jobs[1], "the policy ended the process (exit code 0) before the run was done"),

@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import is_done
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import episode
-from activestructure_gym.evaluation.running.engines import get_engine, ray_cluster
+from activestructure_gym.evaluation.running.engines import ENGINES, ray_cluster
 from activestructure_gym.evaluation.running.engines.base import LOGS, Limits
 from activestructure_gym.evaluation.running.engines.ray_cluster import run_ray
 
@@ -117,7 +117,7 @@ def test_a_cluster_out_of_reach_is_one_sentence(monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("RAY_ADDRESS", "nonsense")
     with pytest.raises(InputError, match="RAY_ADDRESS=nonsense cannot be reached"):
-        get_engine("ray").slots(1, Limits())
+        ENGINES.get("ray").slots(1, Limits())
 
 
 HEAD = """
@@ -216,7 +216,7 @@ def test_a_real_job_gives_the_bits_of_engine_inline(cluster, tmp_path, monkeypat
     monkeypatch.setenv("ASG_CACHE_DIR", str(tmp_path / "cache"))
     protocol = StandardProtocol(views=1, view_width=64, view_height=36, surface_samples=2000)
     job = Job("box", "pixel_only", 0, conditions=Conditions(preset="fast", frame_budget=12, protocol=protocol))
-    (outcome,) = get_engine("ray").run([job], tmp_path / "out", Recorder(), Limits())
+    (outcome,) = ENGINES.get("ray").run([job], tmp_path / "out", Recorder(), Limits())
     assert outcome.finished, outcome.error
     again = episode.run_job(job, tmp_path / "again")
     for name in ("metrics.json", "steps.jsonl", "config.json"):

@@ -1,0 +1,51 @@
+"""Protocols by name: registered, or a class of any module."""
+
+import sys
+from dataclasses import dataclass
+from types import ModuleType
+from typing import ClassVar
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
+
+
+@dataclass(frozen=True)
+class Mine(StandardProtocol):
+    name: ClassVar[str] = "mine"
+    version: ClassVar[int] = 2
+
+
+@pytest.fixture
+def plug_in(monkeypatch):
+    module = ModuleType("my_protocols")
+    module.Mine, module.number = Mine, 3
+    monkeypatch.setitem(sys.modules, "my_protocols", module)
+    return "my_protocols:Mine"
+
+
+def test_a_plug_in_has_the_name_that_it_is_asked_for_by(plug_in, monkeypatch):
+    parameters = get_protocol(plug_in).parameters()
+    assert (parameters["name"], parameters["version"]) == (plug_in, 2)
+    with pytest.raises(InputError, match=r"'run' names the protocol 'my_protocols:Mine'.* add --trust-code"):
+        protocol_from(parameters, "run")
+    monkeypatch.setenv("ASG_TRUST_CODE", "1")
+    assert protocol_from(parameters, "run") == get_protocol(plug_in)
+    with pytest.raises(InputError, match="version 1, this version knows 'activegamer' version 1, 'standard' version 5"):
+        protocol_from(parameters | {"version": 1}, "run")
+
+
+def test_conditions_import_no_plug_in():
+    conditions = Conditions(also=("not_there:Mine", "activegamer"))
+    assert Conditions.from_dict(conditions.as_dict()) == conditions
+    assert "not_there" not in sys.modules
+
+
+def test_what_is_no_protocol_is_refused(plug_in):
+    with pytest.raises(InputError, match="protocol 'my_protocols:number' must be a frozen dataclass with"):
+        get_protocol("my_protocols:number")
+    with pytest.raises(InputError, match="unknown protocol 'activgamer'; did you mean 'activegamer'"):
+        Conditions(also=("activgamer",))
+    assert list(PROTOCOLS) == ["activegamer", "standard"]

@@ -1,6 +1,6 @@
-"""The Gymnasium face of the reconstruction: spaces, observation, reward, rendering, registration.
+"""Provide the Gymnasium environments: spaces, observation, reward, rendering and registration.
 
-Light to import: `ReconstructionEnv` and the tasks load what they need (numba, embree, torch) on first use.
+Importing this package is fast: numba, Embree and torch are loaded when an environment is first used.
 
 >>> import gymnasium as gym
 >>> from activestructure_gym.envs import ENV_IDS

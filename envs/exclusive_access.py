@@ -1,4 +1,4 @@
-"""Who may change an environment: one thread at a time, and nobody once it is closed."""
+"""Limit changes of an environment to one thread at a time, and refuse them after it is closed."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ import gymnasium as gym
 
 
 class ExclusiveAccess:
-    """Refuses calls of a closed environment, and those of a second thread; it can be copied and pickled."""
+    """Refuse calls from a second thread and calls on a closed environment; instances can be copied and pickled."""
 
     def __init__(self) -> None:
         self.closed = False
-        self._free = [True]  # empty while a call is at work; taking from a list is atomic
+        self._free = [True]  # empty while a call runs; `list.pop` is atomic
 
     def check_open(self, call: str) -> None:
-        """Raise `gymnasium.error.ClosedEnvironmentError` for a closed environment."""
+        """Raise `gymnasium.error.ClosedEnvironmentError` if the environment is closed; ``call`` names the method."""
         if self.closed:
             raise gym.error.ClosedEnvironmentError(f"{call}() was called on a closed environment: make a new one")
 
     @contextmanager
     def claim(self, call: str) -> Iterator[None]:
-        """Keep others out while the block runs; raise `gymnasium.error.AlreadyPendingCallError` for the second."""
+        """Hold exclusive access while the block runs.
+
+        Raises `gymnasium.error.AlreadyPendingCallError` if another call holds it, and
+        `gymnasium.error.ClosedEnvironmentError` if the environment is closed.
+        """
         self.check_open(call)
         try:
-            turn = self._free.pop()
+            token = self._free.pop()
         except IndexError:
             raise gym.error.AlreadyPendingCallError(
                 f"{call}() was called while another thread is in step() or reset() of this environment: give every "
@@ -35,4 +39,4 @@ class ExclusiveAccess:
         try:
             yield
         finally:
-            self._free.append(turn)
+            self._free.append(token)

@@ -1,6 +1,6 @@
-"""The observation, described once: keys, shapes, units, meanings. Spaces, docs table and encoder all come from here.
+"""Define the observation: its keys, shapes, units and meanings, the space, the table in the docs, and the encoder.
 
-Light to import (numpy and gymnasium only): policies take the names of features from this module.
+Policies import column names from this module. It imports only numpy and gymnasium until an observation is encoded.
 """
 
 from __future__ import annotations
@@ -21,56 +21,60 @@ if TYPE_CHECKING:
     from activestructure_gym.sensors import Frame
 
 CANDIDATE_COLUMNS = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
-# Columns that follow where `ViewConfig.stages` names more than the shared pool, behind one for every source and every
-# stage; see `row_columns`.
-HOOK_COLUMNS = ("stay", "fixates", "at_x", "at_y", "at_z")
-MAX_DISTANCE_M = 1000.0  # bound of every position and length in the observation, and of rounds in place
-MAX_FRAMES = 10 * MAX_DISTANCE_M  # and of every number of frames
-MAX_FEATURE = 1e6  # bound of every feature
-MAX_BYTES = 1 << 27  # of one observation; its space, which holds both bounds of every number, takes three times that
+# Last columns of the table if `ViewConfig.stages` names other sources than the shared pool; see `row_columns`.
+STAGE_COLUMNS = ("stay", "fixates", "at_x", "at_y", "at_z")
+MAX_DISTANCE_M = 1000.0  # upper bound of positions and lengths (metres), and of the column ``stay`` (rounds)
+MAX_FRAMES = 10 * MAX_DISTANCE_M  # upper bound of numbers of frames
+MAX_FEATURE = 1e6  # bound of a feature's magnitude
+MAX_BYTES = 1 << 27  # of one observation; the space, which also stores both bounds, takes three times as much
 
 
 def candidate_columns(*names: str) -> list[int]:
-    """Columns of ``observation["candidates"]`` by name (`CANDIDATE_COLUMNS`)."""
+    """Return the indices of the named columns (`CANDIDATE_COLUMNS`) of ``observation["candidates"]``."""
     return [CANDIDATE_COLUMNS.index(name) for name in names]
 
 
 def row_columns(stages: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Names of the columns of ``observation["candidates"]`` with these stages.
+    """Return the column names of ``observation["candidates"]`` for the given stages of candidate sources.
 
-    ``from_<source>`` is 1 for the rows of that source and ``ask_<stage>`` for the row that asks for that stage, counted
-    from 0; ``stay`` the rounds of optimisation in place; ``fixates`` 1 where a point is looked at on the way, which
-    stands in ``at_x``, ``at_y``, ``at_z``. The shared pool alone has none of them.
+    With the shared pool alone, they are `CANDIDATE_COLUMNS`. Otherwise these columns follow:
+
+    - ``from_<source>``: 1 in the rows of that source.
+    - ``ask_<stage>``: 1 in the row that switches to that stage, counted from 0; only with two or more stages.
+    - ``stay``: rounds of optimisation in place; 0 for a motion.
+    - ``fixates``: 1 if the camera points at a fixed point along the path.
+    - ``at_x``, ``at_y``, ``at_z``: that point, in metres.
     """
     if tuple(map(tuple, stages)) == (("pool",),):
         return CANDIDATE_COLUMNS
     sources = tuple(dict.fromkeys(f"from_{name}" for stage in stages for name in stage))
     asks = tuple(f"ask_{stage}" for stage in range(len(stages))) if len(stages) > 1 else ()
-    return (*CANDIDATE_COLUMNS, *sources, *asks, *HOOK_COLUMNS)
+    return (*CANDIDATE_COLUMNS, *sources, *asks, *STAGE_COLUMNS)
 
 
 def feature_columns(*names: str) -> tuple[str, ...]:
-    """Full names of the columns that features have; raises `InputError` for an unknown one."""
-    from activestructure_gym.features import column_names  # late, as below
+    """Return the full names of all columns of the named features; raise `InputError` for an unknown feature."""
+    from activestructure_gym.features import column_names  # imported here to keep this module fast to import
 
     return column_names(names)
 
 
 def plane_columns(*names: str) -> list[int]:
-    """Columns of ``observation["plane_features"]`` by name (``activestructure_gym.planes.PLANE_FEATURES``)."""
-    from activestructure_gym.planes import PLANE_FEATURES  # late: policies take names from here without the world
+    """Return the indices of the named columns (``planes.PLANE_FEATURES``) of ``observation["plane_features"]``."""
+    from activestructure_gym.planes import PLANE_FEATURES  # imported here to keep this module fast to import
 
     return [PLANE_FEATURES.index(name) for name in names]
 
 
 class Table(spaces.Box):
-    """A Box whose columns have names: ``names[i]`` says what stands in ``[..., i]``.
+    """Describe a Box with named columns: ``names[i]`` is the name of ``[..., i]``.
 
-    Two tables are equal only if their names are, so that no network goes on with columns that mean something else. Of a
-    plain Box no names are known, and it may be equal.
+    Two tables are equal only if their names are equal. A stored network is therefore not loaded onto an observation
+    with other columns. A table and a plain Box are compared without names.
     """
 
     def __init__(self, names: Sequence[str], low: np.ndarray, high: np.ndarray, dtype: Any = np.float32) -> None:
+        """Create the space with one name for each index of the last axis of ``low`` and ``high``."""
         super().__init__(low, high, dtype=dtype)
         self.names = tuple(names)
 
@@ -82,10 +86,10 @@ class Table(spaces.Box):
 
 
 def feature_names(source: Any) -> tuple[str, ...]:
-    """Names of the columns of ``observation["candidate_features"]``, in order, as ``source`` tells.
+    """Return the column names of ``observation["candidate_features"]``, in order.
 
-    ``source``: an env, wrapped or not; a vector env of Gymnasium or stable-baselines3; an observation space; or the
-    names themselves, such as ``info["features"]``. Raises `InputError` if it does not say.
+    ``source`` is an env (wrapped or not), a vector env of Gymnasium or stable-baselines3, an observation space, or the
+    names themselves, such as ``info["features"]``. Raises `InputError` if ``source`` does not contain the names.
     """
     if isinstance(source, list | tuple) and all(isinstance(name, str) for name in source):
         return tuple(source)
@@ -105,35 +109,36 @@ def feature_names(source: Any) -> tuple[str, ...]:
 
 
 def row_names(source: Any) -> tuple[str, ...]:
-    """Names of the columns of ``observation["candidates"]`` where ``source`` tells them; else the shared pool's."""
+    """Return the column names of ``observation["candidates"]``; `CANDIDATE_COLUMNS` if ``source`` has no names."""
     space = _space_of(source)
     table = space.spaces.get("candidates") if isinstance(space, spaces.Dict) else None
     return table.names if isinstance(table, Table) else CANDIDATE_COLUMNS
 
 
 def _space_of(source: Any) -> Any:
+    """Return the observation space of an env or of a single env of a vector env; other objects unchanged."""
     return getattr(source, "single_observation_space", getattr(source, "observation_space", source))
 
 
 @dataclass(frozen=True)
 class Key:
-    """One entry of the observation."""
+    """Define one entry of the observation."""
 
     shape: tuple[int, ...]
     dtype: Any
-    low: Any  # scalar, or an array that broadcasts to the shape
-    high: Any
+    low: Any  # lower bound: a scalar, or an array that broadcasts to the shape
+    high: Any  # upper bound, as ``low``
     unit: str
     meaning: str
-    names: tuple[str, ...] | None = None  # of the columns, where each is another quantity
+    names: tuple[str, ...] | None = None  # column names, for a table whose columns are different quantities
 
     @property
     def size(self) -> int:
-        """Bytes of one array; a number of Python, which knows no overflow."""
+        """Return the bytes of one array, as a Python integer, which cannot overflow."""
         return math.prod(int(length) for length in self.shape) * np.dtype(self.dtype).itemsize
 
     def space(self) -> spaces.Box:
-        """The Box of this entry."""
+        """Return the Box of this entry, a `Table` if its columns have names."""
         low = np.broadcast_to(np.asarray(self.low, self.dtype), self.shape)
         high = np.broadcast_to(np.asarray(self.high, self.dtype), self.shape)
         if self.names is not None:
@@ -142,7 +147,7 @@ class Key:
 
 
 def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str, Key]:
-    """All entries for one configuration. K candidates, G columns of features, P planes, F plane features."""
+    """Return all entries for a configuration: K candidates, G feature columns, P planes, F plane features."""
     from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW, PLANE_FEATURES
 
     height, width = config.sensor.height, config.sensor.width
@@ -156,7 +161,9 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     f32, u8, i8 = np.float32, np.uint8, np.int8
     return {
         "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
-        "depth": Key((height, width), f32, 0, config.sensor.max_range, "m", "its depth along the axis; 0 = no return"),
+        "depth": Key(
+            (height, width), f32, 0, config.sensor.max_range, "m", "its depth along the optical axis; 0 = no return"
+        ),
         "pose": Key((7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"),
         "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),
         "candidates": Key(
@@ -174,7 +181,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
             -MAX_FEATURE,
             MAX_FEATURE,
             "-",
-            "the features asked for, a column each or more",
+            "the requested features, one or more columns each",
             config.features,
         ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
@@ -192,7 +199,10 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
 
 
 def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.Dict:
-    """One flat Dict of fixed-size arrays, as stable-baselines3 wants it. Raises `InputError` if it would be huge."""
+    """Return the observation space: a flat Dict of fixed-size arrays, as stable-baselines3 requires.
+
+    Raises `InputError` if one observation would take more than `MAX_BYTES`.
+    """
     keys = observation_keys(config, max_planes)
     if sum(key.size for key in keys.values()) > MAX_BYTES:
         raise InputError(
@@ -205,7 +215,7 @@ def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.D
 
 
 def observation_table(config: ReconstructionConfig, max_planes: int) -> str:
-    """The Markdown table of the docs."""
+    """Return the Markdown table of all entries for the docs."""
     rows = ["| key | shape | dtype | unit | meaning |", "|---|---|---|---|---|"]
     for name, key in observation_keys(config, max_planes).items():
         rows.append(f"| `{name}` | {key.shape} | {np.dtype(key.dtype).name} | {key.unit} | {key.meaning} |")
@@ -213,7 +223,7 @@ def observation_table(config: ReconstructionConfig, max_planes: int) -> str:
 
 
 def _quantile(values: np.ndarray, share: float) -> float:
-    """`numpy.quantile` of one or more finite numbers, to the last digit, in a tenth of its time."""
+    """Return exactly `numpy.quantile` of one or more finite numbers, in a tenth of the time."""
     ordered = np.sort(values).tolist()
     at = share * (len(ordered) - 1)
     low = int(at)
@@ -223,8 +233,8 @@ def _quantile(values: np.ndarray, share: float) -> float:
 
 
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
-    """The observation of the current state. Every array is new: nothing is shared with another observation."""
-    from activestructure_gym.geometry.rotations import quaternions  # policies take names from here without scipy
+    """Return the observation of the current state. Every array is new and shared with no other observation."""
+    from activestructure_gym.geometry.rotations import quaternions  # imported here to keep this module fast to import
     from activestructure_gym.motion import least_frames
 
     config, table = reconstruction.config, reconstruction.candidates
@@ -238,7 +248,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     candidates[:count, 7] = np.minimum(frames, MAX_FRAMES)
     candidates[:count, 8] = table.revisit
     if columns != CANDIDATE_COLUMNS:
-        _fill_hooks(candidates[:count], columns, reconstruction)
+        _fill_stage_columns(candidates[:count], columns, reconstruction)
     features = np.zeros((size, len(config.features)), np.float32)
     features[:count] = np.clip(reconstruction.features, -MAX_FEATURE, MAX_FEATURE)
     mask = np.zeros(size, np.int8)
@@ -270,12 +280,12 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     }
 
 
-def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reconstruction) -> None:
-    """Write what only rows of other sources than the shared pool have."""
+def _fill_stage_columns(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reconstruction) -> None:
+    """Fill the columns that exist with other candidate sources than the shared pool, and correct ``frames``."""
     table, config = reconstruction.candidates, reconstruction.config
-    at = {name: place for place, name in enumerate(columns)}
-    for place, column in enumerate(name for name in columns if name.startswith("from_")):
-        rows[:, at[column]] = (table.source == place) & (table.ask < 0)
+    at = {name: index for index, name in enumerate(columns)}
+    for index, column in enumerate(name for name in columns if name.startswith("from_")):
+        rows[:, at[column]] = (table.source == index) & (table.ask < 0)
     for stage in range(len(config.views.stages)):
         if f"ask_{stage}" in at:
             rows[:, at[f"ask_{stage}"]] = table.ask == stage
@@ -285,9 +295,9 @@ def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reco
     rows[:, at["at_x"] : at["at_z"] + 1] = np.where(
         fixates[:, None], np.clip(np.nan_to_num(table.look_at), -MAX_DISTANCE_M, MAX_DISTANCE_M), 0.0
     )
-    # What costs another number of frames than a way.
+    # Frames of rows that are no motion: optimisation in place, and stage switches, which are free.
     frames = np.minimum(table.stay * config.keyframe_every, MAX_FRAMES)
     rows[table.stay > 0, at["frames"]] = frames[table.stay > 0]
     rows[table.ask >= 0, at["frames"]] = 0.0
-    # Who ends the episode gives up all frames that are left: nobody who weighs frames takes that for a near view.
+    # Ending the episode costs all remaining frames, so that a policy with a travel cost does not score it as near.
     rows[table.ends, at["frames"]] = min(max(0, config.frame_budget - reconstruction.frames), MAX_FRAMES)

@@ -1,4 +1,4 @@
-"""The picture of ``render()``: camera, map, and plan side by side."""
+"""Draw the image that ``render()`` returns: camera, map and floor plan side by side."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from activestructure_gym.sensors import Frame
     from activestructure_gym.volume import VoxelVolume
 
-TILE = (270, 480)  # height and width of the two views, pixels
+TILE = (270, 480)  # height and width in pixels of the camera image and of the rendered map
 # Okabe-Ito colours, legible to colour-blind readers.
 UNKNOWN_COLOUR, FREE_COLOUR, OCCUPIED_COLOUR = (120, 124, 130), (245, 245, 240), (40, 44, 52)
 PARTLY_COLOUR = (200, 192, 178)  # occupied at some heights, free at others: the camera may pass above or below
 PATH_COLOUR, AGENT_COLOUR, CANDIDATE_COLOUR = (0, 114, 178), (213, 94, 0), (0, 158, 115)
-MARGIN, CAPTION = 8, 26
+MARGIN, CAPTION = 8, 26  # pixels: left margin and height of a caption
 
 
 def draw_panel(reconstruction: Reconstruction, frame: Frame) -> np.ndarray:  # [H, W, 3] uint8
-    """Last keyframe, the map rendered from the same pose, and the plan with path, agent and candidates."""
+    """Draw the last keyframe, the map rendered at its pose, and the plan with path, agent and candidates."""
     rendered = reconstruction.mapper.render(frame.camera, frame.world_from_camera).color
     views = [_fit(frame.rgb, TILE), _fit((np.clip(rendered, 0, 1) * 255).astype(np.uint8), TILE)]
     left = np.concatenate([_captioned(views[0], "camera"), _captioned(views[1], "Gaussian map")], axis=0)
@@ -36,10 +36,10 @@ def draw_panel(reconstruction: Reconstruction, frame: Frame) -> np.ndarray:  # [
 
 
 def plan_image(volume: VoxelVolume, height_m: float) -> np.ndarray:  # [X, Y, 3] uint8
-    """The volume seen from above: what is known in the band of half a metre around ``height_m``.
+    """Return a top view of the volume's voxels within 0.5 m above and below ``height_m`` (metres, world).
 
-    Dark where nothing in the band is free, light where all that is known is free, in between (a table below the
-    camera, the lintel of a door) where both occur.
+    A pixel is a column of voxels. It is dark if the known voxels are all occupied, and light if they are all free.
+    It has a colour in between if both occur, for example at a table below the camera.
     """
     center = int(volume.voxel_of(np.array([[volume.origin[0], volume.origin[1], height_m]]))[0, 2])
     half = max(1, round(0.5 / volume.config.voxel_size))
@@ -54,11 +54,11 @@ def plan_image(volume: VoxelVolume, height_m: float) -> np.ndarray:  # [X, Y, 3]
 
 
 def draw_plan(reconstruction: Reconstruction, size: int) -> np.ndarray:  # [h, w, 3] uint8, longer side = size
-    """The plan at the agent's height, north (y) up."""
+    """Draw the plan at the agent's height, with the y axis up."""
     volume = reconstruction.volume
     image = plan_image(volume, reconstruction.pose[2, 3])
     scale = size / max(image.shape[:2])
-    # Rows of the picture run against y.
+    # Image rows run in the direction of -y.
     image = np.ascontiguousarray(image.transpose(1, 0, 2)[::-1])
     width, height = round(image.shape[1] * scale), round(image.shape[0] * scale)
     image = cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST)
@@ -79,7 +79,7 @@ def draw_plan(reconstruction: Reconstruction, size: int) -> np.ndarray:  # [h, w
 
 
 def _fit(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Scale into ``size`` (height, width) keeping the aspect, on a dark ground."""
+    """Scale an image to fit ``size`` (height, width) with its aspect ratio, centred on a dark background."""
     height, width = size
     scale = min(height / image.shape[0], width / image.shape[1])
     inner = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
@@ -91,6 +91,7 @@ def _fit(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _captioned(image: np.ndarray, text: str) -> np.ndarray:
+    """Return the image below a strip with the text."""
     strip = np.full((CAPTION, image.shape[1], 3), 24, np.uint8)
     cv2.putText(strip, text, (MARGIN, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (235, 235, 235), 1, cv2.LINE_AA)
     return np.concatenate([strip, image], axis=0)

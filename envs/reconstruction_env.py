@@ -1,4 +1,4 @@
-"""The environment: a thin shell over `activestructure_gym.reconstruction.Reconstruction`."""
+"""Define the Gymnasium environment, a thin wrapper of `activestructure_gym.reconstruction.Reconstruction`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RenderMode = Literal["human", "rgb_array"]
 
 
 class EnvOptions(TypedDict, total=False):
-    """The keywords that every task shares; see the manual of `ReconstructionEnv`."""
+    """Define the keywords common to all tasks; the docstring of `ReconstructionEnv` explains them."""
 
     preset: Preset
     frame_budget: int | None
@@ -50,71 +50,69 @@ class EnvOptions(TypedDict, total=False):
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
-    """## Description
-    An RGB-D camera explores an unknown indoor scene and reconstructs it online as a 3D Gaussian map. Each step the
-    agent picks one of K candidate views; it walks there along a collision-free path through space it knows to be
-    free, mapping every fifth frame on the way. The reward is newly seen surface.
+    """Reconstruct an unknown indoor scene online with an RGB-D camera.
+
+    ## Description
+    The map consists of 3D Gaussians. In each step the agent chooses one of K candidate views. It moves there along a
+    collision-free path through known free space and maps every fifth frame. The reward is newly seen surface.
 
     ## Action Space
     `Discrete(K)`: a row of the candidate table. `info["action_mask"]`, `observation["action_mask"]` and the method
-    `action_masks()` say which rows hold a candidate. A masked action raises nothing: the agent stays, one frame is
-    paid, and `info["invalid_action"]` is True.
+    `action_masks()` mark the rows that hold a candidate. A masked action raises no error: the agent stays, the step
+    costs one frame, and `info["invalid_action"]` is True.
 
     ## Observation Space
-    One flat `Dict` of arrays, listed in `activestructure_gym.envs.observation`: the last
-    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their features and mask, the Plane Scene Graph
-    (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
-    arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands
-    in the columns: `observation_space["candidate_features"].names`; `policy.bind(env)` reads them there.
+    One flat `Dict` of arrays, defined in `activestructure_gym.envs.observation`. It holds the last keyframe (`rgb`,
+    `depth`, `pose`), `budget`, the candidates with their features and mask, the Plane Scene Graph (`plane_features`,
+    `plane_mask`, `plane_edges`, `plane_tree`), and the planes that each candidate would see (`candidate_planes`). Graph
+    arrays are zero if no plane exists yet. No entry uses ground truth. `observation_space["candidate_features"].names`
+    are the names of the columns; `policy.bind(env)` reads them.
 
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
     `reward/path` = -0.01 x metres travelled, `reward/invalid` = -0.05 for a masked action. With
-    `reward={"noise_free": True}` a noisy sensor's surface is counted by the depth without its noise.
+    `reward={"noise_free": True}`, the observed surface is computed from depth without sensor noise.
 
     ## Starting State
     One of the scene's start poses, drawn from the seed (or `start_pose`); the first frame is mapped.
 
     ## Episode End
     1. Termination: the observed share of the surface reaches `coverage_target` (`info["is_success"]` is True).
-    2. Termination: no candidate is left, or a row was chosen that ends the episode (source `finish`).
-    3. Truncation: the frame budget is used up.
+    2. Termination: no candidate is left, or the chosen row ends the episode (source `finish`).
+    3. Truncation: the frame budget is spent.
 
     ## Arguments
     | parameter | type | default | meaning |
     |---|---|---|---|
-    | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
+    | `scene` | str, Scene, or a sequence of them | per task | scene; from a sequence, one is drawn per episode |
     | `preset` | str | `"default"` | `fast`, `default`, `full` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
     | `features` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
-    | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |
+    | `coverage_target` | float | 0.99 | observed share of the surface that ends the episode; None = no such end |
     | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
-    | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | where every episode starts |
-    | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a page to watch |
-    | `gains` | tuple of str | none | former name of `features`; it warns |
+    | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | start pose of every episode |
+    | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a live web page |
+    | `gains` | tuple of str | none | former name of `features`; deprecated |
 
     ## Reset options
     | option | meaning |
     |---|---|
-    | `scene` | the scene of this episode only |
-    | `start_pose` | the start of this episode only |
+    | `scene` | scene of this episode only |
+    | `start_pose` | start pose of this episode only |
 
     ## Info
     `action_mask`, `features` (names of the columns of `candidate_features`), `frames`, `metres`, `keyframes`,
-    `gaussians`, `planes`, `reached`, `invalid_action`, `is_success` and the reward's terms. No
-    wall-clock times, and no ground truth beyond what the reward itself tells.
+    `gaussians`, `planes`, `reached`, `invalid_action`, `is_success` and the terms of the reward. It contains no
+    wall-clock times, and no ground truth except in the reward and in `is_success`.
 
     ## Version History
     * v0: first version
+
     """
 
-    metadata: dict[str, Any] = {
-        "render_modes": list(get_args(RenderMode)),
-        "render_fps": 2,
-    }
-
+    metadata: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 2}
     observation_space: spaces.Dict
     action_space: spaces.Discrete
 
@@ -133,6 +131,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         render_mode: RenderMode | None = None,
         gains: Sequence[str] | None = None,
     ) -> None:
+        """Create the environment; the class docstring explains the arguments."""
         features = renamed("gains", gains, "features", features)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]
@@ -183,11 +182,12 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
         with self._access.claim("reset"):
-            return self._begun(seed, options)
+            return self._begin(seed, options)
 
-    def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def _begin(self, seed: int | None, options: dict[str, Any] | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode and return what `reset` returns."""
         super().reset(seed=seed)
-        self._ended = True  # where something is refused below, the episode before it must not go on in silence
+        self._ended = True  # if an error is raised below, `step` must not continue the previous episode
         options = dict(_fields("options", options))
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
@@ -199,8 +199,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if not len(self.reconstruction.candidates):
             sources = ", ".join(self.config.views.stages[0])
             warnings.warn(
-                f"no view is on offer at the start: of what '{sources}' proposed none can be reached through space "
-                "that is known to be free, so the episode ends with its first step",
+                f"no candidate view at the start: none of the views that '{sources}' proposed can be reached through "
+                "known free space, so the episode ends with its first step",
                 InputWarning,
                 stacklevel=3,
             )
@@ -213,7 +213,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return self._observe(), self._info(terms, reached=True, invalid=False)
 
     def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-        """The pose an episode may start at: the agent's motion keeps the camera level."""
+        """Convert to a start pose; raise `InputError` for a pose with roll, since motion keeps the camera level."""
         pose = as_pose(value)
         if not is_level(pose):
             raise InputError(
@@ -223,7 +223,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return pose
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Walk to row ``action`` of the candidate table."""
+        """Move to row ``action`` of the candidate table."""
         with self._access.claim("step"):
             if self._ended:
                 raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
@@ -235,51 +235,47 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             return self._outcome(self.reconstruction.move_to(int(action)), invalid=invalid)
 
     def is_row(self, action: Any) -> bool:
-        """Whether this is a row of the candidate table; Gymnasium's own space takes ``True`` for 1."""
+        """Return whether ``action`` is a row of the candidate table. Unlike Gymnasium's space, refuse ``True``."""
         return not isinstance(action, bool) and bool(self.action_space.contains(action))
 
     def _outcome(
-        self, visit: StepResult, *, invalid: bool
+        self, result: StepResult, *, invalid: bool
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """What `step` returns after ``move_to``."""
+        """Count the new keyframes and return what `step` returns."""
         episode, share_before = self.reconstruction, self._coverage.share
-        known = len(episode.keyframe_indices) - len(visit.keyframes)
-        for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
-            # The true pose: a frame carries the one the sensor reports.
+        known = len(episode.keyframe_indices) - len(result.keyframes)
+        for frame, index in zip(result.keyframes, episode.keyframe_indices[known:]):
+            # Coverage uses the true pose; a frame holds the pose that the sensor reports.
             self._count(frame, episode.trajectory[index])
             self._frame = frame
-        terms = reward_terms(
-            self.reward_config,
-            share_gained=self._coverage.share - share_before,
-            metres=visit.metres,
-            invalid=invalid,
-        )
+        gained = self._coverage.share - share_before
+        terms = reward_terms(self.reward_config, share_gained=gained, metres=result.metres, invalid=invalid)
         terminated = self._covered or episode.finished or not len(episode.candidates)
         truncated = episode.exhausted
         self._ended = terminated or truncated
         if self._view is not None:
             self._view.show()
             self._view.end() if self._ended else self._view.wait()
-        info = self._info(terms, reached=visit.reached, invalid=invalid)
+        info = self._info(terms, reached=result.reached, invalid=invalid)
         return self._observe(), float(sum(terms.values())), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray:  # [K] bool
-        """The mask as sb3-contrib's MaskablePPO asks for it."""
+        """Return the action mask in the form that sb3-contrib's MaskablePPO requires."""
         if self._frame is None:
             raise gym.error.ResetNeeded("there are no candidates before reset()")
         return np.arange(self.action_space.n) < len(self.reconstruction.candidates)
 
     @property
     def coverage(self) -> SurfaceCoverage:
-        """The observed surface as the reward counts it. Ground truth: for scores and labels, never for a policy."""
+        """Return the observed surface that the reward counts. It is ground truth: policies must not read it."""
         if self._frame is None:
             raise gym.error.ResetNeeded("nothing is counted before reset()")
         return self._coverage
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
-        """One image: the camera's view, the map from the same pose, and the plan with the path so far.
+        """Return one image: the camera image, the map rendered at its pose, and the plan with the path so far.
 
-        None with ``"human"``: every step is shown as it is made.
+        Returns None with ``render_mode="human"``, which displays every step on the live page.
         """
         self._access.check_open("render")
         if self.render_mode is None:
@@ -292,9 +288,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return draw_panel(self.reconstruction, self._frame)
 
     def close(self) -> None:
-        """Let go of the sensor and of the page; calling it twice does no harm.
+        """Release the sensor and the live page; further calls have no effect.
 
-        A closed environment refuses `reset`, `step` and `render`; what it has reconstructed can still be read.
+        A closed environment refuses `reset`, `step` and `render`. Its `reconstruction` can still be read.
         """
         self._access.closed = True
         if self._view is not None:
@@ -304,7 +300,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             self.reconstruction.sensor.close()
 
     def _show_start(self) -> None:
-        """Serve the page, once per environment, and show the episode that begins."""
+        """Serve the live page, once per environment, and show the start of the episode."""
         if self._view is None:
             from activestructure_gym.viewer import LiveView
 
@@ -315,6 +311,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._view.wait()
 
     def _count(self, frame: Frame, pose: np.ndarray) -> None:
+        """Count the surface that a keyframe at the true ``pose`` [4, 4] sees."""
         sensor = self.reconstruction.sensor
         depth = sensor.true_depth(pose) if self.reward_config.noise_free and sensor.has_depth_noise else frame.depth
         self._coverage.add(depth, frame.camera, pose)
@@ -324,9 +321,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return self.coverage_target is not None and self._coverage.share >= self.coverage_target
 
     def _draw_scene(self) -> GroundTruth:
+        """Draw the scene of an episode."""
         index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0
         if index not in self._loaded:
-            # One scene is kept: a long list of layouts must not fill the memory of every worker.
+            # Only one scene is kept in memory, because a list of scenes can be long.
             self._loaded = {index: as_truth(self._scenes[index])}
         return self._loaded[index]
 
@@ -352,7 +350,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
 
 def as_truth(scene: SceneSpec) -> GroundTruth:
-    """Return the truth of whatever names or is a scene; warn where little of a scene can be seen."""
+    """Return the ground truth of a scene or scene spec; warn if only little of its surface can be seen."""
     if isinstance(scene, GroundTruth):
         return scene
     truth = ground_truth_of(load_scene(scene))
@@ -361,7 +359,11 @@ def as_truth(scene: SceneSpec) -> GroundTruth:
 
 
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-    """A ``world_from_camera`` matrix like the given one, or of (x, y, z, yaw in degrees) looking level (0 = +x)."""
+    """Convert a start pose to a ``world_from_camera`` matrix.
+
+    ``value`` is a 4x4 matrix, or (x, y, z, yaw) with a horizontal view direction. Positions are in metres. The yaw is
+    in degrees, 0 for +x. Raises `InputError` for other values.
+    """
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -377,7 +379,10 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:  # [4, 4]
-    """The pose, with a true rotation where its own was written with few digits; what is farther off stays."""
+    """Re-orthonormalise a rotation that was rounded to few digits; return other matrices unchanged.
+
+    Raises `InputError` if the last row is not (0, 0, 0, 1).
+    """
     if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
         raise InputError(f"the last row of a start pose's 4x4 matrix is (0, 0, 0, 1), got {pose[3].tolist()}")
     rotation = pose[:3, :3]
@@ -386,7 +391,7 @@ def _rigid(pose: np.ndarray) -> np.ndarray:  # [4, 4]
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:
-    """A mapping with names as keys, {} for None; raises `InputError` for anything else."""
+    """Return a mapping with names as keys, {} for None; raise `InputError` for other values of the option ``what``."""
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):

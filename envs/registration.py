@@ -1,4 +1,7 @@
-"""The environment IDs. Entry points are strings, so registering loads nothing and specs survive JSON."""
+"""Define the environment IDs and register them.
+
+Entry points are strings. Registering therefore imports no environment, and a registered spec can be written as JSON.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ ENV_IDS = tuple(f"{NAMESPACE}/{task}" for task in TASKS)
 
 
 def register_envs() -> None:
-    """Make ``ActiveStructure/...`` known to Gymnasium; calling it again changes nothing."""
+    """Register the ``ActiveStructure/...`` IDs with Gymnasium; further calls have no effect."""
     for task, class_name in TASKS.items():
         env_id = f"{NAMESPACE}/{task}"
         if env_id not in gymnasium.registry:

@@ -1,4 +1,7 @@
-"""The reward: newly seen ground-truth surface, minus the way there. Ground truth stays in this module."""
+"""Compute the reward: newly seen ground-truth surface, minus the path length and minus invalid actions.
+
+No other module of the environment reads the ground-truth surface.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,22 @@ from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.camera import Lens
 
-MAX_WEIGHT = 1e9  # of a weight: sums of rewards stay far from the end of the numbers
+MAX_WEIGHT = 1e9  # limit of a weight's magnitude; sums of rewards stay far from overflow
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the reward's terms."""
+    """Define the weights of the reward's terms and the test of whether a surface sample is seen."""
 
-    coverage: float = 20.0  # per unit of observed surface share (GenNBV and GLEAM use 20 x delta C.R.)
-    path: float = 0.01  # per metre travelled
-    invalid: float = 0.05  # for choosing a masked action
-    tolerance_m: float = 0.05  # a sample is seen if the sensor's depth agrees this well; the C.R. threshold
-    tolerance_share: float = 0.01  # of the depth, on top: a pixel is wider far away
-    # Count by the depth there is and not by the measured one: else a noisy sensor pays for looking at the same surface
-    # until its depth happens to agree.
+    coverage: float = 20.0  # reward per unit of observed surface share (GenNBV and GLEAM use 20 x delta C.R.)
+    path: float = 0.01  # penalty per metre travelled
+    invalid: float = 0.05  # penalty for a masked action
+    # A sample is seen if its depth and the sensor's differ by less than this, in metres. 0.05 m is also the threshold
+    # of the completion ratio (C.R.).
+    tolerance_m: float = 0.05
+    tolerance_share: float = 0.01  # tolerance added per metre of depth, since a pixel covers more surface far away
+    # Use the true depth instead of the measured one. With measured depth, a noisy sensor is rewarded for viewing the
+    # same surface repeatedly until its depth agrees by chance.
     noise_free: bool = False
 
     def __post_init__(self) -> None:
@@ -41,25 +46,26 @@ class RewardConfig:
 
 
 class SurfaceCoverage:
-    """Which samples of the observable surface some keyframe has seen."""
+    """Record which samples of the observable surface a keyframe has seen."""
 
     def __init__(self, points: np.ndarray, config: RewardConfig) -> None:
+        """Start with no sample seen; ``points`` is [S, 3] in metres, world."""
         self._points = np.ascontiguousarray(points, dtype=np.float64)  # [S, 3] world
         self._config = config
         self.seen = np.zeros(len(points), dtype=bool)
 
     @property
     def points(self) -> np.ndarray:  # [S, 3] world
-        """The samples."""
+        """Return the samples in metres."""
         return self._points
 
     @property
     def share(self) -> float:
-        """Seen samples / all samples, 0..1."""
+        """Return the share of samples seen, in 0..1; 1 if there are no samples."""
         return float(self.seen.mean()) if len(self.seen) else 1.0
 
     def add(self, depth: np.ndarray, camera: PinholeCamera, world_from_camera: np.ndarray) -> None:
-        """Count what a depth image [H, W] taken at the true pose [4, 4] shows."""
+        """Mark the samples seen in a depth image [H, W] (metres) taken at the true pose [4, 4]."""
         _mark_seen(
             self.seen,
             self._points,
@@ -81,7 +87,7 @@ def _mark_seen(
     tolerance_m: float,
     tolerance_share: float,
 ) -> None:
-    """Mark the samples that a keyframe sees; compiled, since every keyframe tests all samples."""
+    """Mark the samples that a keyframe sees. Compiled, because every keyframe tests all samples."""
     height, width = depth.shape
     m, (fx, fy, cx, cy) = camera_from_world, lens
     for n in range(len(points)):
@@ -101,7 +107,10 @@ def _mark_seen(
 
 
 def reward_terms(config: RewardConfig, *, share_gained: float, metres: float, invalid: bool) -> dict[str, float]:
-    """The terms by name; their sum is the reward."""
+    """Return the terms of the reward by name; the reward is their sum.
+
+    ``share_gained`` is the newly observed share of the surface in 0..1, ``metres`` the distance travelled.
+    """
     return {
         "reward/coverage": config.coverage * share_gained,
         "reward/path": -config.path * metres,

@@ -1,4 +1,4 @@
-"""The registered tasks: the same environment with another default scene."""
+"""Define the registered tasks: one environment class for each kind of scene."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ E = TypeVar("E", bound=type[ReconstructionEnv])
 
 
 def task(sentence: str, **arguments: str) -> Callable[[E], E]:
-    """Decorator of a task: the environment's manual with the task's own ``sentence`` and arguments, and its signature.
+    """Return a class decorator that writes the docstring and the signature of a task.
 
-    ``arguments`` are rows of the manual's table: type, default and meaning. What ``**options`` stands for is written
-    out in the signature, as ``help`` and editors show it.
+    The docstring is that of `ReconstructionEnv` with ``sentence`` and with the task's own ``arguments`` added. Each
+    value of ``arguments`` is a table row ``type | default | meaning``. The signature lists all keywords in place of
+    ``**options``, so that ``help()`` and editors show them.
     """
 
     def make(kind: E) -> E:
@@ -37,20 +38,24 @@ def task(sentence: str, **arguments: str) -> Callable[[E], E]:
 
 @task(
     "**Room-v0**: one furnished procedural room; `scene_seed` picks the layout.",
-    scene_seed="int | 0 | which layout, from 0 on",
+    scene_seed="int | 0 | seed of the layout, at least 0",
 )
 class RoomEnv(ReconstructionEnv):
+    """Explore one furnished procedural room."""
+
     def __init__(self, *, scene: Scenes = "room", scene_seed: int | None = None, **options: Unpack[EnvOptions]) -> None:
         _check_names(RoomEnv, options, "scene", "scene_seed")
         super().__init__(_with_numbers(scene, scene_seed=scene_seed), **options)
 
 
 @task(
-    "**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7); `scene_seed` picks it.",
-    rooms="int | 3 | how many, 1 to 7",
-    scene_seed="int | 0 | which layout, from 0 on",
+    "**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7) rooms; `scene_seed` picks the layout.",
+    rooms="int | 3 | number of rooms, 1 to 7",
+    scene_seed="int | 0 | seed of the layout, at least 0",
 )
 class ApartmentEnv(ReconstructionEnv):
+    """Explore a furnished procedural apartment."""
+
     def __init__(
         self,
         *,
@@ -65,6 +70,8 @@ class ApartmentEnv(ReconstructionEnv):
 
 @task('**Mesh-v0**: any mesh file, `scene="file.glb"` or `scene="file.obj?units=mm&up=y"`.')
 class MeshEnv(ReconstructionEnv):
+    """Explore a mesh file."""
+
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
         _check_names(MeshEnv, options, "scene")
         super().__init__(_with_loader(scene, "mesh", "Mesh-v0", "file.glb"), **options)
@@ -72,6 +79,8 @@ class MeshEnv(ReconstructionEnv):
 
 @task('**Replica-v0**: a scene of the Replica dataset, `scene="replica_v1/room_0"`.')
 class ReplicaEnv(ReconstructionEnv):
+    """Explore a scene of the Replica dataset."""
+
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
         _check_names(ReplicaEnv, options, "scene")
         super().__init__(_with_loader(scene, "replica", "Replica-v0", "replica_v1/room_0"), **options)
@@ -79,13 +88,15 @@ class ReplicaEnv(ReconstructionEnv):
 
 @task('**Matterport3D-v0**: a scene of Matterport3D, `scene="mp3d/GdvgFV5R1Z5"`.')
 class Matterport3DEnv(ReconstructionEnv):
+    """Explore a scene of the Matterport3D dataset."""
+
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
         _check_names(Matterport3DEnv, options, "scene")
         super().__init__(_with_loader(scene, "matterport3d", "Matterport3D-v0", "mp3d/GdvgFV5R1Z5"), **options)
 
 
 def _check_names(kind: type, options: Mapping[str, Any], *own: str) -> None:
-    """Raise `UnknownKeyword` for a keyword that no environment has."""
+    """Raise `UnknownKeyword` for a keyword that is neither in `EnvOptions` nor in ``own``."""
     known = EnvOptions.__annotations__.keys() | set(own)
     for name in options:
         if name not in known:
@@ -93,7 +104,7 @@ def _check_names(kind: type, options: Mapping[str, Any], *own: str) -> None:
 
 
 def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:
-    """Prefix paths with the loader that reads them; Scene objects and prefixed specs pass."""
+    """Prefix scene paths with the name of their loader; leave `Scene` objects and prefixed specs unchanged."""
     if scene is None:
         raise InputError(
             f"{task} needs a scene, for example "
@@ -107,7 +118,10 @@ def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:
 
 
 def _with_numbers(scene: Any, **numbers: int | None) -> Any:
-    """The scene with the options that were given: ``scene_seed`` is its ``seed``. Refuses what the scene cannot use."""
+    """Return the scene with the options that are not None; ``scene_seed`` becomes its option ``seed``.
+
+    Raises `InputError` for a number that is invalid or that the scene has no option for.
+    """
     given = {name: number for name, number in numbers.items() if number is not None}
     for name, number in given.items():
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**63:
@@ -117,6 +131,7 @@ def _with_numbers(scene: Any, **numbers: int | None) -> Any:
 
 
 def _with_options(scene: Any, options: dict[str, int]) -> Any:
+    """Add the options to a scene spec, or to each spec of a list."""
     if isinstance(scene, list | tuple):
         return [_with_options(one, options) for one in scene]
     return with_options(scene, options)

@@ -1,10 +1,10 @@
-"""Policies: each chooses the next view, as a pure function of the observation and its own state.
+"""Provide policies. A policy chooses the next view from the observation and its own state.
 
-A planner is a folder: `policy.py`, the features and the candidate sources that it alone uses in `features.py` and
-`sources.py`, and whatever else these need. `POLICIES`, `FEATURES` and `SOURCES` find them there, so nothing else names
-it. Its class is imported from its folder, ``from activestructure_gym.policies.naruto import Naruto``.
+Each planner is a folder. `policy.py` holds the policy; `features.py` and `sources.py` hold the features and candidate
+sources that only this planner uses. `POLICIES`, `FEATURES` and `SOURCES` find them there, so that no list names them.
+Import a planner's class from its folder: ``from activestructure_gym.policies.naruto import Naruto``.
 
-`policy.py`, and what it imports, never reads the map; `features.py` and `sources.py` do.
+`policy.py` and its imports never read the map; `features.py` and `sources.py` may.
 """
 
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount

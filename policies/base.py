@@ -1,4 +1,4 @@
-"""The interface of policies: required features, a seed at the start of an episode, and the choice of a row."""
+"""Define the interface of policies, their registry, and functions shared by several policies."""
 
 from __future__ import annotations
 
@@ -17,27 +17,25 @@ from activestructure_gym.specs import Spec, typed_options
 
 
 class Policy(ABC):
-    """Chooses one row of the candidate table per step.
+    """Choose one row of the candidate table per step.
 
-    A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
-    and pickles. The features of the candidates are the columns of ``observation["candidate_features"]``. Only the env
-    knows their order: `bind` tells the policy, and `candidates` reads them by name. Without `bind`, `candidates`
-    refuses. `make_env_and_policy` makes both at once and binds them.
+    A policy reads only the observation, never the map, the scene or the env. It therefore runs unchanged in any vector
+    env, and can be pickled. The columns of ``observation["candidate_features"]`` are the features of the candidates,
+    in an order that the env defines. `bind` stores their names, and `candidates` reads them by name; without `bind`,
+    reading a feature raises `InputError`. `make_env_and_policy` creates an env and a policy and binds the policy.
 
-    Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
-    with an `InputError`.
+    The parameters of a subclass's constructor are its options, ``name?key=value`` in a command. The constructor checks
+    them and raises `InputError`.
     """
 
-    criterion: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
-    travel_term: ClassVar[str] = "none"  # how the path to a view counts in the original, for lists
-    source: ClassVar[str] = ""  # the paper, for lists
-    native_settings: ClassVar[NativeSettings] = (
-        NativeSettings()
-    )  # what it brings where planners are compared on their own terms
-    # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
+    criterion: ClassVar[str] = ""  # one line for lists: how views are scored; default: first line of the docstring
+    travel_term: ClassVar[str] = "none"  # one line for lists: how the original paper includes the path to a view
+    source: ClassVar[str] = ""  # one line for lists: the paper
+    native_settings: ClassVar[NativeSettings] = NativeSettings()  # configuration in the native setup
+    # Features that the env evaluates for every candidate. An instance may override them, if they depend on its options.
     required_features: tuple[str, ...] = ()
-    _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known
-    _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # columns of the candidate table
+    _columns: tuple[str, ...] | None = None  # names of the feature columns; None before `bind`
+    _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # names of the columns of the candidate table
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -45,12 +43,14 @@ class Policy(ABC):
         cls.required_features = renamed("required_gains", old, "required_features", cls.required_features)
 
     def __init__(self) -> None:
+        """Create the random generator ``rng``; `reset` seeds it."""
         self.rng = np.random.default_rng(0)
 
     def bind(self, source: Any) -> None:
-        """Learn what stands in which column: from an env, a vector env, an observation space or the columns' names.
+        """Store the names of the observation's columns.
 
-        Raises `InputError` if a required feature is missing. A policy without any needs no binding.
+        ``source`` is an env, a vector env, an observation space, or the names of the feature columns. A policy without
+        required features needs no binding. Raises `InputError` if a required feature is missing.
         """
         names, needed = feature_names(source), features_of(self)
         if missing := [name for name in needed if not _offered(name, names)]:
@@ -61,24 +61,24 @@ class Policy(ABC):
         self._columns, self._rows = names, row_names(source)
 
     def reset(self, seed: int) -> None:
-        """Begin an episode; every random choice of the policy comes from this seed."""
+        """Begin an episode; ``seed`` determines all random choices of the policy."""
         self.rng = np.random.default_rng(seed)
 
     @abstractmethod
     def act(self, observation: Observation) -> int:
-        """The row to go to; must be one where ``observation["action_mask"]`` is 1."""
+        """Return the row to move to; ``observation["action_mask"]`` must be 1 there."""
 
     def trace(self) -> dict[str, Any]:
-        """Numbers behind the last choice, for the run's log; JSON-able."""
+        """Return numbers that explain the last choice, for the run's log; they must be JSON serialisable."""
         return {}
 
     def candidates(self, observation: Observation) -> Candidates:
-        """The candidates by name, and their features where the policy is bound to the env that made the observation."""
+        """Return the candidates of an observation, with their features by name if the policy is bound."""
         return Candidates(observation, self._columns, type(self).__name__, self._rows)
 
 
 def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
-    """The features that a policy or its class asks an env for; raises `InputError` unless it is a tuple of names."""
+    """Return the required features of a policy or its class; raise `InputError` unless they are a tuple of names."""
     features = policy.required_features
     if not isinstance(features, tuple | list) or not all(isinstance(name, str) for name in features):
         name = (policy if isinstance(policy, type) else type(policy)).__name__
@@ -87,17 +87,17 @@ def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
 
 
 def _offered(name: str, columns: tuple[str, ...]) -> bool:
-    """Whether a feature, or a single column, is among these."""
+    """Return whether ``columns`` contains the named column, or all columns of the named feature."""
     if name in columns:
         return True
     try:
         return set(feature_columns(name)) <= set(columns)
-    except InputError:  # a name that nobody knows here
+    except InputError:  # an unknown feature
         return False
 
 
 def is_policy(kind: Any) -> TypeGuard[type[Policy]]:
-    """Whether it is a class of policies that can be made."""
+    """Return whether ``kind`` is a concrete subclass of `Policy`."""
     return isinstance(kind, type) and issubclass(kind, Policy) and not inspect.isabstract(kind)
 
 
@@ -111,22 +111,23 @@ POLICIES: Registry[type[Policy]] = Registry(
 
 
 def make_policy(spec: str) -> Policy:
-    """The policy that ``spec`` names: ``pixel_only``, ``active_gs?travel=shared``, ``my_policy:Mine?depth=3``.
+    """Create the policy that ``spec`` names.
 
     Parameters
     ----------
     spec
-        A registered name, ``learned:CHECKPOINT`` or ``package.module:Class``, with options behind a question mark.
+        A registered name, ``learned:CHECKPOINT`` or ``package.module:Class``, with options after a question mark:
+        ``pixel_only``, ``active_gs?travel=shared``, ``my_policy:Mine?depth=3``.
 
     Returns
     -------
     Policy
-        Not bound to any env yet.
+        A policy that is not bound to an env yet; see `Policy.bind`.
 
     Raises
     ------
     InputError
-        Unknown name or option, a value of the wrong kind, or one that the policy refuses.
+        An unknown name or option, or an invalid value of an option.
 
     Examples
     --------
@@ -141,10 +142,9 @@ def make_policy(spec: str) -> Policy:
 
 
 def canonical_policy(spec: str) -> str:
-    """The one text for a policy: options sorted by name, without those that say what is usual.
+    """Return the canonical spec of a policy: options sorted by name, default values left out.
 
-    A class that is made from its name says in ``spec`` what it is called from anywhere: a checkpoint by its absolute
-    path and its content.
+    The canonical spec of a checkpoint contains its absolute path and a hash of its content.
 
     Parameters
     ----------
@@ -154,12 +154,12 @@ def canonical_policy(spec: str) -> str:
     Returns
     -------
     str
-        Equal for equal policies.
+        The canonical spec; equal policies have equal ones.
 
     Raises
     ------
     InputError
-        Unknown name or option.
+        An unknown name or option.
 
     Examples
     --------
@@ -167,11 +167,13 @@ def canonical_policy(spec: str) -> str:
     ('active_gs', 'active_gs?travel=shared')
     """
     kind, options = _class_and_options(spec)
-    usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
+    defaults = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
     parsed = Spec.of(spec)
-    name = vars(kind).get("spec", parsed.name)  # its own, and not that of a class it is derived from
+    name = vars(kind).get("spec", parsed.name)  # only the class's own attribute, not an inherited one
     texts = parsed.options(f"policy '{spec}'")
-    kept = [f"{key}={texts[key]}" for key in sorted(texts) if options[key] != usual.get(key, inspect.Parameter.empty)]
+    kept = [
+        f"{key}={texts[key]}" for key in sorted(texts) if options[key] != defaults.get(key, inspect.Parameter.empty)
+    ]
     return str(Spec(name, "&".join(kept)))
 
 
@@ -182,48 +184,51 @@ def _class_and_options(spec: str) -> tuple[type[Policy], dict[str, Any]]:
 
 
 def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.ndarray:  # [K] in (0, 1]
-    """g(T_c, T_cur) of Eq. 15 as 1 / (1 + frames / 5), shared by all policies: gain per frame paid.
+    """Return the shared travel term g(T_c, T_cur) of Eq. 15 as 1 / (1 + frames / 5).
 
-    The paper leaves g open. Frames count turns as well as steps, so turning on the spot is not free; 5 is the keyframe
-    interval. Measured against exp(-metres / 4).
+    The paper does not define g. The number of frames includes turns, so turning on the spot is not free; 5 frames is
+    the keyframe interval. This form was compared with exp(-metres / 4).
 
     Parameters
     ----------
     observation
-        Of which the column ``frames`` of the candidates [K, 9] is read.
+        Its column ``frames`` of the candidates [K, 9 or more] is read.
     scale_frames
-        Frames after which a gain counts half.
+        Number of frames at which the factor is 0.5.
 
     Returns
     -------
     [K] in (0, 1]
-        The factor on every candidate's gain.
+        Factor on the gain of every candidate, without unit.
     """
     return 1.0 / (1.0 + Candidates(observation).frames / scale_frames)
 
 
 def best_valid(scores: np.ndarray, observation: Observation) -> int:
-    """The row with the highest score among the valid ones; the first of equals. A NaN there raises `ValueError`."""
+    """Return the valid row with the highest score; the first of equal ones.
+
+    Raises `ValueError` if no row is valid, or if the score of a valid row is NaN.
+    """
     valid = Candidates(observation).valid
     if not valid.any():
         raise ValueError("no candidate is valid: the episode has ended, call reset()")
-    counted = np.where(valid, scores, -np.inf)
-    if np.isnan(counted).any():  # argmax would take it for the best
-        raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(counted).argmax()}")
-    return int(np.argmax(counted))
+    masked = np.where(valid, scores, -np.inf)
+    if np.isnan(masked).any():  # np.argmax treats NaN as the maximum
+        raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(masked).argmax()}")
+    return int(np.argmax(masked))
 
 
 def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: float = 0.0) -> int:
-    """`best_valid`, but of equals, to a relative ``tolerance``, the one with the fewest frames."""
+    """Return the valid row with the highest score; of those equal to a relative ``tolerance``, the fewest frames."""
     best = scores[best_valid(scores, observation)]
     return best_valid(np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0), observation)
 
 
 def without_revisits(observation: Observation) -> Observation:
-    """The observation with the revisits masked, as long as anything else is valid.
+    """Mask the revisits of keyframes in an observation, unless only revisits are valid.
 
-    For planners that know no way back to a keyframe. Up to four rows of every table are the worst rendered ones, often
-    where the agent stands, so that a way of length 0 would count for them.
+    Used by planners whose papers have no revisits. Revisits are up to four keyframes, those rendered worst. They are
+    often at the agent's position, where their path length of 0 would favour them.
     """
     candidates = Candidates(observation)
     new = candidates.valid & ~candidates.revisit
@@ -231,15 +236,15 @@ def without_revisits(observation: Observation) -> Observation:
 
 
 def nearest_new(observation: Observation) -> int:
-    """The fallback of planners without anything to decide by: the valid view with the fewest frames, revisits last.
+    """Return the valid view with the fewest frames, revisits and the current pose last.
 
-    A revisit of the present pose costs a single frame, so among the others it would always be the nearest; and so would
-    be the present pose itself, where a source offers it.
+    It is the fallback of planners if no view has a score. A revisit of the current pose costs a single frame and would
+    otherwise always be the nearest view.
     """
     candidates = Candidates(observation)
     return best_valid(travel_discount(observation) - (candidates.revisit | at_current_pose(candidates)), observation)
 
 
 def at_current_pose(candidates: Candidates) -> np.ndarray:  # [K] bool
-    """Which views are the one it has: a single frame and no way. A planner that takes one stands still."""
+    """Return which candidates are the agent's current view: a path of length 0 that costs a single frame."""
     return (candidates.path_length < 1e-3) & (candidates.frames == 1)

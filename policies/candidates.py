@@ -1,4 +1,4 @@
-"""`Candidates`: the candidate views of one observation with their features by name."""
+"""Define `Candidates`: the candidate views of one observation with their features by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "loo
 
 
 def check_observation(observation: Any, reader: str = "a policy") -> None:
-    """Raise `InputError` for the tuple that ``env.reset`` or ``env.step`` returns; its first part is an observation."""
+    """Raise `InputError` if ``observation`` is the whole tuple that ``env.reset`` or ``env.step`` returns."""
     if isinstance(observation, tuple):
         raise InputError(
             f"{reader} chooses from an observation, got a tuple of {len(observation)} things, as reset() and step() "
@@ -26,24 +26,24 @@ def check_observation(observation: Any, reader: str = "a policy") -> None:
 
 
 class Candidates:
-    """The K candidate views of an observation. Arrays are those of the observation: change none of them.
+    """Read the K candidate views of an observation by name. The arrays are views of it: do not change them.
 
     Parameters
     ----------
     observation : mapping of str to array
-        Of one env, as `ReconstructionEnv` returns it.
+        Observation of one env, as `ReconstructionEnv` returns it.
     columns : sequence of str, optional
         Full names of the columns of ``candidate_features``, in order: ``env.config.features`` or
-        ``info["features"]``. Without them no features can be read.
+        ``info["features"]``. Without them no feature can be read.
     reader : str
-        Who reads, for the errors.
+        Name of the reading class or function in error messages.
     rows : sequence of str
         Names of the columns of ``candidates``: ``env.observation_space["candidates"].names``.
 
     Raises
     ------
     InputError
-        A tuple, which ``env.reset`` and ``env.step`` return.
+        The observation is a tuple, such as ``env.reset`` and ``env.step`` return.
 
     Examples
     --------
@@ -61,6 +61,7 @@ class Candidates:
         reader: str = "this policy",
         rows: Sequence[str] = CANDIDATE_COLUMNS,
     ) -> None:
+        """Keep a reference to the observation; the class docstring explains the parameters."""
         check_observation(observation, reader)
         self._observation, self._columns, self._reader, self._rows = observation, columns, reader, rows
 
@@ -69,40 +70,40 @@ class Candidates:
 
     @property
     def xyz(self) -> np.ndarray:  # [K, 3]
-        """Camera positions, metres in the world."""
+        """Return camera positions in metres, world."""
         return self._table[:, _XYZ]
 
     @property
     def view_direction(self) -> np.ndarray:  # [K, 3]
-        """Viewing directions: unit vectors in the world; 0 in rows without a candidate."""
+        """Return view directions as unit vectors, world; 0 in rows without a candidate."""
         return self._table[:, _LOOK]
 
     @property
     def path_length(self) -> np.ndarray:  # [K]
-        """Metres of the shortest way through space that is known to be free."""
+        """Return the length in metres of the shortest path through known free space."""
         return self._table[:, _LENGTH]
 
     @property
     def frames(self) -> np.ndarray:  # [K]
-        """Frames that the move costs by the path on the grid; the one that is walked may be some percent shorter."""
+        """Return the number of frames of the motion along the grid path; the real path can be some percent shorter."""
         return self._table[:, _FRAMES]
 
     @property
     def revisit(self) -> np.ndarray:  # [K] bool
-        """Which ones are the pose of a stored keyframe."""
+        """Return which candidates are the pose of a stored keyframe."""
         return self._table[:, _REVISIT] > 0
 
     @property
     def valid(self) -> np.ndarray:  # [K] bool, a new array
-        """Which rows hold a candidate."""
+        """Return which rows hold a candidate."""
         return self._observation["action_mask"].astype(bool)
 
     def offers(self, source: str) -> bool:
-        """Whether the environment has this candidate source, at any stage: ``"stay"``, ``"lattice?spacing_m=1"``."""
+        """Return whether the env has this candidate source in any stage, such as ``"lattice?spacing_m=1"``."""
         return f"from_{source}" in self._rows or (source == "pool" and tuple(self._rows) == CANDIDATE_COLUMNS)
 
     def source(self, name: str) -> np.ndarray:  # [K] bool
-        """Which rows come from this candidate source. Raises `InputError` if the environment does not have it."""
+        """Return which rows come from a candidate source; raise `InputError` if the env does not have it."""
         if not self.offers(name):
             known = [column.removeprefix("from_") for column in self._rows if column.startswith("from_")] or ["pool"]
             raise InputError(
@@ -112,63 +113,68 @@ class Candidates:
         return self._row(f"from_{name}") > 0 if f"from_{name}" in self._rows else self.valid
 
     def stage_switch(self, stage: int) -> int | None:
-        """The row that asks for another stage; None where that stage is on or was on since a frame was paid."""
+        """Return the row that switches to a stage, counted from 0.
+
+        None if the stage is active, or if it was active since the last step that cost a frame.
+        """
         column = f"ask_{stage}"
         rows = np.nonzero(self._row(column) > 0)[0] if column in self._rows else np.zeros(0, int)
         return int(rows[0]) if len(rows) else None
 
     @property
     def stay(self) -> np.ndarray:  # [K]
-        """Rounds of optimisation in place instead of a way; 0 for a way."""
+        """Return the rounds of optimisation in place; 0 for a motion."""
         return self._row("stay") if "stay" in self._rows else np.zeros(len(self), np.float32)
 
     @property
     def fixation_point(self) -> np.ndarray:  # [K, 3]
-        """Metres: the point that the camera keeps in its axis on the way; NaN where there is none."""
+        """Return the point in metres, world, at which the camera points along the path; NaN for none."""
         if "fixates" not in self._rows:
             return np.full((len(self), 3), np.nan, np.float32)
         points = np.stack([self._row(f"at_{axis}") for axis in "xyz"], axis=-1)
         return np.where(self._row("fixates")[:, None] > 0, points, np.float32(np.nan))
 
     def _row(self, column: str) -> np.ndarray:  # [K]
+        """Return the named column of the candidate table."""
         return self._table[:, list(self._rows).index(column)]
 
     def __getitem__(self, column: str) -> np.ndarray:  # [K]
-        """The column of this full name, such as ``"hole_area"`` or ``"gs_planner_volume"``.
+        """Return the feature column of this full name, such as ``"hole_area"`` or ``"gs_planner_volume"``.
 
-        Raises `InputError` where the names of the columns are not known, or this one is not among them.
+        Raises `InputError` if the names of the columns are not known, or if the name is not among them.
         """
         return self._columns_of(column, (column,))[:, 0]
 
     def feature(self, name: str) -> np.ndarray:  # [K, C]
-        """All columns of a feature, in its order. Raises `InputError` as `__getitem__` does, or if it is unknown."""
+        """Return all columns of a feature; raise `InputError` if it is unknown or not in the observation."""
         return self._columns_of(name, None)
 
     @property
     def _table(self) -> np.ndarray:  # [K, 9 and more]
         return self._observation["candidates"]
 
-    def _columns_of(self, asked: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]
-        """The columns ``names``, or without them those of the feature ``asked``."""
-        known, table, who = self._columns, self._observation["candidate_features"], self._reader
+    def _columns_of(self, feature: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]
+        """Return the columns ``names``; if None, all columns of the feature."""
+        known, table, reader = self._columns, self._observation["candidate_features"], self._reader
         if known is None:
             raise InputError(
-                f"{who} does not know which column of the observation is the feature '{asked}': call policy.bind(env) "
+                f"{reader} is not bound, so the column of the feature '{feature}' is unknown: call policy.bind(env) "
                 "before act(), or make both with env, policy = make_env_and_policy(...)"
             )
         if table.shape[1:] != (len(known),):
             raise InputError(
-                f"{who} is bound to an env with the features {listed(known)}, but this observation's "
+                f"{reader} is bound to an env with the features {listed(known)}, but this observation's "
                 f"candidate_features has the shape {table.shape}: call policy.bind(env) with the env that made it"
             )
-        names = feature_columns(asked) if names is None else names
+        names = feature_columns(feature) if names is None else names
         if not set(names) <= set(known):
             raise InputError(
-                f"{who} reads the feature '{asked}', and the env offers {listed(known)}: name it in required_features"
+                f"{reader} reads the feature '{feature}', and the env offers {listed(known)}: name it in "
+                "required_features"
             )
         return table[:, [known.index(name) for name in names]]
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names joined for a sentence."""
+    """Join names for a sentence; "none" if there are none."""
     return ", ".join(names) or "none"

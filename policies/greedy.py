@@ -1,4 +1,4 @@
-"""Base classes of planners that score views one by one: a gain and an exchangeable travel term."""
+"""Define base classes of planners that score each view by a gain and an exchangeable travel term."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ Travel = Literal["native", "shared"]
 
 
 class Planner(Policy):
-    """A planner with its own travel term, which can be run with everybody's instead.
+    """Score views by a gain with the planner's own travel term or with the shared one.
 
     Parameters
     ----------
     travel
-        ``"native"`` scores a view as the planner's paper does, by `native`; ``"shared"`` by its gain times
-        `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
+        ``"native"`` scores a view as the planner's paper does (`native_scores`). ``"shared"`` scores it by its gain
+        times `travel_discount`, so that planners differ only in the gain.
     """
 
-    min_gain: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
+    min_gain: ClassVar[float] = 0.0  # lower bound of a gain, in the gain's unit
 
     def __init__(self, travel: Travel = "native") -> None:
+        """Store the travel term; raise `InputError` if it is neither "native" nor "shared"."""
         super().__init__()
         if travel not in get_args(Travel):
             raise InputError(f"option travel must be {' or '.join(get_args(Travel))}, got '{travel}'")
@@ -32,19 +33,19 @@ class Planner(Policy):
         self._trace: dict[str, Any] = {}
 
     def native_travel(self, observation: Observation) -> np.ndarray:  # [K]
-        """The planner's own factor on the gain; 1 for a planner without a travel term."""
+        """Return the planner's own factor on the gain; 1 for a planner without a travel term."""
         return np.ones(len(observation["action_mask"]))
 
     def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] -> [K]
-        """The planner's own score; to be replaced where its travel term is no factor."""
+        """Return the planner's own scores. Override this if the travel term is not a factor on the gain."""
         return gain * self.native_travel(observation)
 
     def travel_factor(self, observation: Observation) -> np.ndarray:  # [K]
-        """The factor in use."""
+        """Return the factor on the gain that `travel` selects."""
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
-        """Scores of the views: gain and travel term, or the travel term alone where no valid view has a gain."""
+        """Return scores from gain and travel term; from the travel term alone if no valid view has a gain above 0."""
         gain = np.maximum(gain, self.min_gain)
         if not gain[observation["action_mask"].astype(bool)].any():
             gain = np.ones_like(gain)
@@ -53,15 +54,15 @@ class Planner(Policy):
         return self.native_scores(gain, observation)
 
     def trace(self) -> dict[str, Any]:
-        """Numbers that a planner noted about the chosen view."""
+        """Return the numbers recorded for the chosen view."""
         return self._trace
 
 
 class Greedy(Planner):
-    """T* = argmax of the score of one gain, the first of the required ones, which must not be negative."""
+    """Choose T* = argmax of the score; the gain is the first required feature, which must not be negative."""
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; the first of equals."""
+        """Return the valid row with the highest score; the first of equal ones."""
         name = self.required_features[0]
         gain = self.candidates(observation)[name]
         choice = best_valid(self.scores(gain, observation), observation)
@@ -70,13 +71,14 @@ class Greedy(Planner):
 
 
 class SharedGreedy(Greedy):
-    """Greedy whose own travel term is the shared one: T* = argmax softmax(log IG) g = argmax IG g (Eq. 15).
+    """Choose T* = argmax softmax(log IG) g (Eq. 15), with the shared travel term g (`travel_discount`).
 
-    softmax(log IG) is IG / sum IG, and the sum is the same for every candidate.
+    This equals argmax IG g: softmax(log IG) is IG / sum IG, and the sum is the same for every candidate.
     """
 
     travel_term = "the shared one"
-    min_gain = 1e-6  # of gains that are shares of an image: below the share of any pixel
+    min_gain = 1e-6  # share of the image; below the share of one pixel
 
     def __init__(self) -> None:
+        """Select the shared travel term."""
         super().__init__("shared")

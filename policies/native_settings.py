@@ -1,4 +1,4 @@
-"""What a planner brings besides its rule when it is compared on its own terms: views, keyframes, mapper, clearance."""
+"""Define the configuration that a planner uses in the native setup: candidate views, keyframes, mapper, clearance."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.specs import Spec
 
 Setup = Literal["shared", "native"]
-# Preset of the native setup unless a planner names another: the paper's budget, at a size that a CPU maps in minutes.
+# Default preset of the native setup: the paper's frame budget, at an image size that a CPU maps in minutes.
 NATIVE_PRESET: Literal["full"] = "full"
 
 
 @dataclass(frozen=True)
 class NativeSettings:
-    """A planner's own candidate sources and schedule, as changes of the configuration. None leaves what is usual."""
+    """Define a planner's own candidate sources, mapper and schedule. A field that is None keeps the default."""
 
-    mapper: str | None = None  # a recipe of `MAPPERS`, such as ``splatam``
-    stages: tuple[tuple[str, ...], ...] | None = None  # candidate sources, see ``views.stages``
-    candidates: int | None = None  # rows of the table
-    keyframe_every: int | None = None  # frames
-    goal_keyframes: bool = False  # a frame is mapped at the end of a way alone
-    iterations: int | None = None  # of the mapper per keyframe
-    clearance_m: float | None = None  # of a view to all that is not known to be free
-    changes: Mapping[str, Any] = field(default_factory=dict)  # further fields of the configuration
-    budget: str = ""  # what its paper spends, for people: frames, image size, iterations
+    mapper: str | None = None  # name in `MAPPERS`, such as ``splatam``
+    stages: tuple[tuple[str, ...], ...] | None = None  # candidate sources by stage, see ``views.stages``
+    candidates: int | None = None  # rows of the candidate table
+    keyframe_every: int | None = None  # frames between keyframes
+    goal_keyframes: bool = False  # map only the frame at the end of each path
+    iterations: int | None = None  # mapper iterations per keyframe
+    clearance_m: float | None = None  # minimum distance in metres of a view to space not known to be free
+    changes: Mapping[str, Any] = field(default_factory=dict)  # other fields of the configuration, by name
+    budget: str = ""  # budget of the paper, as text: frames, image size, iterations
 
     def __post_init__(self) -> None:
         if not self.goal_keyframes:
@@ -40,7 +40,7 @@ class NativeSettings:
             )
 
     def describe(self) -> str:
-        """What it brings, in words, and what its paper spends where that is noted."""
+        """Describe the settings in words, with the paper's budget if it is given."""
         frames = "at the end of a way" if self.goal_keyframes else f"every {self.keyframe_every} frames"
         given = {
             "views of " + " or ".join(" + ".join(stage) for stage in self.stages or ()): self.stages,
@@ -51,12 +51,12 @@ class NativeSettings:
             f"a keyframe {frames}": True if self.goal_keyframes else self.keyframe_every,
             ", ".join(f"{name} = {value}" for name, value in self.changes.items()): self.changes or None,
         }
-        brought = ", ".join(text for text, value in given.items() if value is not None) or "nothing"
-        return f"{brought}; its paper spends {self.budget}" if self.budget else brought
+        settings = ", ".join(text for text, value in given.items() if value is not None) or "nothing"
+        return f"{settings}; its paper spends {self.budget}" if self.budget else settings
 
     def overrides(self) -> dict[str, Any]:
-        """The changes of the configuration, by field."""
-        every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a way always is a keyframe
+        """Return the changes of the configuration by field name."""
+        every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a path is always a keyframe
         given = {
             "mapper.name": self.mapper,
             "views.stages": self.stages,
@@ -69,23 +69,23 @@ class NativeSettings:
 
 
 def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
-    """What ``policy``, a class or an object, brings in this setup: nothing in the shared one.
+    """Return the settings of a policy or its class in this setup; in the shared setup they are empty.
 
-    Raises `InputError` for an unknown setup, and for a declaration that is no `NativeSettings`.
+    Raises `InputError` for an unknown setup, or if ``native_settings`` of the policy is no `NativeSettings`.
     """
     if setup not in get_args(Setup):
         raise unknown_name("setup", str(setup), get_args(Setup))
-    brought = getattr(policy, "native_settings", NativeSettings())
-    if not isinstance(brought, NativeSettings):
+    settings = getattr(policy, "native_settings", NativeSettings())
+    if not isinstance(settings, NativeSettings):
         name = getattr(policy, "__name__", type(policy).__name__)
-        raise InputError(f"what {name} brings must be a NativeSettings, got {type(brought).__name__}")
-    return brought if setup == "native" else NativeSettings()
+        raise InputError(f"native_settings of {name} must be a NativeSettings, got {type(settings).__name__}")
+    return settings if setup == "native" else NativeSettings()
 
 
-# All active systems that the paper compares, and its own, map by SplaTAM's recipe with 15 iterations (Sec. 4.1).
+# The ActiveStructure paper runs its own system and all others with SplaTAM's mapper and 15 iterations (Sec. 4.1).
 SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
 
-# Selectors of views, which pick one after the other out of a given set: nothing is mapped on the way, and a map is
-# optimised for 100 iterations per view before the next one is picked (`interval_epochs`, [fisherrf, code]; there 100
-# for each view there is, in all 19,000 for 20 views). The set has no counterpart in a room; the shared pool is it.
+# Settings of planners that select views one by one from a given data set. No frame is mapped along the path, and each
+# view gets 100 iterations before the next selection (`interval_epochs`, [fisherrf, code]). The original code runs 100
+# iterations for each view selected so far, 19,000 in all for 20 views. The shared pool replaces the data set.
 SELECTED_VIEWS = NativeSettings(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")

@@ -1,4 +1,4 @@
-"""An env and a policy that fit each other, made in one call."""
+"""Create an env together with a policy that is bound to it."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ def make_env_and_policy(
     gains: Sequence[str] | None = None,
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """``gymnasium.make`` with the features that the policy asks for, and the policy bound to that env.
+    """Create an env with the features that a policy requires, and bind the policy to it.
 
     Parameters
     ----------
     policy
-        Its name with options (``"hole_area"``, ``"active_gs?travel=shared"``, ``"learned:CHECKPOINT"``,
-        ``"my_policy:Mine"``), or a class, or a policy.
+        A spec such as ``"hole_area"``, ``"active_gs?travel=shared"``, ``"learned:CHECKPOINT"`` or
+        ``"my_policy:Mine"``; a subclass of `Policy`; or a policy.
     scene
-        What ``asg compare --scenes`` takes: a name with options, a file, a folder; or a `Scene`, or several of them.
-        Without one that of ``env_id``, a furnished room.
+        A value of ``asg compare --scenes`` (a name with options, a file or a folder), a `Scene`, or a sequence of
+        them. Default: the scene of ``env_id``, a furnished room.
     env_id
-        The environment; that of a room takes any scene.
+        ID of the environment. The default one accepts any scene.
     features
-        More features to put into the observation, behind those of the policy.
+        Additional features of the observation, after those of the policy.
     setup
-        ``"native"``: the policy brings its own candidate sources and schedule (`NativeSettings`). The preset is then
-        ``full`` unless one is given. Fields of ``config`` override both.
+        ``"native"`` uses the policy's own candidate sources and schedule (`NativeSettings`), and the preset ``full``
+        unless ``preset`` is given. Fields of ``config`` override both.
     gains
-        The old name of ``features``; it warns.
+        Former name of ``features``; deprecated.
     **options
-        Everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
+        Other arguments of ``gymnasium.make``: ``preset``, ``frame_budget``, ``config``, ...
 
     Returns
     -------
     tuple of gymnasium.Env and Policy
-        The policy knows the columns of this env's observation.
+        The env, and the policy bound to it.
 
     Raises
     ------
     InputError
-        A name or an option that cannot be used.
+        An unknown name, or an invalid option.
 
     Examples
     --------
@@ -81,20 +81,20 @@ def make_env_and_policy(
         raise InputError(f"features must be a list of names, got {short_repr(features)}")
     if scene is not None:
         options["scene"] = scene
-    brought = native_settings_of(policy, setup)
+    settings = native_settings_of(policy, setup)
     if setup == "native":
-        options = {"preset": NATIVE_PRESET, **options, "config": _with(brought, options.get("config"))}
-    wanted = features_of(policy)
-    env = gym.make(env_id, features=(*wanted, *(name for name in features if name not in wanted)), **options)
+        options = {"preset": NATIVE_PRESET, **options, "config": _with(settings, options.get("config"))}
+    required = features_of(policy)
+    env = gym.make(env_id, features=(*required, *(name for name in features if name not in required)), **options)
     policy.bind(env)
     return env, policy
 
 
-def _with(brought: NativeSettings, config: Any) -> dict[str, Any]:
-    """What the policy brings, and what was asked for, which goes before."""
+def _with(settings: NativeSettings, config: Any) -> dict[str, Any]:
+    """Return the changes of a policy's native settings; fields of ``config`` override them."""
     if config is not None and not isinstance(config, Mapping):
         raise InputError(
             'with setup="native" the policy changes the configuration: give config as a dictionary of the fields that '
             f"shall differ, got {type(config).__name__}"
         )
-    return {**brought.overrides(), **(config or {})}
+    return {**settings.overrides(), **(config or {})}

@@ -368,7 +368,7 @@ def test_an_accepted_start_in_a_narrow_place_has_views(box_options: dict[str, An
 def test_who_is_offered_nothing_at_the_start_is_told(box_options: dict[str, Any]) -> None:
     stages = (("frontier_facing?rows=4&nearest_m=98&farthest_m=99",),)
     env = ReconstructionEnv(**{**box_options, "config": {"views": {"stages": stages}}})
-    with pytest.warns(InputWarning, match="no view is on offer at the start: of what 'frontier_facing"):
+    with pytest.warns(InputWarning, match="no candidate view at the start: none of the views that 'frontier_facing"):
         observation, _ = env.reset(seed=0)
     assert not observation["action_mask"].any()
 

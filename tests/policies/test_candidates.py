@@ -52,7 +52,9 @@ def test_features_and_single_columns(observation: dict[str, np.ndarray]) -> None
 
 def test_what_is_not_there_is_said_in_one_sentence(observation: dict[str, np.ndarray]) -> None:
     for read in (lambda seen: seen["hole_area"], lambda seen: seen.feature("hole_area")):
-        with pytest.raises(InputError, match=r"^this policy does not know which column .* is the feature 'hole_area'"):
+        with pytest.raises(
+            InputError, match=r"^this policy is not bound, so the column of the feature 'hole_area' is unknown"
+        ):
             read(Candidates(observation))
         with pytest.raises(
             InputError, match=r"^Mine reads the feature 'hole_area', and the env offers gs_planner_loss, "

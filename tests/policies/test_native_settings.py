@@ -164,7 +164,7 @@ def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"keyframe_every": 5}, "goal_keyframes or keyframe_every, got both"),
+        ({"keyframe_every": 5}, "goal_keyframes or keyframe_every, not both"),
         ({"stages": (("pool",), ("stay?rounds=3",))}, "a round of 'stay.rounds=3' costs the frames between two"),
     ],
 )
@@ -183,7 +183,7 @@ class Bringer(Policy):
 
 
 def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() -> None:
-    spec = "tests.policies.test_schedule:Bringer"
+    spec = "tests.policies.test_native_settings:Bringer"
     shared = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20))
     native = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20, setup="native"))
     assert "terms" not in shared.as_dict() and shared.hash != native.hash
@@ -205,7 +205,7 @@ def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() 
 def test_wrong_terms_and_declarations_are_said() -> None:
     with pytest.raises(InputError, match="did you mean 'native'"):
         Job("box", "random", 0, conditions=Conditions(setup="nativ"))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="what Odd brings must be a NativeSettings"):
+    with pytest.raises(InputError, match="native_settings of Odd must be a NativeSettings"):
         native_settings_of(type("Odd", (), {"native_settings": {"mapper": "splatam"}}), "native")
     with pytest.raises(InputError, match="give config as a dictionary"):
         make_env_and_policy(Bringer, "box", setup="native", config=configure("fast"))

@@ -45,7 +45,7 @@ def alone() -> dict[str, list[int]]:
 
 
 def test_an_unbound_policy_refuses_instead_of_playing_as_another() -> None:
-    with pytest.raises(InputError, match=r"^HoleArea does not know which column .* make_env_and_policy\(\.\.\.\)$"):
+    with pytest.raises(InputError, match=r"^HoleArea is not bound, so .* make_env_and_policy\(\.\.\.\)$"):
         played(gym.make(ROOM, scene="box", **SMALL), HoleArea())
     with pytest.raises(InputError, match="^HoleArea needs the features hole_area, and the env offers pixel"):
         HoleArea().bind(gym.make(ROOM, scene="box", **SMALL))

@@ -160,7 +160,7 @@ def test_nobody_reads_a_feature_by_its_place(name: str, rng: np.random.Generator
     if not policy.required_features:
         assert observed["action_mask"][policy.act(observed)] == 1
         return
-    with pytest.raises(InputError, match=r"^\w+ does not know which column .* call policy.bind\(env\) before act"):
+    with pytest.raises(InputError, match=r"^\w+ is not bound, so .* call policy.bind\(env\) before act"):
         policy.act(observed)
     policy.bind((*columns(policy), "more"))
     with pytest.raises(InputError, match=r"^\w+ is bound to an env with the features .*: call policy.bind\(env\) with"):

@@ -82,7 +82,7 @@ def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run])
     def with_job(**changes: Any) -> Run:
         return replace(run, job=replace(run.job, **changes))
 
-    other = "tests.policies.test_schedule:Bringer"
+    other = "tests.policies.test_native_settings:Bringer"
     for told, what in (
         (with_job(scene="pathlib:Path"), "scene"),
         (with_job(policy=other, conditions=replace(run.job.conditions, setup="native")), "policy"),

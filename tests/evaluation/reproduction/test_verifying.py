@@ -347,7 +347,7 @@ def test_a_run_that_cannot_be_played_says_so(
 
 
 def test_code_is_not_run_for_who_hands_in_a_run(run: Run) -> None:
-    named = replace(run.job, policy="tests.policies.test_schedule:Bringer")
+    named = replace(run.job, policy="tests.policies.test_native_settings:Bringer")
     content = {**run.config, "job": named.as_dict(), "hash": named.hash}
     store.write_json(run.directory / store.CONFIG, content)
     store.finish(run.directory, named)

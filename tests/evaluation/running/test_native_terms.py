@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.report.page.method_text import terms_text
 from activestructure_gym.evaluation.report.results import gather
 
-BRINGER = "tests.policies.test_schedule:Bringer"
+BRINGER = "tests.policies.test_native_settings:Bringer"
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
 SHARED = Conditions(preset="fast", frame_budget=25, protocol=PROTOCOL)
 NATIVE = replace(SHARED, setup="native")

@@ -1,1 +1,1 @@
-"""Run directories: jobs, what a run keeps, and reading it again."""
+"""Define jobs, write run directories, and read them back."""

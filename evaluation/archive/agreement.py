@@ -1,4 +1,4 @@
-"""What a run's files say of each other: counts, lengths of lists, and numbers that are stored twice."""
+"""Check that the files of a run agree: counts, lengths of lists, and numbers that are stored twice."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Arrays = Mapping[str, np.ndarray]
 def check_counts(
     results: Mapping[str, Any], decisions: Sequence[float], steps: Sequence[Mapping[str, Any]], trajectory: Arrays
 ) -> None:
-    """Raise `Mismatch` unless ``metrics.json``, ``timing.json``, the steps and the path are of one episode.
+    """Raise `Mismatch` unless ``metrics.json``, ``timing.json``, the steps and the trajectory agree.
 
-    ``results`` is the content of ``metrics.json``, ``decisions`` the seconds at the end of each decision.
+    ``results`` is the content of ``metrics.json``. ``decisions`` holds the elapsed seconds at the end of each decision.
     """
     metrics, curve = results["metrics"], results["curve"]
     count = len(steps)
@@ -42,9 +42,9 @@ def check_counts(
 
 
 def _check_curve(curve: Sequence[Mapping[str, Any]], steps: Sequence[Mapping[str, Any]]) -> None:
-    """Every point of the curve but the first is that of the step at whose end it was taken."""
+    """Raise `Mismatch` unless every point of the curve except the first equals the checkpoint of its step."""
     taken = [(number, step) for number, step in enumerate(steps, start=1) if step.get("checkpoint") is not None]
-    if not taken:  # of an episode without a decision
+    if not taken:  # an episode without a decision
         return
     _agree("points of the curve", {"metrics.json": len(curve), "steps.jsonl": 1 + len(taken)})
     for (number, step), point in zip(taken, curve[1:]):
@@ -54,14 +54,14 @@ def _check_curve(curve: Sequence[Mapping[str, Any]], steps: Sequence[Mapping[str
 
 
 def check_views(results: Mapping[str, Any], protocol: StandardProtocol, pictures: Arrays) -> None:
-    """Raise `Mismatch` unless the pictures are of the first of the views that were measured, in the protocol's size."""
+    """Raise `Mismatch` unless the pictures show the first measured views in the protocol's image size."""
     measured = results["metrics"]["views"]
     if not 1 <= len(measured) <= protocol.views:
-        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol looks at 1 to {protocol.views}")
+        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol has 1 to {protocol.views}")
     rows, columns = pictures["true"].shape[1:3]
     if protocol.view_source == "free_space" and (rows, columns) != (protocol.view_height, protocol.view_width):
         wanted = f"{protocol.view_width} x {protocol.view_height}"
-        raise Mismatch(f"pictures.npz holds views of {columns} x {rows} pixels, and its protocol looks at {wanted}")
+        raise Mismatch(f"pictures.npz holds views of {columns} x {rows} pixels, and its protocol has {wanted}")
     kept = {"metrics.json": min(STORED_VIEWS, len(measured)), "pictures.npz": len(pictures["psnr"])}
     _agree("pictures of views", kept)
     for number, (view, psnr) in enumerate(zip(measured, pictures["psnr"]), start=1):
@@ -73,20 +73,20 @@ def check_views(results: Mapping[str, Any], protocol: StandardProtocol, pictures
 
 
 def check_planes(graph: Arrays, steps: Sequence[Mapping[str, Any]]) -> None:
-    """Raise `Mismatch` unless the graph is the one after the last step."""
+    """Raise `Mismatch` unless the counts in ``graph.npz`` equal those logged at the last step."""
     last: Mapping[str, Any] = steps[-1] if steps else {}
-    told = last.get("graph") or {}
+    summary = last.get("graph") or {}
     _agree("planes", {"graph.npz": len(graph["ids"]), "steps.jsonl": last.get("planes")})
-    structural = {"graph.npz": int(graph["structural"].sum()), "steps.jsonl": told.get("structural")}
+    structural = {"graph.npz": int(graph["structural"].sum()), "steps.jsonl": summary.get("structural")}
     _agree("structural planes", structural)
-    _agree("holes", {"graph.npz": len(graph["deficiency_areas"]), "steps.jsonl": told.get("deficiency_centres")})
+    _agree("holes", {"graph.npz": len(graph["deficiency_areas"]), "steps.jsonl": summary.get("deficiency_centres")})
 
 
 def _agree(what: str, stored: Mapping[str, float | None]) -> None:
-    """Raise `Mismatch` unless all places that say it say the same."""
-    said = {place: value for place, value in stored.items() if value is not None}
-    if len(set(said.values())) > 1:
+    """Raise `Mismatch` unless all given values are equal; ``stored`` maps a place to its value, None if it has none."""
+    given = {place: value for place, value in stored.items() if value is not None}
+    if len(set(given.values())) > 1:
         (first, one), (second, other) = next(
-            (a, b) for a in said.items() for b in said.items() if a[1] != b[1]
+            (a, b) for a in given.items() for b in given.items() if a[1] != b[1]
         )  # fmt: skip
         raise Mismatch(f"{what}: {one:.10g} by {first}, {other:.10g} by {second}")

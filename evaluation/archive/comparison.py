@@ -1,4 +1,4 @@
-"""A comparison's directory, read: its record, where its runs stand, and those of them that are finished."""
+"""Read a comparison's directory: its record, the directories of its runs, and the finished runs."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _REMEDY = (
 
 
 def run_directory(directory: Path, job: Job) -> Path:
-    """The directory of a job's run within a comparison's directory."""
+    """Return the directory of a job's run within a comparison's directory."""
     return directory / store.JOBS / job.name
 
 
 def read_record(directory: Path) -> dict[str, Any] | None:
-    """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
+    """Return the content of ``compare.json``, None if the file does not exist; raise `InputError` if it is damaged."""
     file = directory / store.COMPARISON
     if not file.exists():
         return None
@@ -34,7 +34,7 @@ def read_record(directory: Path) -> dict[str, Any] | None:
 
 
 def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
-    """The jobs of a record, each scene under one spec; raises `InputError` if they cannot be read."""
+    """Return the jobs of a record, with one spec per scene; raise `InputError` if they cannot be read."""
     try:
         return one_spec_each([Job.from_dict(content) for content in record["jobs"].values()])
     except InputError as error:
@@ -42,21 +42,21 @@ def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
 
 
 def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
-    """The finished ones of these jobs, in their order."""
+    """Return the finished runs of these jobs, in the order of the jobs."""
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
     return [run for run in found if run is not None]
 
 
 def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict[str, str]]:
-    """The finished ones of these jobs that a report can be made of; and by title the damage of the others."""
+    """Return the finished runs that a report can read, and the damage of the others by the title of their job."""
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     found, damaged = list[Run](), dict[str, str]()
     for job in jobs:
         try:
             run = store.read_done(run_directory(directory, job), job, labels[job.scene])
             if run is not None:
-                store.read_shown(copy.copy(run))  # a copy, whose arrays are not kept
+                store.read_shown(copy.copy(run))  # a copy, so that the arrays it caches are freed
                 found.append(run)
         except InputError as error:
             damaged[job.title] = str(error)
@@ -64,15 +64,16 @@ def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict
 
 
 def verified_runs(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
-    """The runs in directories of comparisons and of runs, every file of each compared with its sum; and by directory
-    why others are none.
+    """Return the runs in directories of comparisons or runs, and the error of each unreadable run by its directory.
+
+    Every file of a run is compared with its checksum. Raise `InputError` for a directory without a finished run.
     """
     runs, refused = list[Run](), dict[str, str]()
     for directory in directories:
-        marks = store.completion_markers(directory)
-        if not marks and not (directory / store.DONE).is_file():
+        markers = store.completion_markers(directory)
+        if not markers and not (directory / store.DONE).is_file():
             raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
-        for place in [marker.parent for marker in marks] or [directory]:
+        for place in [marker.parent for marker in markers] or [directory]:
             try:
                 run = store.read_run(place)
                 store.read_all(run)
@@ -84,22 +85,22 @@ def verified_runs(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str
 
 
 def open_comparison(directory: str | os.PathLike[str]) -> list[Run]:
-    """All finished runs of a comparison's directory.
+    """Return all finished runs of a comparison's directory.
 
     Parameters
     ----------
     directory
-        What ``asg compare --out`` or `compare` wrote into, or a copy of it.
+        The output directory of ``asg compare --out`` or `compare`, or a copy of it.
 
     Returns
     -------
     list of Run
-        In the order of the comparison's record: seeds, then scenes, then policies.
+        The runs in the order of the comparison's record: by seed, then scene, then policy.
 
     Raises
     ------
     InputError
-        The record, or a run, cannot be read.
+        The record or a run cannot be read.
     """
     directory = Path(directory)
     record = read_record(directory)

@@ -1,4 +1,4 @@
-"""The conditions that all runs of a comparison share."""
+"""Define the conditions that all runs of a comparison share."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Conditions:
-    """The conditions of an episode and its measurement: everything except scene, policy and seed.
+    """Hold the conditions of an episode and its measurement: everything except scene, policy and seed.
 
     Parameters
     ----------
     preset
         ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. Default: ``"default"``, in the native setup ``"full"``.
     frame_budget
-        Frames of every episode, the first one included; the preset's if not given.
+        Frames per episode, including the first one. Default: the preset's.
     overrides
-        Changes of the preset by field, ``{"sensor.depth_noise": "kinect"}``.
+        Changes of the preset by field, for example ``{"sensor.depth_noise": "kinect"}``.
     start_pose
-        Start of every episode: x, y, z in metres and yaw in degrees (0 = +x), world; drawn from the seed if not given.
+        Start of every episode in the world frame: x, y, z in metres and yaw in degrees (0 = +x). Default: drawn from
+        the seed.
     protocol
-        The protocol that every map is measured by.
+        The protocol that measures every finished map.
     also
-        Names of further protocols with their default constants: ``("activegamer",)``, ``("mine:Protocol",)``.
+        Further protocols with their default constants, by name: ``("activegamer",)``, ``("mine:Protocol",)``.
     setup
         ``"shared"`` (equal candidates, keyframes and mapper) or ``"native"`` (each policy's own).
 
@@ -69,7 +70,10 @@ class Conditions:
         object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, without the shared setup; a protocol that is a plug-in is not imported."""
+        """Return the conditions as plain values for JSON, without ``setup`` if it is ``"shared"``.
+
+        A plug-in protocol is not imported.
+        """
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
@@ -82,7 +86,7 @@ class Conditions:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Conditions:
-        """Return the conditions that `as_dict` described."""
+        """Return the conditions that `as_dict` wrote."""
         values = dict(content)
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
@@ -100,9 +104,9 @@ class Conditions:
         return native_settings_of(policy, self.setup).overrides() | dict(self.overrides)
 
     def env_options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return keyword arguments of `ReconstructionEnv`, all but scene and features, for these changes of the preset.
+        """Return the keyword arguments of `ReconstructionEnv` for these changes, without scene and features.
 
-        The env never ends an episode by the observed surface: that is ground truth, and no policy may profit from it.
+        ``coverage_target`` is None, because the observed share of the surface is ground truth: no policy may use it.
         """
         return {
             "preset": self.preset,

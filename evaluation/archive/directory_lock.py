@@ -1,8 +1,8 @@
-"""One supervisor at a time in a comparison's directory.
+"""Lock a comparison's directory, so that only one supervisor writes into it.
 
-The lock is the operating system's, on a file that stays. It ends with the processes that have the file open, however
-they end: the supervisor, and its workers on this machine, to whom the open file is handed on. So whoever holds a
-directory knows that nobody else of this machine writes into it.
+The lock is an advisory lock of the operating system on a file that is never deleted. Workers on this machine inherit
+the open file. The lock is released when the supervisor and all its workers have ended, even if they were killed. So no
+other process of this machine writes into a locked directory.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 LOCK = ".lock"  # holds "<process> <machine>" of the last supervisor
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # it would be emptied, wherever it leads
-_PATIENCE = 15.0  # seconds for the workers of a killed supervisor to end: above the grace they give themselves
-_TICK = 0.1
-_BYTE = 1 << 20  # which one Windows locks: it lets nobody read a locked byte
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # the target of a symbolic link would be truncated
+_PATIENCE = 15.0  # seconds for the workers of a killed supervisor to end; longer than `worker._GRACE_SECONDS`
+_TICK = 0.1  # seconds between two attempts
+_BYTE = 1 << 20  # offset of the byte locked on Windows, behind the content: a locked byte cannot be read there
 
 
 @contextmanager
 def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
-    """Make ``directory`` and hold it while the block runs; gives the descriptor that keeps the hold.
+    """Create ``directory`` and lock it while the block runs; yield the file descriptor that holds the lock.
 
-    A ``shared`` hold admits other shared ones and excludes all others.
-
-    Raises `InputError` where another supervisor lives that holds it. Where only the workers of one that was killed are
-    left, waits for them to end. Without effect on file systems that know no locks.
+    Several ``shared`` locks can exist at once; they exclude an exclusive lock. If a running supervisor holds the lock,
+    `InputError` is raised. If only workers of a killed supervisor are left, the function waits for them to end. On file
+    systems without locks it has no effect.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -53,20 +52,17 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
         yield descriptor
     finally:
         if fcntl is not None:
-            with suppress(OSError):  # a daemon that a run has left behind may hold the same open file
+            with suppress(OSError):  # closing is not enough: a daemon started by a run may have inherited the file
                 fcntl.flock(descriptor, fcntl.LOCK_UN)
         os.close(descriptor)
 
 
 def check_free(directory: Path, *, shared: bool = False) -> None:
-    """Raise `InputError` where a supervisor holds ``directory``; for a ``shared`` hold, only where not shared.
-
-    Writes nothing.
-    """
+    """Raise `InputError` if a lock on ``directory`` excludes a new one, ``shared`` or exclusive; write nothing."""
     try:
         descriptor = os.open(directory / LOCK, os.O_RDWR | _NO_LINK)
     except OSError:
-        return  # not there; or not ours to write, which others say better
+        return  # missing, or not writable: the caller reports that itself
     try:
         _take(descriptor, directory, shared=shared)
     finally:
@@ -74,7 +70,7 @@ def check_free(directory: Path, *, shared: bool = False) -> None:
 
 
 def _take(descriptor: int, directory: Path, *, shared: bool = False) -> None:
-    waited = 0.0  # not by the clock: time during which everything is suspended does not count
+    waited = 0.0  # counted in ticks, so that time in which the machine is suspended does not count
     while not _try(descriptor, shared=shared):
         process, _, machine = _owner(descriptor).partition(" ")
         if not process.isdigit() or machine != machine_id() or is_alive(int(process)):
@@ -90,11 +86,11 @@ def _take(descriptor: int, directory: Path, *, shared: bool = False) -> None:
 
 
 def _try(descriptor: int, *, shared: bool = False) -> bool:
-    """Take the lock if it is free."""
+    """Take the lock if it is free; return whether it was taken or cannot exist here."""
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        elif not shared:  # Windows has no shared ones
+        elif not shared:  # Windows has no shared locks
             import msvcrt
 
             os.lseek(descriptor, _BYTE, os.SEEK_SET)

@@ -1,4 +1,4 @@
-"""Arrays that a run keeps for its pictures: held-out views, true and rendered, and the plan of what was mapped."""
+"""Compute the arrays that a run stores for its pictures: held-out views and the plan of the mapped volume."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.reconstruction import Reconstruction
 
-STORED_VIEWS = 8  # the first of the held-out views, which are in random order
+STORED_VIEWS = 8  # number of stored held-out views: the first ones, whose order is random
 _PIXELS_PER_METRE = 90
-_MAX_SIDE_PX = 640  # pixels; larger scenes are drawn smaller
-_BAND_M = 0.5  # free and occupied are those of this height above and below the camera
-_HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
-_ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
+_MAX_SIDE_PX = 640  # pixels; larger scenes are drawn at a smaller scale
+_BAND_M = 0.5  # metres above and below the start's height in which voxels decide the plan
+_HEADROOM_M = 0.35  # metres above the start's height; Gaussians above (ceiling, lamps) would hide the rest
+_ALTITUDE = 60.0  # height of the virtual camera in scene widths: its rays are almost parallel
 
 
 def picture_arrays(
     protocol: StandardProtocol, truth: Truth, gaussians: GaussianMap, plan: dict[str, np.ndarray], psnr: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
+    """Return the arrays for the pictures of a run: the views, their PSNR, and the arrays of ``plan``.
+
+    ``rendered`` and ``true`` are [n, H, W, 3] uint8, ``psnr`` is [n] dB.
+    """
     count = min(STORED_VIEWS, len(truth.views))
     rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
     return {
@@ -35,7 +38,7 @@ def picture_arrays(
 
 
 def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """What `report.plan.draw_plan` needs: the volume's plan, and the Gaussian map seen from above in the same frame."""
+    """Return the volume's plan and the Gaussian map rendered from above, on one grid."""
     from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
     volume = reconstruction.volume
@@ -59,18 +62,19 @@ def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 
 
 def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
-    """Pixels per metre for a plan of this extent [2] metres."""
+    """Return the scale of a plan of ``extent`` [2] metres, in pixels per metre."""
     return min(_PIXELS_PER_METRE, _MAX_SIDE_PX / float(np.max(extent)))
 
 
 def pixel_size(extent: np.ndarray, scale: float) -> tuple[int, int]:
-    """Width and height of a plan of ``extent`` [2] metres, at least one pixel each."""
+    """Return width and height in pixels of a plan of ``extent`` [2] metres, at least 1 each."""
     return max(1, round(float(extent[0]) * scale)), max(1, round(float(extent[1]) * scale))
 
 
 def _from_above(
     reconstruction: Reconstruction, corner: np.ndarray, extent: np.ndarray, height: float
 ) -> tuple[np.ndarray, np.ndarray]:  # [h, w, 3] uint8, [h, w] uint8
+    """Render the map from above: colour and opacity, without Gaussians above the headroom."""
     from activestructure_gym.geometry import PinholeCamera, look_along
     from activestructure_gym.splatting import cpu
 

@@ -1,10 +1,10 @@
-"""Episodes that were played and are not measured yet: kept in the place of their run, which is not a finished one.
+"""Store episodes that were played but not measured yet. Each is in the directory of its later run.
 
-Besides files of the later run (`store`), such a directory holds::
+In addition to the files of a run (`store`), such a directory holds::
 
-    .played          the job's hash, and the SHA-256 of every file that measuring reads, in the form of sha256sum
-    episode.json     the curve, the clocks, and what is counted while an episode is played
-    plan.npz         the volume's plan and the map from above; see `picture_record.plan_arrays`
+    .played          the job's hash, then the SHA-256 of every file that measuring reads, as sha256sum prints it.
+    episode.json     the curve, the times, and the counts of the episode.
+    plan.npz         the volume's plan and the map from above; see `picture_record.plan_arrays`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CHECK: schema.Check = schema.table(
 
 @contextmanager
 def written_episode(directory: Path, job: Job) -> Iterator[Path]:
-    """Give a folder to write a played episode into, which takes the place of the run when the block ends."""
+    """Yield a temporary folder for a played episode; it replaces the run's directory when the block ends."""
     with store.atomic_directory(directory) as part:
         yield part
         store.write_marker(part, store.PLAYED, job, _READ)
@@ -51,9 +51,10 @@ def written_episode(directory: Path, job: Job) -> Iterator[Path]:
 def played_episode(
     directory: Path, job: Job | None = None, checksums: Callable[[str], str | None] | None = None
 ) -> Path | None:
-    """Return where a played episode of a run's directory is whole, None where there is none.
+    """Return the directory of an undamaged played episode, None if there is none.
 
-    ``job`` is the job that must have been played, with plug-in code of these ``checksums``; any job if not given.
+    If ``job`` is given, the episode must be of this job. If ``checksums`` is given too, the job's plug-in code and
+    native settings must be unchanged.
     """
     for place in (directory, store.aside_of(directory)):
         marker, digests = store.marker_and_checksums(place, store.PLAYED)
@@ -70,13 +71,13 @@ def played_episode(
 
 
 def is_played(directory: Path) -> bool:
-    """Return whether a run's directory says that it holds an episode to be measured, and no finished run."""
+    """Return whether a run's directory holds a played episode and no finished run."""
     places = (directory, store.aside_of(directory))
     return not (directory / store.DONE).exists() and any((place / store.PLAYED).is_file() for place in places)
 
 
 def job_of(place: Path) -> Job:
-    """Return the job that an episode was played for."""
+    """Return the job of a played episode."""
     config = store.read_json(place / store.CONFIG, run_files.check_config)
     return Job.from_dict(config["job"])
 
@@ -107,14 +108,14 @@ def _arrays(file: Path, check: Callable[[dict[str, np.ndarray]], None]) -> dict[
 
 
 def damaged(file: Path, reason: Exception) -> InputError:
-    """The `InputError` about a file of a played episode."""
+    """Return the `InputError` about a damaged file of a played episode."""
     return InputError(f"'{file}' is damaged: {reason}; delete '{file.parent}', and its episode is played again")
 
 
 def link_files(place: Path, part: Path) -> None:
-    """Put the files of a played episode that its run keeps into another folder of the same file system.
+    """Hard-link the files of a played episode that its run keeps into ``part``, a folder of the same file system.
 
-    And no others: they would be written later, wherever links in ``place`` lead.
+    All other files of the run are written later. Copying links to them from ``place`` would let a write follow them.
     """
     for name in (store.CONFIG, store.TRAJECTORY, store.GRAPH, store.MAP, store.PLY):
         file = place / name
@@ -122,7 +123,7 @@ def link_files(place: Path, part: Path) -> None:
             continue
         try:
             if file.is_symlink():
-                raise OSError("a link to elsewhere is copied")
+                raise OSError("a symbolic link is copied")
             os.link(file, part / name)
-        except OSError:  # a file system without links, too
+        except OSError:  # also on a file system without hard links
             shutil.copy2(file, part / name)

@@ -1,8 +1,8 @@
-"""Checksums of plug-in code: policies, features and candidate sources outside of this package.
+"""Compute checksums of plug-in code: policies, features, candidate sources and mappers outside of this package.
 
-A run keeps the checksums of the modules that its job names. A resumed comparison finds by them the runs that an older
-version of the code played. Imports of these modules are not followed. A scene needs no checksum: a job names it by its
-content.
+A run stores the checksums of the modules that its job names. A resumed comparison uses them to find runs that were
+played with older code. Modules that these modules import are not included. A scene needs no checksum: a job holds the
+hash of its content.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from activestructure_gym.evaluation.archive import schema, store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
 from activestructure_gym.specs import Spec
 
-KEY = "own_code"  # in a run's `store.CONFIG`, where there is any
+KEY = "own_code"  # entry of a run's `store.CONFIG`; absent without plug-in code
 _CHECK = schema.table({}, {KEY: schema.table(others=schema.text)}, others=schema.anything)
-_SKIPPED = ("__pycache__", "node_modules")  # folders, and all that no import statement can name
-_RUNS = "compare.json"  # a folder that holds it is a comparison's
+_SKIPPED = ("__pycache__", "node_modules")  # folders
+_RUNS = "compare.json"  # marks a comparison's folder, which is skipped
 
 
 def checksum_of(module: str) -> str | None:
-    """Return the SHA-256 of a module's file, or of all Python files of a package and their names. Imports nothing.
+    """Return the SHA-256 of a module's file, or of the names and contents of all Python files of a package.
 
-    ``module`` is the outermost name. None where there is no such file.
+    ``module`` is the top-level name; it is not imported. Return None if it has no file.
     """
     total = hashlib.sha256()
     try:
@@ -38,17 +38,17 @@ def checksum_of(module: str) -> str | None:
     for name, file in files:
         try:
             content = file.read_bytes()
-        except OSError as error:  # it counts all the same, or nothing in its package would
+        except OSError as error:  # an unreadable file must not leave its package without a checksum
             content = type(error).__name__.encode()
         total.update(os.fsencode(name) + b"\0" + content + b"\0")
     return total.hexdigest() if files else None
 
 
-first_checksum_of = cache(checksum_of)  # called before a module is imported: the content that this process runs
+first_checksum_of = cache(checksum_of)  # call it before the import: it keeps the checksum of the code that runs here
 
 
 def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str, str]:
-    """Return the checksums of the plug-in code that a job names ("policy mine:Mine"); missing modules are left out."""
+    """Return the checksums of a job's plug-in code by kind and name ("policy mine:Mine"), without missing modules."""
     found = {}
     for registry, name in named_in(job):
         module = registry.module_of(Spec.of(name).name)
@@ -59,7 +59,7 @@ def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str
 
 
 def changed_code(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> list[str]:
-    """Return the plug-in code of a run that has changed ("policy mine:Mine"). A missing checksum counts as equal."""
+    """Return the changed plug-in code of a run ("policy mine:Mine"). A missing checksum counts as equal."""
     now = plugin_code_of(job, checksums)
     if not now:
         return []
@@ -68,7 +68,7 @@ def changed_code(directory: Path, job: Job, checksums: Callable[[str], str | Non
 
 
 def is_unchanged(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
-    """Check that all plug-in code with a checksum in the run exists and is unchanged."""
+    """Return whether the run has checksums of plug-in code, and all of this code is unchanged."""
     then = _checksums_then(directory)
     return bool(then) and then == plugin_code_of(job, checksums)
 
@@ -81,7 +81,7 @@ def _checksums_then(directory: Path) -> dict[str, str] | None:
 
 
 def _files_of(module: str) -> Iterator[tuple[str, Path]]:
-    """Name within the module and place of every file, by name; the first of those that have one name."""
+    """Yield the name within the module and the path of every file, sorted by name; of equal names the first."""
     spec = importlib.util.find_spec(module)
     if spec is None:
         return

@@ -1,4 +1,4 @@
-"""Checks of every file of a comparison and of a run; `store` lists the files."""
+"""Define the checks of every file of a comparison and of a run; `store` lists the files."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from activestructure_gym.ranges import MAX_ASPECT_RATIO, MAX_COORDINATE_M, MAX_F
 _MAX_IMAGE_SIDE = 16384  # pixels
 _MAX_PICTURES = 64
 _MAX_PLANES, _MAX_MARKS = 100_000, 5_000_000
-_RIGID = 1e-3  # how far a rotation matrix may be from one
-_UNIT = 1e-2  # how far a normal's length may be from 1
+_RIGID = 1e-3  # largest deviation of an entry of R R^T from the identity
+_UNIT = 1e-2  # largest deviation of a normal's length from 1
 
 _count = number(0, whole=True)
 _size = number(0)
@@ -82,7 +82,7 @@ _MEASURED = (
     *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
     "observed_area", *LATE.values(),
 )  # fmt: skip
-# Of a trajectory that was given.
+# Metrics of runs that follow a given trajectory.
 _FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": number()}
@@ -138,7 +138,7 @@ STEP: Check = table(
 
 
 def _places(*shape: int | str, least: int = 0) -> Array:
-    """The `Array` of positions in the world, metres."""
+    """Return the `Array` of world positions in metres."""
     return Array("f8", shape, low=-MAX_COORDINATE_M, high=MAX_COORDINATE_M, least=least)
 
 
@@ -149,7 +149,7 @@ TRAJECTORY = {
     "image_size": Array("i8", (2,), low=1, high=_MAX_IMAGE_SIDE),
 }
 _LEGS = {"keyframe_rounds": Array("i8", ("K",), low=0, high=1000), "legs": Array("i8", ("D", 3), low=0)}
-_RANGE = {"max_range": Array("f8", (), low=0, high=MAX_COORDINATE_M)}  # of the sensor, metres; not every path says it
+_RANGE = {"max_range": Array("f8", (), low=0, high=MAX_COORDINATE_M)}  # of the sensor, metres; optional
 _PLAN = {
     "plan_state": Array("u1", ("columns", "rows"), high=2, least=1),
     "plan_corner": _places(2),
@@ -188,7 +188,7 @@ _GRAPH = {
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
-    legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of played runs; a path of another program has none
+    legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # absent from trajectories of other programs
     sizes = check_arrays(arrays, TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
     if sizes["T"] > MAX_FRAMES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {MAX_FRAMES} are read")
@@ -196,7 +196,7 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     rotations = poses[:, :3, :3]
     off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
     if off > _RIGID or np.abs(poses[:, 3] - [0, 0, 0, 1]).max() > _RIGID:
-        raise Mismatch("world_from_camera holds matrices that are no rigid poses")
+        raise Mismatch("world_from_camera holds matrices that are not rigid poses")
     if int(arrays["keyframes"].max()) >= sizes["T"]:
         raise Mismatch(f"keyframes points behind the {sizes['T']} poses")
     if not (arrays["intrinsics"][:2] > 1e-3).all():
@@ -243,14 +243,14 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
         raise Mismatch("patch_starts, patch_shapes and patch_bits do not fit together")
 
 
-# Fields of the configuration that a report reads of runs in the native setup, and of those that follow a trajectory.
+# Configuration fields that a report needs: of runs in the native setup, and of runs that follow a trajectory.
 _NATIVE = ("views.stages", "views.max_candidates", "keyframe_every", "mapper.name", "mapper.iterations",
            "motion.candidate_clearance")  # fmt: skip
 _FOLLOWING = ("mapper.name",)
 
 
 def check_config(content: Any, place: str) -> None:
-    """Raise `Mismatch` unless ``config.json`` holds what it must, and what its setup and its policy need besides."""
+    """Raise `Mismatch` unless ``config.json`` has all fields that its setup and its policy require."""
     CONFIG(content, place)
     job, configuration = content["job"], content["configuration"]
     wanted: tuple[str, ...] = _NATIVE if job.get("setup") == "native" else ()
@@ -262,7 +262,7 @@ def check_config(content: Any, place: str) -> None:
 
 
 def check_steps(steps: list[Any]) -> None:
-    """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
+    """Raise `Mismatch` unless every decision is valid and the frames never decrease."""
     if len(steps) > MAX_FRAMES:
         raise Mismatch(f"it holds {len(steps)} decisions, at most {MAX_FRAMES} are read")
     for number_, step in enumerate(steps, start=1):

@@ -1,8 +1,7 @@
-"""Checks of files when they are read: kinds, ranges and lengths that agree.
+"""Check the content of files: types, ranges, and lengths that must agree.
 
-A check is a function of a value and of its place in the file (``metrics.views[3].psnr``); it returns nothing or raises
-`Mismatch`. Behind a check nobody needs to ask again whether a key is there or a number is finite. Keys that a check
-does not know are left alone, so that a later version may write more.
+A check is a function of a value and its place in the file (``metrics.views[3].psnr``). It returns None or raises
+`Mismatch`. After a check, required keys exist and numbers are finite. Unknown keys are allowed.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from activestructure_gym.errors import short_repr
 
 Check = Callable[[Any, str], None]
 
-MAX_NUMBER = 1e15  # of any number; above, whole numbers are no longer told apart
+MAX_NUMBER = 1e15  # limit of any number; float64 represents all whole numbers up to here
 MAX_JSON_BYTES = 64 << 20  # bytes of a JSON file
 _MAX_DEPTH = 32  # levels of nesting
 _MAX_TEXT_CHARACTERS = 100_000  # characters
 
 
 class Mismatch(ValueError):
-    """A file does not hold what it should; the message says where, what was expected, and what came."""
+    """Signal that a file's content is wrong; the message holds the place, the expectation and the value."""
 
 
 def number(low: float = -MAX_NUMBER, high: float = MAX_NUMBER, *, whole: bool = False) -> Check:
-    """A check for a finite number in ``low`` .. ``high``."""
+    """Return a check for a finite number in [``low``, ``high``]."""
     kind = "a whole number" if whole else "a number"
 
     def check(value: Any, place: str) -> None:
@@ -45,13 +44,13 @@ def number(low: float = -MAX_NUMBER, high: float = MAX_NUMBER, *, whole: bool = 
 
 
 def text(value: Any, place: str) -> None:
-    """Any text, of tolerable length."""
+    """Check for a text of at most 100,000 characters."""
     if not isinstance(value, str) or len(value) > _MAX_TEXT_CHARACTERS:
         raise _mismatch(place, "a text", value)
 
 
 def scalar(value: Any, place: str) -> None:
-    """A text, a number, true, false or null."""
+    """Check for a text, a number, true, false or null."""
     if isinstance(value, str):
         text(value, place)
     elif value is not None and not isinstance(value, bool):
@@ -59,22 +58,22 @@ def scalar(value: Any, place: str) -> None:
 
 
 def anything(value: Any, place: str) -> None:
-    """Whatever JSON can say."""
+    """Accept any value."""
 
 
 def flag(value: Any, place: str) -> None:
-    """True or false."""
+    """Check for true or false."""
     if not isinstance(value, bool):
         raise _mismatch(place, "true or false", value)
 
 
 def maybe(check: Check) -> Check:
-    """A check that passes null, and what ``check`` passes."""
+    """Return a check that accepts null and all values that ``check`` accepts."""
     return lambda value, place: None if value is None else check(value, place)
 
 
 def each(check: Check, *, least: int = 0, length: int | None = None) -> Check:
-    """A check for a list whose entries all pass ``check``."""
+    """Return a check for a list whose entries all pass ``check``."""
 
     def check_all(value: Any, place: str) -> None:
         if not isinstance(value, list):
@@ -93,7 +92,7 @@ def table(
     optional: Mapping[str, Check] | None = None,
     others: Check = anything,
 ) -> Check:
-    """A check for a table of names: ``required`` must be there, ``optional`` may, others pass ``others``."""
+    """Return a check for an object with ``required`` and ``optional`` keys; ``others`` checks all other values."""
     needed = dict(required or {})
     known = needed | dict(optional or {})
 
@@ -110,7 +109,7 @@ def table(
 
 
 def read_checked_json(path: Path, check: Check = anything, *, most: int = MAX_JSON_BYTES) -> Any:
-    """The content of a JSON file; OSError where it cannot be opened, `Mismatch` for everything else."""
+    """Return the content of a JSON file; raise OSError if it cannot be opened, `Mismatch` for any other fault."""
     if path.exists() and not path.is_file():
         raise Mismatch("it is no regular file")
     with open(path, "rb") as file:
@@ -121,7 +120,7 @@ def read_checked_json(path: Path, check: Check = anything, *, most: int = MAX_JS
 
 
 def checked_json(content: bytes, check: Check = anything) -> Any:
-    """The content of JSON given as bytes; `Mismatch` where it cannot be read or does not pass ``check``."""
+    """Return the content of JSON bytes; raise `Mismatch` if they cannot be parsed or do not pass ``check``."""
     try:
         value = json.loads(content.decode("utf-8"), parse_constant=_no_constant)
         check_depth(value)
@@ -138,7 +137,7 @@ def checked_json(content: bytes, check: Check = anything) -> Any:
 
 
 def check_depth(value: Any) -> None:
-    """Raise `Mismatch` for what is nested so deep that no function of ours could walk it."""
+    """Raise `Mismatch` if a value is nested so deeply that recursive functions would fail."""
     level = [value]
     for _ in range(_MAX_DEPTH):
         level = [
@@ -154,20 +153,17 @@ def check_depth(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Array:
-    """One array of an npz file. A name among the sizes is the same number in all arrays of the file."""
+    """Describe one array of an npz file. A size can be a name; it has the same value in all arrays of the file."""
 
-    dtype: str  # kind and bytes of a number: f8, i8, u1, b1; others are refused, wider ones too
+    dtype: str  # kind and bytes of a number: f8, i8, u1, b1; the array must have exactly this type
     shape: tuple[int | str, ...]
     low: float = -MAX_NUMBER
     high: float = MAX_NUMBER
-    least: int = 0  # of every named size
+    least: int = 0  # minimum of every named size
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], layout: Mapping[str, Array]) -> dict[str, int]:
-    """Raise `Mismatch` where arrays are missing, of another shape or kind, not finite or out of range.
-
-    Returns the named sizes.
-    """
+    """Return the named sizes; raise `Mismatch` for a missing array, a wrong shape or type, or a value out of range."""
     missing = [name for name in layout if name not in arrays]
     if missing:
         raise Mismatch(f"it lacks the array {', '.join(missing)}")

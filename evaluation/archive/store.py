@@ -1,25 +1,25 @@
-"""Run directories: written once, whole or not at all, and readable without us (JSON, JSON lines, npz, PLY).
+"""Write and read run directories. A run is written completely or not at all, as JSON, JSON lines, npz and PLY.
 
 A comparison's directory::
 
-    compare.json                 the grid: jobs, command, versions, machine
-    jobs/<job name>/             one per finished job
-        .done                    the job's hash; what has no such file is not a result. Behind it the SHA-256 of
-                                 every file that is read again, in the form of sha256sum
-        .played                  of an episode that was played and is not measured yet; see `played`
-        .withdrawn               what .done was, of a run that other own code played, until it is played again
-        config.json              job, protocol, resolved configuration, scene, versions
-        metrics.json             the numbers and the convergence curve; no clock in it
-        evaluations/NAME.json    the numbers of a further protocol, measured with the run or later
-        timing.json              wall-clock seconds by stage, and the machine
-        steps.jsonl              one line per decision
-        trajectory.npz           every executed pose, keyframe indices, the camera
-        map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
-        graph.npz                the Plane Scene Graph at the end; see `planes.record.graph_arrays`
-        pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
-        replay.html              the run to watch, where somebody asked for it
-    logs/<job name>.log          what a worker wrote to its standard error
-    .lock                        who is at work here; see `directory_lock`
+    compare.json                 the grid: jobs, command, versions, machine.
+    jobs/<job name>/             one per finished job.
+        .done                    completion marker: the job's hash, then the SHA-256 of every file that is read back,
+                                 as sha256sum prints it. A directory without it is not a result.
+        .played                  marker of an episode that was played but not measured yet; see `played`.
+        .withdrawn               the former .done of a run whose code has changed, until it is played again.
+        config.json              job, protocol, resolved configuration, scene, versions.
+        metrics.json             the numbers and the convergence curve, without times.
+        evaluations/NAME.json    the numbers of a further protocol, measured with the run or later.
+        timing.json              wall-clock seconds by stage, and the machine.
+        steps.jsonl              one line per decision.
+        trajectory.npz           every executed pose, keyframe indices, the camera.
+        map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer.
+        graph.npz                the Plane Scene Graph at the end; see `planes.record.graph_arrays`.
+        pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline.
+        replay.html              a page that replays the run, if requested.
+    logs/<job name>.log          standard error of the worker.
+    .lock                        the supervisor's process; see `directory_lock`.
     summary.md, results.csv, *.png
 """
 
@@ -55,8 +55,8 @@ T = TypeVar("T")
 
 FORMAT_VERSION = 3
 DONE = ".done"
-PLAYED = ".played"  # in place of `DONE` until the episode is measured, see `played`
-WITHDRAWN = ".withdrawn"  # what `DONE` was, of a run that another text of own code played
+PLAYED = ".played"  # used instead of `DONE` until the episode is measured, see `played`
+WITHDRAWN = ".withdrawn"  # the former `DONE` of a run whose plug-in code or native settings have changed
 CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
@@ -64,34 +64,48 @@ JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished j
 TABLES = "tables"  # sub-directory of a comparison: the report's tables, each as Markdown, CSV and LaTeX
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
 PLY = "map.ply"
-# What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
+# Files with checksums. Pictures and the PLY can be made from them again and may be deleted.
 _READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
-REPLAY = "replay.html"  # the page to watch a run on, where one was made
-_MAX_LOG_BYTES = 4096 * MAX_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB, and a frame at least
+REPLAY = "replay.html"  # the page that replays a run; optional
+_MAX_LOG_BYTES = 4096 * MAX_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB and at least one frame
 
 
 @dataclass(frozen=True)
 class Run:
-    """A finished job, read from its directory."""
+    """Hold a finished job, read from its directory. Arrays are read when they are first used.
 
-    directory: Path  # where it was read from
-    scene: str  # what people call it; differs between the scenes of a comparison
-    job: Job  # what was run
-    config: dict[str, Any]  # of config.json
-    metrics: dict[str, Any]  # of metrics.json: ``metrics``, ``curve``, ...
-    timing: dict[str, Any]  # of timing.json, seconds
-    checksums: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of files, as `finish` wrote them
+    Parameters
+    ----------
+    directory
+        The directory of the run.
+    scene
+        Short name of the scene, unique within a comparison.
+    job
+        The job that was run.
+    config, metrics, timing
+        Contents of ``config.json``, ``metrics.json`` and ``timing.json`` (seconds).
+    checksums
+        SHA-256 by file name, as `finish` wrote them.
+    """
+
+    directory: Path
+    scene: str
+    job: Job
+    config: dict[str, Any]
+    metrics: dict[str, Any]  # ``metrics``, ``curve``, ...
+    timing: dict[str, Any]  # seconds
+    checksums: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def policy(self) -> str:
-        """Short name of the policy; a checkpoint's is without its folders."""
+        """Return the short name of the policy; a checkpoint's name has no folders."""
         return policy_label(self.job.policy)
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
-        """``parameters`` and ``metrics`` by protocol: the run's own first, then those measured on top of it.
+        """Return ``parameters`` and ``metrics`` by protocol: the job's protocol first, then the further ones.
 
-        The run's own numbers are `metrics`, completed by an LPIPS that was measured later.
+        If LPIPS was measured after the run, it is added to the metrics of the job's protocol.
         """
         own = self.job.conditions.protocol
         found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
@@ -104,13 +118,13 @@ class Run:
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The numbers of the run's own protocol, completed by an LPIPS that was measured later."""
+        """Return the metrics of the job's protocol, with LPIPS if it was measured after the run."""
         numbers: dict[str, Any] = self.protocols[self.job.conditions.protocol.name]["metrics"]
         return numbers
 
     @cached_property
     def evaluations(self) -> dict[str, dict[str, Any]]:
-        """Contents of `EVALUATIONS` by file name. Not covered by checksums."""
+        """Return the contents of `EVALUATIONS` by file name. They have no checksums."""
         found = {}
         for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
             again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocols {path.stem}` measures"
@@ -119,42 +133,45 @@ class Run:
 
     @cached_property
     def steps(self) -> list[dict[str, Any]]:
-        """One entry per decision."""
+        """Return the log of the episode, one entry per decision."""
         return _read(self.directory, STEPS, self.checksums, _read_steps)
 
     @cached_property
     def trajectory(self) -> dict[str, np.ndarray]:
-        """``world_from_camera`` [T, 4, 4], ``keyframes`` [K] indices into it; the camera: ``intrinsics`` [4] (fx, fy,
-        cx, cy in pixels) and ``image_size`` [2] (width, height)."""
+        """Return the executed trajectory and the camera.
+
+        ``world_from_camera`` is [T, 4, 4] with positions in metres, ``keyframes`` [K] holds indices into it.
+        ``intrinsics`` is [4] (fx, fy, cx, cy in pixels), ``image_size`` [2] (width, height).
+        """
         return _read(self.directory, TRAJECTORY, self.checksums, _arrays_that(run_files.check_trajectory))
 
     @cached_property
     def graph(self) -> dict[str, np.ndarray] | None:
-        """The Plane Scene Graph, see `planes.record.graph_arrays`; None if the run kept none."""
+        """Return the arrays of the Plane Scene Graph, see `planes.record.graph_arrays`; None if the run has none."""
         if GRAPH not in self.checksums and not (self.directory / GRAPH).exists():
             return None
         return _read(self.directory, GRAPH, self.checksums, _arrays_that(run_files.check_graph))
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
-        """What the pictures were drawn from; see `picture_record.picture_arrays`."""
+        """Return the arrays that the pictures are drawn from; see `picture_record.picture_arrays`."""
         return _read(self.directory, PICTURES, self.checksums, _arrays_that(run_files.check_pictures))
 
     @cached_property
     def gaussians(self) -> GaussianMap:
-        """The map."""
+        """Return the Gaussian map."""
         from activestructure_gym.mapping import GaussianMap
 
         return _read(self.directory, MAP, self.checksums, GaussianMap.load_npz)
 
 
 def is_done(directory: Path, job: Job) -> bool:
-    """Whether ``directory`` says that it holds the finished result of exactly this job; see `damage_of`."""
+    """Return whether the completion marker in ``directory`` is of this job. `damage_of` also checks the files."""
     return marker_and_checksums(directory)[0] == job.hash
 
 
 def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
-    """The finished result of exactly this job, None where there is none; `InputError` where it is damaged."""
+    """Return the finished run of this job, None if there is none; raise `InputError` if it is damaged."""
     marker = marker_and_checksums(directory)[0]
     if marker != job.hash and (directory / DONE).exists():
         raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
@@ -167,7 +184,7 @@ def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None
 
 
 def damage_of(directory: Path, job: Job) -> str | None:
-    """The damage of a finished job's files in words, None if all can be read; reads every file."""
+    """Read every file of a finished job; return the error message of the first damaged one, None if there is none."""
     try:
         run = read_done(directory, job)
         if run is None:
@@ -179,15 +196,15 @@ def damage_of(directory: Path, job: Job) -> str | None:
 
 
 def read_all(run: Run) -> None:
-    """Read every file of a run, compare it with its checksum and with the others; raises `InputError` at a mismatch."""
+    """Read every file of a run; raise `InputError` if one does not match its checksum or the other files."""
     count = run.gaussians.count
     read_shown(run)
-    if (told := run.metrics["metrics"].get("gaussians", count)) != count:
-        raise _damaged(run.directory / MAP, f"it holds {count} Gaussians, and {METRICS} says {told}")
+    if (recorded := run.metrics["metrics"].get("gaussians", count)) != count:
+        raise _damaged(run.directory / MAP, f"it holds {count} Gaussians, and {METRICS} says {recorded}")
 
 
 def read_shown(run: Run) -> None:
-    """Do the same without the map, which no report shows."""
+    """Do the same as `read_all` for all files except the map, which no report shows."""
     steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
     try:
         agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
@@ -204,23 +221,23 @@ def without_checksum(run: Run) -> list[str]:
 
 
 def set_aside(directory: Path) -> None:
-    """Make a damaged run one that is not finished; its files stay until another one takes their place.
+    """Remove the completion marker of a damaged run. Its files are kept until a new run replaces them.
 
-    Of a run that is a link, to a larger disk for example, the link goes, and nothing behind it is touched.
+    If the run's directory is a symbolic link, only the link is removed.
     """
-    if not _let_go(directory):
+    if not _remove_link(directory):
         (directory / DONE).unlink(missing_ok=True)
 
 
 def withdraw(directory: Path) -> None:
     """Hide the run's completion marker; `reinstate` restores it."""
-    if not _let_go(directory):
-        with suppress(FileNotFoundError):  # somebody else was faster
+    if not _remove_link(directory):
+        with suppress(FileNotFoundError):  # another process was faster
             os.replace(directory / DONE, directory / WITHDRAWN)
 
 
-def _let_go(directory: Path) -> bool:
-    """Remove a run's directory that is a link; what it leads to stays as it is. Returns whether it was one."""
+def _remove_link(directory: Path) -> bool:
+    """Remove a run's directory if it is a symbolic link, not its target; return whether it was one."""
     if not directory.is_symlink():
         return False
     directory.unlink(missing_ok=True)
@@ -234,12 +251,12 @@ def reinstate(directory: Path) -> None:
 
 
 def is_withdrawn(directory: Path) -> bool:
-    """Whether there is a run that was finished and withdrawn."""
+    """Return whether the directory holds a withdrawn run."""
     return (directory / WITHDRAWN).is_file() and not (directory / DONE).exists()
 
 
 def finish(directory: Path, job: Job) -> None:
-    """Write the completion marker with the checksums of the other files. It is the last file of a run."""
+    """Write the completion marker, the last file of a run, with the checksums of the other files."""
     write_marker(directory, DONE, job, _READ_AGAIN)
 
 
@@ -251,24 +268,24 @@ def write_marker(directory: Path, marker: str, job: Job, names: Iterable[str]) -
 
 
 def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run:
-    """Open a finished job's directory.
+    """Read a finished job's directory.
 
     Parameters
     ----------
     directory
-        One of ``jobs/`` of a comparison.
+        A directory in ``jobs/`` of a comparison.
     scene
-        Another short name for the scene; by its spec if not given.
+        Short name for the scene. Default: derived from its spec.
 
     Returns
     -------
     Run
-        Configuration, numbers and clocks; arrays are read when they are asked for.
+        Configuration, metrics and times. Arrays are read when they are first used.
 
     Raises
     ------
     InputError
-        It is not finished, of another format, or damaged.
+        The run is not finished, has another format version, or is damaged.
     """
     directory = Path(directory)
     if not (directory / DONE).is_file():
@@ -277,12 +294,12 @@ def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run
 
 
 def open_run(directory: Path, scene: str | None = None) -> Run:
-    """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
+    """Read a run as `read_run` does, without requiring its completion marker."""
     marker, checksums = marker_and_checksums(directory)
     found = {}
     checks = {"config": run_files.check_config, "metrics": run_files.METRICS, "timing": run_files.TIMING}
     for name, check in checks.items():
-        # The format first: files of another one are not read.
+        # Compare the format version first: files of other versions are not checked.
         content = found[name] = _read(directory, f"{name}.json", checksums, schema.read_checked_json)
         version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION
         if version != FORMAT_VERSION:
@@ -298,11 +315,11 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
 
 @contextmanager
 def atomic_directory(directory: Path) -> Iterator[Path]:
-    """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
+    """Yield a temporary directory; it is renamed to ``directory`` when the block ends without an error.
 
-    Whatever has that name is replaced, unless it is the same job's finished result: another process was faster, and
-    equal jobs give equal results. A link is replaced itself, and what it leads to stays. The content is on the disk
-    before the name is. After an error, Ctrl-C included, nothing is left behind.
+    An existing ``directory`` is replaced, unless it holds the finished run of the same job: another process was faster,
+    and equal jobs give equal results. A symbolic link is replaced itself, not its target. All content is flushed to the
+    disk before the rename. After an error or Ctrl-C the temporary directory is removed.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
     part = directory.with_name(f".{directory.name}{temporary_suffix()}")
@@ -314,7 +331,7 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
             return
         _flush(part)
         aside = aside_of(directory)
-        if directory.exists() or directory.is_symlink():  # of a link the link itself, nothing behind it
+        if directory.exists() or directory.is_symlink():  # a dangling link does not exist, but is replaced
             _remove(aside)
             with suppress(FileNotFoundError):  # another process was faster
                 os.replace(directory, aside)
@@ -329,19 +346,19 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
 
 
 def _remove(place: Path) -> None:
-    """Remove a directory, a file, or a link alone; leave what cannot be removed."""
+    """Remove a directory, a file, or a symbolic link without its target; ignore errors."""
     with suppress(OSError):
         place.unlink() if place.is_symlink() or not place.is_dir() else shutil.rmtree(place)
 
 
 def aside_of(directory: Path) -> Path:
-    """Return where a run's directory is for the moment in which another one takes its place."""
-    directory = directory.absolute()  # "." has no name
+    """Return the path to which a run's directory is moved while a new one replaces it."""
+    directory = directory.absolute()  # the name of "." is empty
     return directory.with_name(f".{directory.name}.aside")
 
 
 def _why_not_a_run(directory: Path) -> str:
-    """Why a directory is no finished run, in words."""
+    """Return the reason why a directory is not a finished run, for an error message."""
     if not directory.exists():
         return "there is nothing of that name"
     if not directory.is_dir():
@@ -357,14 +374,14 @@ def _why_not_a_run(directory: Path) -> str:
 
 def completion_markers(directory: Path) -> list[Path]:
     """Return the completion markers of a comparison's runs; runs in temporary folders are left out."""
-    markers = (directory / JOBS).glob(f"*/{DONE}")  # which matches hidden folders, too
+    markers = (directory / JOBS).glob(f"*/{DONE}")  # also matches hidden folders
     return sorted(marker for marker in markers if not marker.parent.name.startswith("."))
 
 
 def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
-    """Keep a further protocol's numbers in a run's directory; replaces those of the same protocol.
+    """Write a protocol's metrics into a run's directory and return the file; replace those of the same protocol.
 
-    Raises `InputError` where the directory cannot be written.
+    Raise `InputError` if the directory cannot be written.
     """
     path = directory / EVALUATIONS / f"{slug(parameters['name'])}.json"
     content = {"format": FORMAT_VERSION, "protocol": parameters, "scene": scene_hash, "metrics": metrics}
@@ -376,18 +393,18 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write ``content`` at once: readers see the old file or the new one."""
+    """Replace a JSON file atomically: readers see either the old or the new content."""
     with replaced(path) as file:
         file.write(json_text(content).encode("utf-8"))
 
 
 def json_text(content: Any) -> str:
-    """Return the text of a JSON file as it is written."""
+    """Return the text of a JSON file with this content."""
     return json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
 
 
 def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str = "") -> Any:
-    """The content of a JSON file that passes a check; raises `InputError` with what to do about it otherwise."""
+    """Return the content of a JSON file; raise `InputError` with the ``remedy`` if it cannot be read or checked."""
     try:
         return schema.read_checked_json(path, check)
     except (OSError, ValueError) as error:
@@ -395,7 +412,7 @@ def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str 
 
 
 def _read(directory: Path, name: str, checksums: Mapping[str, str], read: Callable[[Path], T]) -> T:
-    """Read a file of a run and check its checksum, if it has one. The `InputError` says how to restore the file."""
+    """Read a file of a run and compare it with its checksum, if it has one; raise `InputError` with a remedy."""
     path = directory / name
     try:
         if name in checksums and checksum_of(path) != checksums[name]:
@@ -406,7 +423,7 @@ def _read(directory: Path, name: str, checksums: Mapping[str, str], read: Callab
 
 
 def _damaged(path: Path, reason: Exception | str) -> InputError:
-    """The `InputError` about a damaged file of a run, with the remedy."""
+    """Return the `InputError` about a damaged file of a run, with the remedy."""
     comparison = path.parent.parent.parent
     remedy = "make the run again"
     if path.parent.parent.name == JOBS and (comparison / COMPARISON).is_file():
@@ -420,13 +437,13 @@ def _unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
         return InputError(f"'{path}' is missing{remedy}")
     if isinstance(reason, OSError):
         return InputError(f"'{path}' cannot be read: {reason.strerror or reason}{remedy}")
-    if isinstance(reason, InputError) and str(path) in str(reason):  # it says whose file it is
+    if isinstance(reason, InputError) and str(path) in str(reason):  # the reason already names the file
         return InputError(f"{reason}{remedy}")
     return InputError(f"'{path}' is damaged: {reason}{remedy}")
 
 
 def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict[str, str]]:
-    """Return the job's hash and the checksums by file name; both empty where the run is not finished."""
+    """Return the job's hash and the checksums by file name from a marker file; both empty if it does not exist."""
     try:
         with open(directory / marker, "rb") as file:
             first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
@@ -437,7 +454,7 @@ def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict
 
 
 def checksum_of(path: Path) -> str:
-    """Return the SHA-256 of a regular file."""
+    """Return the SHA-256 of a file; raise `Mismatch` if it is not a regular file."""
     if path.exists() and not path.is_file():
         raise schema.Mismatch("it is no regular file")
     with open(path, "rb") as file:
@@ -468,12 +485,12 @@ def _arrays_that(pass_check: Callable[[Mapping[str, np.ndarray]], None]) -> Call
 
 
 def json_line(content: Any) -> str:
-    """One line of a JSON lines file."""
+    """Return one line of a JSON lines file."""
     return json.dumps(plain(content), allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def plain(value: Any) -> Any:
-    """``value`` in JSON's types; NaN and infinity become null."""
+    """Convert ``value`` to JSON's types; NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -492,13 +509,13 @@ def plain(value: Any) -> Any:
 
 
 def _same_result(part: Path, directory: Path) -> bool:
-    """Whether ``directory`` is the finished result of the job that ``part`` is of, played or measured."""
+    """Return whether ``directory`` holds the finished run of the job that ``part`` was played or measured for."""
     marker = marker_and_checksums(directory)[0]
     return bool(marker) and marker in (marker_and_checksums(part)[0], marker_and_checksums(part, PLAYED)[0])
 
 
 def _flush(directory: Path) -> None:
-    """Write all files of ``directory`` through to the disk, so that a power cut cannot empty a file that has a name."""
+    """Flush all files of ``directory`` to the disk, so that a power failure cannot leave empty files."""
     if os.name != "posix":
         return
     for path in (*directory.rglob("*"), directory):
@@ -506,15 +523,15 @@ def _flush(directory: Path) -> None:
         try:
             os.fsync(descriptor)
         except OSError:
-            pass  # a file system that cannot promise it
+            pass  # not supported by the file system
         finally:
             os.close(descriptor)
 
 
 def _completed(own: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's own numbers with the LPIPS, of every view too, that its protocol measured once there were weights.
+    """Return the metrics ``own`` of a run, with the LPIPS values of ``later`` if ``own`` has none.
 
-    And with nothing else: what of its own is not defined stays so, whatever is written beside it.
+    All other numbers are kept, including undefined ones.
     """
     if own.get("lpips") is not None or later.get("lpips") is None or len(own["views"]) != len(later["views"]):
         return dict(own)

@@ -1,4 +1,4 @@
-"""Folders that a process writes into before they, or their files, have their names; and what killed ones leave."""
+"""Write files into temporary folders, move them to their places when complete, and remove leftovers."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ from activestructure_gym.errors import FullDisk, InputError
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_id
 from activestructure_gym.streams import FULL
 
-_MAX_REPORT_SECONDS = 86400.0  # seconds after which what another machine was writing counts as left behind
+_MAX_REPORT_SECONDS = 86400.0  # age at which a temporary folder of another machine counts as a leftover
 
 
 def temporary_suffix() -> str:
-    """The end of a half-written folder's hidden name: who is writing it."""
+    """Return the suffix of a temporary folder's name: machine and process that write it."""
     return f".part-{machine_id()}-{os.getpid()}"
 
 
 @contextmanager
 def atomic_files(directory: Path) -> Iterator[Path]:
-    """A folder to write files into, which take their places in ``directory`` when the block ends without an error.
+    """Yield a temporary folder; when the block ends without an error, its files are moved into ``directory``.
 
-    Files of other names stay; after an error, all of them do. A place that cannot be written is an `InputError`.
+    Files of the same name are replaced, all others are kept. After an error ``directory`` is unchanged. Raise
+    `InputError` if it cannot be written.
     """
     new = not directory.exists()
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(directory, "files-*", others_after=_MAX_REPORT_SECONDS)  # it may be anybody's folder
+        remove_leftovers(directory, "files-*", others_after=_MAX_REPORT_SECONDS)
         part = Path(tempfile.mkdtemp(prefix=".files-", suffix=temporary_suffix(), dir=directory))
     try:
         with writing(directory):
             yield part
             places = {file: directory / file.relative_to(part) for file in sorted(part.rglob("*")) if file.is_file()}
-            for file, place in places.items():  # before the first takes its place
+            for file, place in places.items():  # check all places before the first file is moved
                 below = file.relative_to(part).parents
                 refuse_links(directory, *(str(folder) for folder in below if folder.name))
                 place.parent.mkdir(parents=True, exist_ok=True)
@@ -53,9 +54,9 @@ def atomic_files(directory: Path) -> Iterator[Path]:
 
 
 def refuse_links(directory: Path, *names: str) -> None:
-    """Raise `InputError` if one of the files or folders of these names in ``directory`` is a link.
+    """Raise `InputError` if one of the named entries of ``directory`` is a symbolic link.
 
-    A directory that somebody else made may hold links to anywhere; nothing is written through them.
+    A directory made by another user may hold links to any file; nothing is written through them.
     """
     for name in names:
         if (place := directory / name).is_symlink():
@@ -65,7 +66,7 @@ def refuse_links(directory: Path, *names: str) -> None:
 
 
 def unlinked(path: Path) -> Path:
-    """Remove ``path`` if it is a link, so that it can be written as a file of its own; what it leads to stays."""
+    """Remove ``path`` if it is a symbolic link, not its target; return ``path``."""
     if path.is_symlink():
         path.unlink()
     return path
@@ -73,7 +74,7 @@ def unlinked(path: Path) -> Path:
 
 @contextmanager
 def writing(place: str | os.PathLike[str]) -> Iterator[None]:
-    """Make a failure to write to ``place`` an `InputError`; where there is no room, a `FullDisk`."""
+    """Turn an OSError of the block into an `InputError` about ``place``, or `FullDisk` if the disk is full."""
     try:
         yield
     except OSError as error:
@@ -82,10 +83,10 @@ def writing(place: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def remove_leftovers(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:
-    """Remove what killed processes left half-written in ``directory``, of one name or of all.
+    """Remove temporary folders of killed processes from ``directory``; ``name`` is a pattern of the final name.
 
-    What a living process of this machine writes is left alone, and what another machine's has begun within the last
-    ``others_after`` seconds.
+    Folders of running processes of this machine are kept. Folders of other machines are kept if they were changed less
+    than ``others_after`` seconds ago.
     """
     for part in directory.glob(f".{name}.part-*"):
         machine, _, process = part.name.rpartition(".part-")[2].partition("-")
@@ -98,7 +99,7 @@ def remove_leftovers(directory: Path, name: str = "*", *, others_after: float = 
 
 
 def _age(path: Path) -> float:
-    """Seconds since a folder was changed; 0 where it is gone, or the clocks of two machines differ."""
+    """Return the seconds since a folder was changed; 0 if it does not exist or its time is in the future."""
     with suppress(OSError):
         return max(0.0, time.time() - path.stat().st_mtime)
     return 0.0

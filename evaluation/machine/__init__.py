@@ -1,1 +1,1 @@
-"""This machine: threads, processes, hardware."""
+"""Inspect and control this machine: threads, processes, hardware and the terminal."""

@@ -1,4 +1,4 @@
-"""Versions and hardware that a result was made with, for the archive and for ``asg doctor``."""
+"""Describe the versions and the hardware that produce a result, for run directories and ``asg doctor``."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 from activestructure_gym._version import __version__
 from activestructure_gym.cores import core_count
 
-_SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # rooms that make no number of a run
+_SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # folders whose code affects no number of a run
 
-# What a number can depend on.
+# Packages whose version can change a number of a run, or how it is displayed.
 PACKAGES = (
     "numpy",
     "scipy",
@@ -35,7 +35,7 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Version of this package, of Python and of every package that takes part; "missing" where it is not installed."""
+    """Return the versions of this package, Python and `PACKAGES`; "missing" for packages that are not installed."""
     found = {"activestructure-gym": __version__, "code": code_checksum(), "python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -47,9 +47,9 @@ def versions() -> dict[str, str]:
 
 @cache
 def code_checksum() -> str:
-    """SHA-256 over the names and contents of the Python files that numbers are made by, of this package as it runs.
+    """Return the SHA-256 over names and contents of this package's Python files that can change a number.
 
-    What shows results (pages, pictures, the command line) is left out.
+    Code that only displays results (pages, pictures, the command line) is left out.
     """
     import activestructure_gym
 
@@ -65,7 +65,7 @@ def code_checksum() -> str:
 
 
 def hardware() -> dict[str, str | int]:
-    """Processor, cores this process may use, memory and system. No host name, no user name."""
+    """Return processor, number of usable cores, memory and system; no host name and no user name."""
     return {
         "processor": _processor(),
         "cores": core_count(),

@@ -1,4 +1,4 @@
-"""Which processes of this machine are alive, how much processor time they took, and how to end what one left behind."""
+"""Query the processes of this machine: running or not, processor time, members of a session; and end a session."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-_DYING_S = 1.0  # a killed process is gone by then
-# In the environment of a Python process whose output is read as text, whatever the encoding of this process's.
+_DYING_S = 1.0  # seconds to wait for killed processes to end
+# Environment of a Python process whose output is read as text: UTF-8 regardless of the locale.
 UTF_8 = {"PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
 @cache
 def machine_id() -> str:
-    """Six hex digits that tell this machine from the others of a cluster, and give no name away."""
+    """Return six hex digits that identify this machine within a cluster without showing its name."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 
 
 def processor_seconds() -> float:
-    """Processor time of this process, of its descendants that live and of those that have ended.
+    """Return the processor seconds of this process and of all its descendants, running or ended.
 
-    Without a ``/proc`` those that live are left out until they have ended.
+    Without ``/proc``, running descendants are not counted.
     """
     own = os.times()
     seconds = own.user + own.system + own.children_user + own.children_system
@@ -33,13 +33,13 @@ def processor_seconds() -> float:
     spent: dict[int, float] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            # The name may hold blanks and brackets; what follows the last bracket does not. Counted from the state:
-            # parent 1, then user, system and waited-for children's user and system time from 11 on.
+            # The name may contain blanks and brackets, so fields are counted after the last bracket. There field 0 is
+            # the state, 1 the parent, 11 to 14 the user and system time of the process and of its ended children.
             fields = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
             process = int(stat.parent.name)
             children.setdefault(int(fields[1]), []).append(process)
             spent[process] = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-        except (OSError, ValueError, IndexError):  # it has just ended
+        except (OSError, ValueError, IndexError):  # the process has just ended
             continue
     waiting = list(children.get(os.getpid(), ()))
     while waiting:
@@ -50,8 +50,8 @@ def processor_seconds() -> float:
 
 
 def is_alive(process: int) -> bool:
-    """Whether a process of this machine lives."""
-    if os.name != "posix":  # there os.kill(process, 0) would end the process
+    """Return whether a process of this machine is running."""
+    if os.name != "posix":  # on Windows os.kill(process, 0) would end the process
         return process == os.getpid()
     try:
         os.kill(process, 0)
@@ -63,15 +63,16 @@ def is_alive(process: int) -> bool:
 
 
 def end_session(leader: int) -> list[str]:
-    """Kill what still runs in the session of a process that has ended, and return the names of these processes.
+    """Kill all processes in the session of an ended process, and return their names.
 
-    Without a ``/proc`` the leader's process group is killed, and the list is empty. A daemon has left the session.
+    Without ``/proc``, the leader's process group is killed and the list is empty. Daemons in a session of their own are
+    not found.
     """
     if os.name != "posix" or leader <= 1:
         return []
     ended: dict[int, str] = {}
     deadline = time.monotonic() + _DYING_S
-    while (found := session_members(leader)) and time.monotonic() < deadline:  # one may fork while it is killed
+    while (found := session_members(leader)) and time.monotonic() < deadline:  # a process may fork before it is killed
         ended |= found
         for process in found:
             with suppress(ProcessLookupError, PermissionError):
@@ -84,10 +85,10 @@ def end_session(leader: int) -> list[str]:
 
 
 def session_members(leader: int) -> dict[int, str]:
-    """The living processes of a session except its leader, with their names; none without a ``/proc``."""
+    """Return the names of a session's running processes by id, without its leader; empty without ``/proc``."""
     found = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError, ValueError, IndexError):  # it has just ended
+        with suppress(OSError, ValueError, IndexError):  # the process has just ended
             head, _, tail = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")
             state, _, _, session = tail.split()[:4]
             process = int(stat.parent.name)

@@ -1,4 +1,4 @@
-"""Text that fits a terminal: broken between words and parts of names, and never inside a number."""
+"""Fit text to a terminal: break lines between words or parts of names, but not inside a number."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Iterator, Sequence
 from rich.cells import cell_len, set_cell_size
 
 GAP = 2  # columns between two entries of a line
-_BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end behind one of these; behind the latter where it must
-_MIN_COLUMNS = 8  # columns; a text that has fewer is left out
+_BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end after one of these; after the second set only if necessary
+_MIN_COLUMNS = 8  # if fewer columns remain for the last entry of a row, it is left out
 
 
 def breaks(text: str, width: int) -> list[int]:
-    """Return where lines of at most ``width`` columns begin, the first at 0; no number is broken that fits a line."""
+    """Return the indices at which lines of at most ``width`` columns begin, the first 0.
+
+    A number is broken only if it is wider than a line.
+    """
     starts, start = [0], 0
     while cell_len(text[start:].rstrip()) > width:
         end = start + 1
@@ -35,7 +38,7 @@ def folded(text: str, width: int) -> list[str]:
 
 
 def shortened(text: str, width: int, ellipsis: str = "…") -> str:
-    """Return ``text``, or its beginning and an ellipsis where it is wider than ``width`` columns."""
+    """Return ``text``, shortened and with an ellipsis if it is wider than ``width`` columns."""
     if cell_len(text) <= width:
         return text
     if width < len(ellipsis):
@@ -47,7 +50,7 @@ def shortened(text: str, width: int, ellipsis: str = "…") -> str:
 
 
 def longest_piece(text: str) -> int:
-    """Return the columns of the longest part of ``text`` that no line has to break."""
+    """Return the width in columns of the longest part of ``text`` between two places where a line may break."""
     ends = [at for at in range(1, len(text)) if _may_break(text, at, _BREAKS + _WITHIN)]
     return max((cell_len(text[a:b].strip()) for a, b in zip([0, *ends], [*ends, len(text)])), default=0)
 
@@ -55,10 +58,10 @@ def longest_piece(text: str) -> int:
 def aligned(
     rows: Sequence[Sequence[str]], width: int | None, most: Sequence[int] = (), ellipsis: str = "…"
 ) -> Iterator[str]:
-    """Yield a line per row, its entries below each other; the last is shortened to the width, if there is one.
+    """Yield the rows as aligned columns; the last entry is shortened to ``width`` columns, unless that is None.
 
-    An entry wider than its column's ``most`` moves those behind it. A row whose other entries are wider than a line
-    takes several.
+    ``most`` limits the width of each column; a wider entry moves the following ones to the right. If the other entries
+    fill the line, they are folded into several lines and the last entry is left out.
     """
     wide = [max(map(cell_len, column)) for column in list(zip(*rows))[:-1]]
     wide = [min(size, *most[k : k + 1]) if k < len(most) else size for k, size in enumerate(wide)]
@@ -87,6 +90,7 @@ def paragraphs(text: str) -> Iterator[str]:
 
 
 def _with_indent(line: str, width: int) -> Iterator[str]:
+    """Yield ``line`` folded to ``width`` columns, with its continuation lines indented."""
     first, *rest = folded(line, width)
     yield first
     for more in folded(" ".join(rest), width - GAP) if rest else ():
@@ -94,7 +98,7 @@ def _with_indent(line: str, width: int) -> Iterator[str]:
 
 
 def _may_break(text: str, at: int, behind: str = _BREAKS) -> bool:
-    """Whether a line may end before this character: behind a separator that is no part of a number."""
+    """Return whether a line may end before index ``at``: after a separator that is not part of a number."""
     if not 0 < at < len(text) or text[at - 1] not in behind or text[at] in behind:
         return False
     digits = text[at - 2 : at - 1].isdigit() and at > 1, text[at].isdigit()
@@ -102,7 +106,7 @@ def _may_break(text: str, at: int, behind: str = _BREAKS) -> bool:
 
 
 def _in_number(text: str, at: int) -> bool:
-    """Whether the characters before and at this place belong to one number."""
+    """Return whether the characters before and at index ``at`` belong to one number."""
     around = text[max(at - 2, 0) : at + 2]
     before, after = text[at - 1 : at], text[at : at + 1]
     digits = before.isdigit(), after.isdigit()

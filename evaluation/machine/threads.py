@@ -1,4 +1,4 @@
-"""Numbers of threads: of this process, and in the environment of those it starts."""
+"""Limit the number of threads of this process and of the processes that it starts."""
 
 from __future__ import annotations
 
@@ -6,35 +6,35 @@ import os
 
 from activestructure_gym.cores import core_count
 
-# Libraries read their own variable, once, when they are loaded.
+# Each library reads its own variable once, when it is loaded.
 _COUNT_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def thread_cap() -> int:
-    """Threads one call may use: ``OMP_NUM_THREADS`` where it is set, else one per core."""
+    """Return the number of threads that one call may use: ``OMP_NUM_THREADS`` if set, else one per core."""
     text = os.environ.get("OMP_NUM_THREADS", "")
     return int(text) if text.isdigit() and int(text) > 0 else core_count()
 
 
 def set_passive_waiting() -> None:
-    """Let idle OpenMP threads sleep instead of spin; call before torch is imported.
+    """Make idle OpenMP threads sleep instead of spin. Call this before torch is imported.
 
-    Two torch processes of two threads on two cores ran 35 times slower with spinning threads
+    With spinning threads, two torch processes with two threads each took 35 times as long on two cores
     (docs/notebook/groundwork.md).
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def worker_environment(slots: int) -> dict[str, str]:
-    """The environment for one of ``slots`` processes that run at the same time: the cores are shared out evenly."""
+    """Return the environment for one of ``slots`` parallel processes, each with an equal share of the cores."""
     return capped_environment(core_count() // max(1, slots))
 
 
 def capped_environment(threads: int) -> dict[str, str]:
-    """The environment for a process of so many threads, at least one."""
+    """Return the environment for a process with this number of threads, at least 1."""
     environment = dict(os.environ)
     environment.update({name: str(max(1, threads)) for name in _COUNT_VARIABLES})
     environment["OMP_WAIT_POLICY"] = "PASSIVE"
     environment["MPLBACKEND"] = "Agg"
-    environment["PYTHONSAFEPATH"] = "1"  # it finds modules as this process does, and not first in the working directory
+    environment["PYTHONSAFEPATH"] = "1"  # modules of the working directory do not come first, as in this process
     return environment

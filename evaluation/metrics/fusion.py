@@ -1,11 +1,11 @@
-"""A surface out of depth images: truncated signed distances on blocks of voxels, and triangles where they change sign.
+"""Fuse depth images into a triangle surface by truncated signed distances (TSDF) on sparse blocks of voxels.
 
-[curless1996] with projective distances and equal weights. Only blocks that some depth image's surface runs
-through are kept; each of them is carved by every image that looks through it.
+Source: [curless1996], with projective distances and equal weights. Only blocks near a measured surface are stored;
+every image that observes a stored block is integrated into it.
 
-The blocks are fused part by part, so that a whole floor needs no more memory than a large flat. A part is fused
-together with the blocks after its own, whose first voxels close its last cells. So no part ends in a crack, and every
-triangle belongs to one part.
+The blocks are fused in parts to bound the memory. A part also contains the neighbouring blocks that follow its own in
+x, y or z: their first voxels complete the cells at the border. So there are no cracks between parts, and every triangle
+belongs to exactly one part.
 """
 
 from __future__ import annotations
@@ -31,38 +31,41 @@ from activestructure_gym.evaluation.metrics.fusion_kernels import (
 )
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-MAX_BLOCKS = 20_000_000  # that are known at a time, 160 MB; about 290,000 square metres at voxels of 2 cm
-_ROOM = 320  # triangles per block to begin with: a plane through the middle, at a slant
-_CHUNK = 64  # blocks that one thread takes at a time
-_PIECE = 32 * _CHUNK  # blocks whose triangles are given at a time: 30 MB
-_PART = 50_000  # blocks that are fused at a time, without those after them: 200 MB
-_IMAGES = 64  # that are read, or drawn anew, at a time
-_KEPT_IMAGES = 256 << 20  # bytes; more images are drawn anew for every part
-_KEPT_TRIANGLES = 512 << 20  # bytes; more triangles are made anew whenever they are asked for
-_MAX_CELLS = 20_000_000  # blocks in the box around what one image sees; more means depths without any sense
-_BITS = 21  # of a block's place along each axis, in its key
+MAX_BLOCKS = 20_000_000  # limit of stored blocks, 160 MB of keys; about 290,000 m^2 with voxels of 2 cm
+_ROOM = 320  # initial buffer in triangles per block: enough for an oblique plane through its centre
+_CHUNK = 64  # blocks per task of a thread
+_PIECE = 32 * _CHUNK  # blocks per yielded array of triangles: 30 MB
+_PART = 50_000  # blocks fused at a time, without their neighbours: 200 MB
+_IMAGES = 64  # images read or rendered at a time
+_KEPT_IMAGES = 256 << 20  # bytes; if the images need more, they are rendered again for every part
+_KEPT_TRIANGLES = 512 << 20  # bytes; if the triangles need more, they are computed again at each call of `pieces`
+_MAX_CELLS = 20_000_000  # blocks in the bounding box of one image; more means that its depths are invalid
+_BITS = 21  # bits per axis of a block's index in its key
 
-_AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])  # a block itself, and the seven after it
+_AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])  # offsets of a block and its 7 following neighbours
 
 
 class FusedSurface:
-    """The zero surface of the fused distances, where all corners of a voxel cell have been seen.
+    """Extract the zero level of the fused distances in all voxel cells whose eight corners were observed.
 
     Parameters
     ----------
     draw
-        The depth images [n, H, W] float32 at some of the poses [n, 4, 4]: metres along the optical axis, 0 = nothing
-        there. It is called again for the same poses where the images together are too large to keep.
+        Return the depth images [n, H, W] float32 at the given poses [n, 4, 4]: metres along the optical axis,
+        0 = no surface. It is called repeatedly for the same poses if all images together are too large to keep.
     camera
         The camera of all images.
     world_from_camera
-        [K, 4, 4] the poses of all images.
+        [K, 4, 4] poses of all images.
     voxel
-        Metres.
+        Side length of a voxel in metres.
     truncation
-        Metres.
+        Truncation distance in metres.
 
-    Raises `InputError` where the images span more than can be fused.
+    Raises
+    ------
+    InputError
+        The images cover a larger region than can be fused.
     """
 
     def __init__(
@@ -87,11 +90,11 @@ class FusedSurface:
 
     @property
     def blocks(self) -> int:
-        """How many blocks of voxels the surface runs through."""
+        """Return the number of stored blocks."""
         return len(self._keys)
 
     def pieces(self) -> Iterator[np.ndarray]:  # [T, 3, 3] float32 metres, the corners of triangles
-        """The triangles, some at a time, in the order of their blocks: the same ones every time."""
+        """Yield the triangles in pieces, in the order of their blocks; every call yields the same ones."""
         if self._pieces is not None:
             yield from self._pieces
             return
@@ -108,7 +111,7 @@ class FusedSurface:
             self._pieces = kept
 
     def _marked(self) -> np.ndarray:  # [B] int64
-        """The keys of all blocks that the truncation band around a seen point runs through."""
+        """Return the keys of all blocks that meet the truncation band around an observed point."""
         keys = np.zeros(0, np.int64)
         for first in range(0, len(self._poses), _IMAGES):
             images = np.arange(first, min(first + _IMAGES, len(self._poses)))
@@ -123,18 +126,19 @@ class FusedSurface:
         return keys
 
     def _marked_by(self, depth: np.ndarray, images: np.ndarray) -> np.ndarray:  # [n] int64
+        """Return the keys of the blocks near the points of these images; split the images if they are far apart."""
         seen = np.isfinite(self._bounds[images]).all(axis=(1, 2))
         depth, images = depth[seen], images[seen]
         if not len(images):
             return np.zeros(0, np.int64)
         block = SIDE * self._voxel
         low, high = self._bounds[images, 0].min(axis=0), self._bounds[images, 1].max(axis=0)
-        first = np.floor(low / block).astype(np.int64) - 1  # one to spare on every side, for what is rounded
+        first = np.floor(low / block).astype(np.int64) - 1  # a margin of one block for rounding
         shape = np.floor(high / block) - first + 2.0
         if float(shape.prod()) > _MAX_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
             if len(images) == 1:
                 raise InputError(f"a depth image spans {(high - low).round(1)} m; expected a scene in metres")
-            half = len(images) // 2  # two that look at places far apart
+            half = len(images) // 2  # the images may show places far apart
             parts = [self._marked_by(depth[part], images[part]) for part in (slice(half), slice(half, None))]
             return np.concatenate(parts)
         marked = np.zeros(tuple(shape.astype(int)), np.bool_)
@@ -147,11 +151,11 @@ class FusedSurface:
         return np.ascontiguousarray(self._draw(self._poses[images]), np.float32)
 
     def _part(self, own: np.ndarray) -> Iterator[np.ndarray]:
-        """The triangles of some blocks [n], which are given by their keys."""
+        """Yield the triangles of the blocks with the keys ``own`` [n]."""
         after = own[:, None] + _keys_of(_AFTER, about=0)  # [n, 8]
         keys = np.unique(after[_rows_of(after, self._keys) >= 0])
         rows = _rows_of(after, keys)
-        # Multiples of the block, so that the same surface meets the same grid whatever else was seen.
+        # The origin is a multiple of the block size, so the grid does not depend on the other observations.
         block = SIDE * self._voxel
         first = np.floor(self._bounds[:, 0].min(axis=0) / block).astype(np.int64) - 1
         origin, places = first * block, _places_of(keys) - first
@@ -175,7 +179,7 @@ class FusedSurface:
                 yield np.concatenate(list(pool.map(extract, starts)))
 
     def _integrate(self, fused: Blocks, origin: np.ndarray, pool: ThreadPoolExecutor) -> None:
-        """Add every image to the blocks that it may see."""
+        """Integrate all images that can observe the blocks."""
         block = SIDE * self._voxel
         low, high = origin + fused.places.min(axis=0) * block, origin + (fused.places.max(axis=0) + 1) * block
         near = np.flatnonzero(self._reaches(low, high))
@@ -192,10 +196,10 @@ class FusedSurface:
             list(pool.map(partial(integrate, depth, tiles, *rest), own))
 
     def _reaches(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:  # [K] bool
-        """Which images can say something about a box: it meets the box around the camera and all that it sees."""
+        """Return which images can observe a box: it meets the bounding box of the camera and its observed points."""
         eyes = self._poses[:, :3, 3]
         lower, upper = np.minimum(self._bounds[:, 0], eyes), np.maximum(self._bounds[:, 1], eyes)
-        # A pixel is that wide at the far end, and half of it lies beyond the point in its middle.
+        # Upper bound on a pixel's width at the farthest point; half of it extends beyond the point at its centre.
         wide = np.linalg.norm(upper - lower, axis=1) / min(self._camera.fx, self._camera.fy)
         spare = (SIDE * self._voxel + wide)[:, None]
         return np.isfinite(self._bounds).all(axis=(1, 2)) & ((lower - spare <= high) & (upper + spare >= low)).all(
@@ -204,7 +208,7 @@ class FusedSurface:
 
 
 def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> None:
-    """Raise `InputError` where so many square metres of surface, all of it seen, have more blocks than can be fused."""
+    """Raise `InputError` if a completely observed surface of ``area`` m^2 needs more blocks than can be fused."""
     blocks = _blocks_for(area, voxel, truncation)
     if blocks <= MAX_BLOCKS:
         return
@@ -219,31 +223,31 @@ def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> No
 
 
 def _blocks_for(area: float, voxel: float, truncation: float) -> float:
-    """Return about how many blocks the truncation band around a surface runs through."""
+    """Return the approximate number of blocks that meet the truncation band around a surface of ``area`` m^2."""
     block = SIDE * voxel
     return area / block**2 * (1.0 + 2.0 * truncation / block)
 
 
 def triangle_areas(corners: np.ndarray) -> np.ndarray:  # [T] m^2
-    """Return the area of each of the triangles [T, 3, 3]."""
+    """Return the area of each triangle of ``corners`` [T, 3, 3] metres."""
     areas = np.empty(len(corners))
     areas_of(np.ascontiguousarray(corners), areas)
     return areas
 
 
 def _keys_of(places: np.ndarray, about: int = 1 << (_BITS - 1)) -> np.ndarray:  # [..., 3] -> [...] int64
-    """Numbers that rise with x, then y, then z."""
+    """Return integer keys of block indices, ordered by x, then y, then z."""
     x, y, z = np.moveaxis(places + about, -1, 0)
     return (x << 2 * _BITS) + (y << _BITS) + z
 
 
 def _rows_of(wanted: np.ndarray, keys: np.ndarray) -> np.ndarray:  # [...], [N] rising -> [...] int32
-    """Where each key stands among others, -1 where it does not."""
+    """Return the row of each wanted key in ``keys``, -1 for missing keys."""
     rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1).astype(np.int32)
     return np.where(keys[rows] == wanted, rows, np.int32(-1))
 
 
 def _places_of(keys: np.ndarray) -> np.ndarray:  # [N] -> [N, 3] int64
-    """The places of keys."""
+    """Return the block indices of keys."""
     mask = (1 << _BITS) - 1
     return np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - (1 << (_BITS - 1))

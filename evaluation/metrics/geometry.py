@@ -1,4 +1,4 @@
-"""Accuracy, completion, completion ratio, precision and F-score between reconstructed points and the true surface."""
+"""Score reconstructed points against the true surface: accuracy, completion, completion ratio, precision, F-score."""
 
 from __future__ import annotations
 
@@ -11,52 +11,62 @@ import numpy as np
 from activestructure_gym.evaluation.metrics.nearest import PointTree
 from activestructure_gym.evaluation.metrics.streams import StreamedSum, batched
 
-_BATCH = 1 << 21  # points that are searched among, or asked for, at a time: 300 MB
+_BATCH = 1 << 21  # points per search tree or query: 300 MB
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """The true surface as samples that stand for equal shares of its area."""
+    """Represent the true surface by samples of equal area.
 
-    points: np.ndarray  # [S, 3] metres, world
-    normals: np.ndarray  # [S, 3] unit, either side
-    area: float  # m^2 of the surface they were drawn from
+    Parameters
+    ----------
+    points
+        [S, 3] metres, world.
+    normals
+        [S, 3] unit vectors, on either side of the surface.
+    area
+        Area of the sampled surface in m^2.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    area: float
 
     @property
     def disc_radius(self) -> float:  # metres
-        """Radius of a disc of twice one sample's share of the area: 86 % of the surface lies below random discs."""
+        """Return the radius of a disc with twice the area of one sample; random discs cover 86 % of the surface."""
         return float(np.sqrt(2.0 * self.area / (np.pi * max(len(self.points), 1))))
 
     @cached_property
     def discs(self) -> PointTree:
-        """The samples as discs, to be asked for the nearest one."""
+        """Return a search tree over the samples as discs."""
         return PointTree(self.points, self.normals, self.disc_radius)
 
     @cached_property
     def samples(self) -> PointTree:
-        """The samples as points, to be asked for the nearest one."""
+        """Return a search tree over the samples as points."""
         return PointTree(self.points)
 
 
 @dataclass(frozen=True)
 class GeometryScores:
-    """The six numbers; None where they are not defined (no reconstructed point, no surface) or not measured."""
+    """Hold the scores of a reconstruction; None if a score is undefined (no points, no surface) or not measured."""
 
     accuracy_cm: float | None  # mean distance from a reconstructed point to the true surface
-    sample_accuracy_cm: float | None  # the same to the nearest true *sample*, as most papers print it
+    sample_accuracy_cm: float | None  # mean distance to the nearest true sample, as most papers report it
     completion_cm: float | None  # mean distance from a true sample to the nearest reconstructed point
     completion_ratio: float | None  # % of the true samples with a reconstructed point nearer than the threshold
     precision: float | None  # % of the reconstructed points nearer to the surface than the threshold
-    f_score: float | None  # % harmonic mean of precision and completion ratio
+    f_score: float | None  # %, harmonic mean of precision and completion ratio
 
 
 def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  # [Q] metres
-    """Distance from every query [Q, 3] to the nearest of ``points`` [P, 3]; inf where there are none."""
+    """Return the distance from each query [Q, 3] to the nearest of ``points`` [P, 3]; inf if there are no points."""
     return streamed_distances(queries, [np.asarray(points, np.float64).reshape(-1, 3)])
 
 
 def streamed_distances(queries: np.ndarray, pieces: Iterable[np.ndarray]) -> np.ndarray:  # [Q] metres
-    """Return the `nearest_distances` to points that come in pieces [n, 3], in bounded memory."""
+    """Return the `nearest_distances` to points that are given in pieces [n, 3], in bounded memory."""
     nearest = NearestPoints(queries)
     for batch in batched(pieces, _BATCH):
         nearest.add(batch)
@@ -64,17 +74,17 @@ def streamed_distances(queries: np.ndarray, pieces: Iterable[np.ndarray]) -> np.
 
 
 class NearestPoints:
-    """Distances from some places to the nearest of points that come in batches."""
+    """Compute the distances from fixed places [Q, 3] to the nearest of points that are added in batches."""
 
     def __init__(self, places: np.ndarray) -> None:
         self._places = np.asarray(places, np.float64).reshape(-1, 3)
         self.distances = np.full(len(self._places), np.inf)  # [Q] metres
 
     def add(self, points: np.ndarray) -> None:
-        """Take further points [P, 3] into account."""
+        """Add points [P, 3] and update the distances."""
         if not len(points):
             return
-        # No point is nearer than the box around all of them; the share is for what is rounded.
+        # The distance to the bounding box is a lower bound; the factor allows for rounding.
         apart = np.maximum(np.maximum(points.min(axis=0) - self._places, self._places - points.max(axis=0)), 0.0)
         ask = np.linalg.norm(apart, axis=1) * (1.0 - 1e-9) < self.distances
         found = PointTree(points).query(self._places[ask])[0]
@@ -82,17 +92,18 @@ class NearestPoints:
 
 
 def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:  # [Q], [Q]
-    """Distance from every query to the true surface, and to the nearest true sample; metres.
+    """Return the distances in metres from each query to the true surface and to the nearest true sample.
 
-    Each sample stands for a flat disc around its point, across its normal. The distance to the nearest disc has a
-    twentieth of the bias of the distance to the nearest sample, which for points exactly on the surface is half the
-    sample spacing: 3.4 cm with 200,000 samples on 900 m^2. At an open edge a disc may stick out by its radius.
+    The surface is approximated by a flat disc around each sample, normal to its normal vector. For points exactly on
+    the surface, the distance to the nearest sample is biased by half the sample spacing: 3.4 cm with 200,000 samples on
+    900 m^2. The distance to the nearest disc has a twentieth of this bias. At an open edge a disc can extend beyond the
+    surface by its radius.
     """
     return surface.discs.query(queries)[0], surface.samples.query(queries)[0]
 
 
 def completion_distances(surface: SurfaceSamples, reconstructed: np.ndarray) -> np.ndarray:  # [S] metres
-    """Distance from every true sample to the nearest reconstructed point."""
+    """Return the distance from each true sample to the nearest reconstructed point."""
     return nearest_distances(surface.points, reconstructed)
 
 
@@ -100,26 +111,26 @@ def geometry_scores(
     reconstructed: np.ndarray,  # [P, 3] metres, world
     surface: SurfaceSamples,
     *,
-    threshold_m: float = 0.05,  # "5 cm" of all the literature; a distance must be below it (strictly)
-    to_samples: bool = True,  # also measure to the nearest sample
+    threshold_m: float = 0.05,
+    to_samples: bool = True,
 ) -> GeometryScores:
-    """Acc, Com., C.R., precision and F-score of a set of points against the true surface.
+    """Return accuracy, completion, completion ratio, precision and F-score of points against the true surface.
 
     Parameters
     ----------
     reconstructed
-        [P, 3] points, metres, world. Points that are not finite are left out, as are such samples of the surface.
+        [P, 3] points in metres, world. Points and samples that are not finite are ignored.
     surface
         Samples of the true surface.
     threshold_m
-        Metres; a distance must be below it (strictly). "5 cm" of all the literature.
+        Threshold in metres; a distance must be strictly below it. The literature uses 5 cm.
     to_samples
-        Also measure to the nearest true sample.
+        Whether to measure also the distances to the nearest true sample.
 
     Returns
     -------
     GeometryScores
-        Centimetres and percent; None where a number is not defined.
+        Scores in centimetres and percent; None if a score is undefined.
 
     Notes
     -----
@@ -147,7 +158,7 @@ def streamed_scores(
     threshold_m: float,
     to_samples: bool,
 ) -> GeometryScores:
-    """Return the `geometry_scores` of points that come in pieces, equal to the last bit and in bounded memory."""
+    """Return the `geometry_scores` of points that are given in pieces, bit-identical and in bounded memory."""
     real = np.isfinite(surface.points).all(axis=1)
     if not real.any():
         return GeometryScores(None, None, None, None, None, None)

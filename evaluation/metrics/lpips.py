@@ -1,8 +1,8 @@
-"""LPIPS with AlexNet, version 0.1 ([lpips]), with weights that the user supplies.
+"""Compute LPIPS with AlexNet, version 0.1 ([lpips]), with weights that the user supplies.
 
-Two files, known by their SHA-256: torchvision's AlexNet, and the five linear layers of lpips 0.1.4. They are looked for
-where ``ASG_LPIPS_WEIGHTS`` (or ``--lpips-weights``) says, else among the checkpoints of torch's hub. Files of other
-content are never used, whatever their name; without weights there is no number.
+The weights are two files, identified by their SHA-256: torchvision's AlexNet, and the five linear layers of lpips
+0.1.4. They are searched in ``ASG_LPIPS_WEIGHTS`` (or ``--lpips-weights``), by default among the checkpoints of torch's
+hub. Files with another checksum are never used. Without weights LPIPS is not computed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Distance = Callable[[np.ndarray, np.ndarray], float]
 
 @dataclass(frozen=True)
 class WeightFile:
-    """A published file of weights."""
+    """Describe a published file of weights."""
 
     what: str
     usual_name: str
@@ -38,8 +38,8 @@ class WeightFile:
     size: int  # bytes
 
 
-# torchvision's file carries the first digits of its hash in its name. The second is `weights/v0.1/alex.pth` of the
-# package lpips 0.1.4; both hashes as several public evaluation records have them.
+# The name of torchvision's file contains the first digits of its hash. The second file is `weights/v0.1/alex.pth` of
+# the package lpips 0.1.4. Both hashes agree with several public evaluation records.
 PUBLISHED = (
     WeightFile(
         "torchvision's AlexNet",
@@ -55,14 +55,14 @@ PUBLISHED = (
     ),
 )
 
-# (layer of torchvision's AlexNet, stride, padding, whether pooling comes before it)
+# (layer of torchvision's AlexNet, stride, padding, whether max pooling precedes it)
 _LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
-_SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of images in -1..1
+_SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # normalisation of images in [-1, 1]
 _EPSILON = 1e-8  # added to squared lengths
 
 
 class Lpips:
-    """The network, ready to compare images."""
+    """Compare images with the loaded network."""
 
     def __init__(self, backbone: dict[str, torch.Tensor], heads: dict[str, torch.Tensor]) -> None:
         import torch
@@ -78,7 +78,7 @@ class Lpips:
         self._scale = torch.tensor(_SCALE).view(1, 3, 1, 1)
 
     def __call__(self, rendered: np.ndarray, true: np.ndarray) -> float:
-        """Distance of two images [H, W, 3] in 0..1: 0 for equal ones, unbounded above."""
+        """Return the distance of two images [H, W, 3] in [0, 1]: 0 for equal images, without an upper bound."""
         import torch
 
         with torch.no_grad():
@@ -101,10 +101,10 @@ class Lpips:
 
 
 def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED) -> tuple[list[Path], str]:
-    """The files of the expected content, in their order, and "" - or no files and what is missing.
+    """Return the files with the expected checksums and an empty text, or no files and a text about the missing ones.
 
-    ``place`` is a folder, or one of the files with the other beside it; None is the checkpoints of torch's hub. Raises
-    `InputError` for a place that does not exist.
+    ``place`` is a folder, or one of the two files in a common folder. None means the checkpoints of torch's hub. Raise
+    `InputError` if ``place`` does not exist.
     """
     if place is None:
         folder = _hub_directory() / "checkpoints"
@@ -122,39 +122,39 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     missing = [file for file in expected if file.sha256 not in present]
     if missing:
         wanted = " and ".join(f"{file.what} ({file.usual_name}, sha256 {file.sha256[:8]}...)" for file in missing)
-        # The reason stands in results, which must not differ from user to user: no path.
+        # The reason is stored in results, which must not contain a user's path.
         holder = "the cache of torch's hub" if place is None else f"the folder '{folder.name}'"
         return [], f"weights not supplied: {holder} does not hold {wanted}; --lpips-weights FOLDER takes them"
     return [present[file.sha256] for file in expected], ""
 
 
 def _hub_directory() -> Path:
-    """torch's hub directory, where torch's documentation says it is; importing torch takes seconds."""
-    if "torch" in sys.modules:  # may have been told another place
+    """Return torch's hub directory by torch's documented rule, because importing torch takes seconds."""
+    if "torch" in sys.modules:  # `torch.hub.set_dir` may have changed it
         return Path(sys.modules["torch"].hub.get_dir())
     cache = os.getenv("XDG_CACHE_HOME", "~/.cache")
     return Path(os.path.expanduser(os.getenv("TORCH_HOME", os.path.join(cache, "torch")))) / "hub"
 
 
 def load(paths: list[Path]) -> Lpips:
-    """The network from its two files, which are never unpickled; raises `InputError` for files that are no weights."""
+    """Load the network from its two files without unpickling; raise `InputError` for files that are not weights."""
     import torch
 
     content = []
     for path in paths:
         try:
             content.append(torch.load(path, map_location="cpu", weights_only=True))
-        except Exception as error:  # torch raises whatever its reader meets
+        except Exception as error:  # torch raises errors of many types
             raise InputError(f"'{path}' cannot be read as weights ({type(error).__name__}: {error})") from error
     return Lpips(*content)
 
 
 @contextmanager
 def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
-    """Context: the LPIPS distance of two images, or None with the reason under ``notes["lpips"]``.
+    """Yield the LPIPS distance of two images, or None and store the reason in ``notes["lpips"]``.
 
-    Inside, torch uses one thread per call: the views are measured side by side, and a sum that is split over threads
-    need not come out the same on another machine.
+    Within the block torch uses one thread per call: views are measured in parallel threads, and a sum that is split
+    over threads can differ between machines.
     """
     network, reason = _network(os.environ.get(VARIABLE) or None)
     if network is None:
@@ -172,7 +172,7 @@ def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
 
 
 def weights_name() -> str | None:
-    """First digits of both hashes, for the result file; None without weights."""
+    """Return the first digits of both checksums for the result file; None without weights."""
     network, _ = _network(os.environ.get(VARIABLE) or None)
     return None if network is None else "+".join(file.sha256[:8] for file in PUBLISHED)
 

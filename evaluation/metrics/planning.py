@@ -1,4 +1,4 @@
-"""What a curve says about planning: how soon the surface was seen, and what the second half of the frames was worth."""
+"""Score planning by the convergence curve: speed of observing the surface, and improvement late in the episode."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ import numpy as np
 
 from activestructure_gym.evaluation.statistics import area_under, on_axis
 
-# The measures that a point of a curve can hold; the last point has those of the finished map.
+# Measures that a point of a curve can have. The last point has those of the finished map.
 CURVE_MEASURES = (
     "completion_ratio", "tsdf_completion_ratio", "observed", "psnr", "depth_l1_cm", "precision", "accuracy_cm"
 )  # fmt: skip
 LEVELS = (80, 85, 90, 95)  # % of the observable surface
-_HALF = 0.5  # of the frame budget, from which on frames are late
-LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # of the curve: its slope in the second half
+_HALF = 0.5  # share of the frame budget after which frames count as late
+LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # measure: name of its slope in the second half
 
 Curve = Sequence[Mapping[str, float | None]]
 
 
 def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | None], dict[str, str]]:
-    """Numbers of a curve whose points hold ``frames`` and what was measured there, and why some of them are None.
+    """Return the planning scores of a curve, and the reason for each score that is None.
 
-    ``frames_to_L``: frames until L % of the observable surface were observed, straight between points.
-    ``observed_area``: mean height of that curve from 0 to the budget, %; an ended episode keeps its last value.
-    ``late_psnr_rate`` and ``late_depth_rate``: change of PSNR (dB) and of the depth error (cm) from half the budget to
-    the end of the episode, per 100 frames.
+    A point of the curve has ``frames`` and the measures taken there. The scores are:
+
+    - ``frames_to_L``: frames until L % of the observable surface were observed, interpolated linearly.
+    - ``observed_area``: mean observed share in % from frame 0 to the budget; after the end the last value counts.
+    - ``late_psnr_rate``, ``late_depth_rate``: change of PSNR (dB) and of the depth error (cm) per 100 frames, from half
+      the budget to the end of the episode.
     """
     scores: dict[str, float | None] = {}
     notes: dict[str, str] = {}
@@ -46,7 +48,7 @@ def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | 
 
 
 def first_reaching(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
-    """The first x at which the curve, straight between its points [P], reaches ``level``; None where it never does."""
+    """Return the first x at which a piecewise linear curve [P] reaches ``level``; None if it never does."""
     reached = np.flatnonzero(y >= level)
     if not len(reached):
         return None
@@ -57,7 +59,10 @@ def first_reaching(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
 
 
 def late_rate(frames: np.ndarray, values: np.ndarray, frame_budget: int) -> float | None:
-    """Change of a curve [P] per 100 frames from half the budget to its last point; None if it has ended by then."""
+    """Return the change of a curve [P] per 100 frames from half the budget to its last point.
+
+    Return None if the last point is not after half the budget.
+    """
     half = _HALF * frame_budget
     if not len(frames) or frames[-1] <= half:
         return None
@@ -66,7 +71,7 @@ def late_rate(frames: np.ndarray, values: np.ndarray, frame_budget: int) -> floa
 
 
 def _points(curve: Curve, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frames and values where the measure was taken; of equal frames the last counts."""
+    """Return the frames and values of the points that have the measure; of points with equal frames the last."""
     found = {float(p["frames"] or 0): value for p in curve if (value := p.get(measure)) is not None}
     frames = sorted(found)
     return np.array(frames, np.float64), np.array([found[f] for f in frames], np.float64)

@@ -1,4 +1,4 @@
-"""Numbers that come in pieces: put into batches, and added up to the last bit as numpy adds up an array."""
+"""Process arrays that are given in pieces: regroup them into batches, and sum them exactly as numpy does."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Generator, Iterable, Iterator
 
 import numpy as np
 
-_LEAF = 1 << 16  # numbers that are added up by numpy itself
+_LEAF = 1 << 16  # numbers that one call of `np.sum` adds
 
 
 def batched(pieces: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
-    """Return the rows of all pieces in arrays of ``size`` rows, the last one with what is left, if anything is."""
+    """Yield the rows of all pieces in arrays of ``size`` rows; the last array can be shorter."""
     waiting, rows = list[np.ndarray](), 0
     for piece in pieces:
         for start in range(0, len(piece), size):
@@ -26,10 +26,10 @@ def batched(pieces: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
 
 
 class StreamedSum:
-    """The sum of ``count`` numbers that are given in pieces, equal to `np.sum` of all of them to the last bit.
+    """Sum ``count`` numbers that are given in pieces; the result is bit-identical to `np.sum` of all of them.
 
-    numpy halves a long array, adds up both halves, and adds the two sums; so the numbers that are held are those of one
-    short stretch.
+    numpy splits a long array into halves, sums each half recursively, and adds the two sums. So only one short stretch
+    of numbers is kept at a time.
     """
 
     def __init__(self, count: int) -> None:
@@ -38,10 +38,10 @@ class StreamedSum:
         self._waiting, self._rows = list[np.ndarray](), 0
         self._wanted = 0
         self._go_on(None)
-        self.add(np.zeros(0))  # all of none
+        self.add(np.zeros(0))  # completes a sum of zero numbers
 
     def add(self, numbers: np.ndarray) -> None:
-        """Add the next numbers [n] float64."""
+        """Add the next numbers [n], float64."""
         while self._value is None and self._rows + len(numbers) >= self._wanted:
             taken = self._wanted - self._rows
             stretch = np.concatenate([*self._waiting, numbers[:taken]])
@@ -53,7 +53,7 @@ class StreamedSum:
 
     @property
     def value(self) -> float:
-        """The sum; raises ValueError unless exactly as many numbers came as were announced."""
+        """Return the sum; raise ValueError unless exactly ``count`` numbers were added."""
         if self._value is None or self._rows:
             raise ValueError("a streamed sum was given more or fewer numbers than were announced")
         return self._value
@@ -66,7 +66,7 @@ class StreamedSum:
 
 
 def _added(count: int) -> Generator[int, np.ndarray, float]:
-    """Ask for stretches by their lengths; return the sum of all."""
+    """Yield the length of each stretch, receive its numbers, and return the sum of all."""
     if count <= _LEAF:
         return float((yield count).sum())
     half = count // 2

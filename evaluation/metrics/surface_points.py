@@ -1,4 +1,4 @@
-"""Points on a surface whose triangles come in pieces: those of `samples_by_area` on all of them, to the last bit."""
+"""Sample points on a surface whose triangles are given in pieces, bit-identical to `samples_by_area` on all of them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from activestructure_gym.evaluation.metrics.fusion import triangle_areas
 from activestructure_gym.evaluation.metrics.streams import StreamedSum
 from activestructure_gym.ground_truth.surface_samples import on_triangles
 
-_AT_ONCE = 1 << 18  # random numbers that are drawn ahead
-_ROUNDING = 1e-12  # by which two sums of the same areas can differ, as a share
+_AT_ONCE = 1 << 18  # random numbers drawn ahead at a time
+_ROUNDING = 1e-12  # largest relative difference between two sums of the same areas
 
 
 class SurfacePoints:
-    """Points uniform by area on a surface, the same ones for the same triangles.
+    """Sample points uniformly by area on a surface; equal triangles give equal points.
 
     Parameters
     ----------
     triangles
-        Gives the triangles in pieces [n, 3, 3], metres. It is called once here, and once for the points.
+        Return the triangles in pieces [n, 3, 3], metres. It is called once at construction and once for the points.
     per_m2
         Points per square metre.
     least
-        Points at least, wherever there is any surface.
+        Minimum number of points on a surface that is not empty.
     """
 
     def __init__(self, triangles: Callable[[], Iterable[np.ndarray]], *, per_m2: float, least: int) -> None:
         self._triangles, self._count = triangles, 0
-        self._end = 0.0  # of the areas, added up one after the other
+        self._end = 0.0  # sum of all areas, added sequentially
         sums = []
         for piece in triangles():
             areas = triangle_areas(piece)
@@ -40,13 +40,13 @@ class SurfacePoints:
         self._area: float | None = None
         about = math.fsum(sums)
         counts = {math.ceil(per_m2 * about * (1.0 + off)) for off in (-_ROUNDING, _ROUNDING)}
-        # Where the order of the sum decides about a point, the sum is numpy's.
+        # If rounding of the sum could change the number of points, use numpy's order of summation.
         wanted = counts.pop() if len(counts) == 1 else math.ceil(per_m2 * self.area)
         self.count = max(least, wanted) if self._end > 0.0 else 0
 
     @property
     def area(self) -> float:  # m^2
-        """Area of all triangles together, as numpy adds them up."""
+        """Return the total area of all triangles, in numpy's order of summation."""
         if self._area is None:
             total = StreamedSum(self._count)
             for piece in self._triangles():
@@ -55,7 +55,7 @@ class SurfacePoints:
         return self._area
 
     def pieces(self) -> Iterator[np.ndarray]:  # [n, 3] metres
-        """The points, some at a time."""
+        """Yield the points in pieces."""
         if not self.count:
             return
         draws, total, end, count = _Draws(self.count, self._end), StreamedSum(self._count), 0.0, 0
@@ -70,11 +70,11 @@ class SurfacePoints:
             drawn, u, v = draws.below(end if count < self._count else math.inf)
             faces = np.minimum(np.searchsorted(ends, drawn, side="right"), len(ends) - 1)
             yield on_triangles(piece[faces], u, v)
-        self._area = total.value  # which costs nothing here
+        self._area = total.value  # cached, because it is known here without a further pass
 
 
 class _Draws:
-    """The random numbers of `samples_by_area`, some at a time: three long rows of one generator."""
+    """Draw the random numbers of `samples_by_area` in pieces: three consecutive sequences of one generator."""
 
     def __init__(self, count: int, total: float) -> None:
         self._count, self._total = count, total
@@ -84,7 +84,7 @@ class _Draws:
         self._at, self._ahead = 0, np.zeros(0)
 
     def below(self, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the next places on the cumulated area that are below ``end``, and two more numbers for each."""
+        """Return the next positions on the cumulative area that are below ``end``, and two more numbers for each."""
         ahead = [self._ahead]
         while self._at < self._count and not (len(ahead[-1]) and ahead[-1][-1] >= end):
             number = np.arange(self._at, min(self._at + _AT_ONCE, self._count))
@@ -97,7 +97,7 @@ class _Draws:
 
 
 def _running(areas: np.ndarray, before: float) -> np.ndarray:
-    """Return the running sums of areas that come after others."""
+    """Return the cumulative sums of ``areas``, starting from the sum ``before``."""
     if not len(areas):
         return np.array([before])
     return np.cumsum(np.concatenate([[before], areas]))[1:]

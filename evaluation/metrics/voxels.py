@@ -1,4 +1,4 @@
-"""ActiveGAMER's way from two point sets to two sets of equal size: both thinned to voxels, and matched."""
+"""Thin point sets to voxels and match them as ActiveGAMER does, which gives two sets of equal size."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def nearest_per_voxel(
     points: np.ndarray,  # [N, 3] metres
     size: float,  # metres
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] indices into points, [K, 3] centres of their voxels
-    """Per occupied voxel of the grid through the origin the point nearest to its centre (the first of equals)."""
+    """Return the point nearest to the centre of each occupied voxel, the first of equal ones; the grid starts at 0."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
@@ -28,14 +28,15 @@ def nearest_per_voxel(
 
 
 def matched_distances(
-    points: np.ndarray,  # [P, 3] metres: the reconstruction, thinned
-    true: np.ndarray,  # [G, 3] metres: the truth, thinned
-    centres: np.ndarray,  # [G, 3] metres: the voxel centres of the truth
+    points: np.ndarray,  # [P, 3] metres: thinned points of the reconstruction
+    true: np.ndarray,  # [G, 3] metres: thinned points of the true surface
+    centres: np.ndarray,  # [G, 3] metres: voxel centres of the true points
 ) -> tuple[np.ndarray, np.ndarray]:  # [G], [G] metres
-    """Distances of the matched reconstruction to the truth and of the truth to it.
+    """Return the distances from matched points to the true points, and from the true points to the matched points.
 
-    The matched reconstruction holds, for every true point, the point nearest to that one's voxel centre: as many
-    points as the truth has, some of them often, and none that is nobody's nearest. So no floater is in it.
+    Each true point is matched with the reconstructed point nearest to its voxel centre. A reconstructed point can be
+    matched several times or never. So a floater (a point far from the true surface) counts only where no other point is
+    nearer to a true voxel.
     """
     if not len(points) or not len(true):
         return np.full(len(true), np.inf), np.full(len(true), np.inf)

@@ -177,7 +177,7 @@ def test_there_are_as_many_steps_as_the_other_files_say(written: Path, tmp_path:
         read(changed(written, tmp_path / "run", store.STEPS, b"".join(change(lines))))
 
 
-@pytest.mark.parametrize("changes", [{"terms": "native"}, {"policy": "trajectory:sweep"}])
+@pytest.mark.parametrize("changes", [{"setup": "native"}, {"policy": "trajectory:sweep"}])
 def test_what_a_report_reads_of_a_configuration_must_be_in_it(written: Path, changes: dict[str, str]) -> None:
     content = json.loads((written / store.CONFIG).read_text())
     run_files.check_config(content, "")

@@ -34,6 +34,7 @@ READ = (
     "docs/guide/scene_files.md",
     "docs/index.md",
     "envs",
+    "evaluation/machine",
     "policies/*.py",
 )
 # What to write instead is in brackets; a dash means: rewrite the sentence.

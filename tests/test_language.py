@@ -34,6 +34,7 @@ READ = (
     "docs/guide/scene_files.md",
     "docs/index.md",
     "envs",
+    "evaluation/cli",
     "evaluation/machine",
     "policies/*.py",
 )

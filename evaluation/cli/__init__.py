@@ -1,4 +1,4 @@
-"""The command ``asg``: compare policies, look at scenes, see what works here."""
+"""Run the command ``asg``: parse its words, run one command and report expected errors in one line."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from activestructure_gym.streams import FULL, complain, kept_streams, say
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (*FULL, errno.EROFS)
-_MIN_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
+_MIN_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries crash or hang
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code.
 
-    0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C, 143 stopped with SIGTERM. What reads standard
-    output, and in which encoding, changes nothing of it; only a file on a full disk does.
+    The exit code is 0 if everything was done, 1 if some of it failed, 2 for wrong input, 130 after Ctrl-C and 143 after
+    SIGTERM. A full disk behind standard output changes 0 to 1; a closed pipe or the encoding does not.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     with kept_streams() as (out, _):
@@ -61,11 +61,11 @@ def _answered(arguments: Sequence[str]) -> int:
 
 
 def _exit_code(arguments: Sequence[str]) -> int:
-    """Run a command; its exit code, with every expected error printed as one line on standard error."""
+    """Run a command and return its exit code; print every expected error as one line on standard error."""
     try:
         _check_address_space()
         _find_in_working_directory()
-        with _doubts_as_lines():
+        with _warnings_as_lines():
             return _run(arguments)
     except InputError as error:
         complain(str(error))
@@ -73,7 +73,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         complain("stopped")
         return _STOPPED
-    except SystemExit as end:  # the commands raise none
+    except SystemExit as end:  # raised by code that is not part of the package
         complain(f"a policy, a feature or a scene ended the program (exit code {end.code})")
         return 1
     except OSError as error:
@@ -86,7 +86,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
 
 
 def _check_address_space() -> None:
-    """Raise `InputError` where this process may not have the address space that every command needs."""
+    """Raise `InputError` if the limit on the address space is below the need of every command."""
     try:
         import resource
     except ImportError:  # Windows
@@ -100,7 +100,7 @@ def _check_address_space() -> None:
 
 
 def _find_in_working_directory() -> None:
-    """Let modules of the working directory be imported, behind all installed packages."""
+    """Append the working directory to ``sys.path``, so that its modules can be imported."""
     try:
         here = os.getcwd()
     except FileNotFoundError:  # deleted meanwhile
@@ -111,38 +111,38 @@ def _find_in_working_directory() -> None:
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
-    """While the block runs SIGTERM raises KeyboardInterrupt; yields a list that then holds the signal's number."""
-    came: list[int] = []
+    """Raise KeyboardInterrupt at SIGTERM inside the block; yield a list to which the signal's number is appended."""
+    received: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> NoReturn:
-        came.append(number)
+        received.append(number)
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield came  # somebody else's to decide
+        yield received  # another handler is installed, or this thread cannot install one
         return
     signal.signal(signal.SIGTERM, stop)
     try:
-        yield came
+        yield received
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager
-def _doubts_as_lines() -> Iterator[None]:
-    """While the block runs, print every `InputWarning` once and as one line, without its place in the code."""
-    told: set[str] = set()
+def _warnings_as_lines() -> Iterator[None]:
+    """Print every `InputWarning` of the block once and as one line, without its place in the code."""
+    printed: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if not issubclass(category, InputWarning):
-            usual(one_line(str(message)), category, *place, **more)
-        elif str(message) not in told:
-            told.add(str(message))
+            original(one_line(str(message)), category, *place, **more)
+        elif str(message) not in printed:
+            printed.add(str(message))
             complain(f"note: {message}")
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
-        usual, warnings.showwarning = warnings.showwarning, show
+        original, warnings.showwarning = warnings.showwarning, show
         yield
 
 
@@ -158,6 +158,6 @@ def _run(arguments: Sequence[str]) -> int:
 
     try:
         command = parse(kind, name, rest)
-    except SystemExit as end:  # after help, or after a message of tyro
+    except SystemExit as end:  # raised after help and after a message of tyro
         return int(end.code or 0)
     return command.run()

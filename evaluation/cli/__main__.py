@@ -1,4 +1,4 @@
-"""``python -m activestructure_gym.evaluation.cli`` is ``asg``."""
+"""Run ``asg`` by ``python -m activestructure_gym.evaluation.cli``."""
 
 import sys
 

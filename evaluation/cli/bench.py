@@ -1,4 +1,4 @@
-"""``asg bench``: how fast the sensor, the rasteriser and the environment are on this machine."""
+"""Define ``asg bench``, which measures the speed of sensor, rasteriser and environment on this machine."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Splatting:
     repeats: int = 15
     """Time everything this many times."""
     baseline: bool = True
-    """Measure plain torch as well, for the ratios: minutes instead of half a minute."""
+    """Measure plain torch as well, for the ratios; this takes minutes instead of half a minute."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -58,15 +58,15 @@ class Splatting:
         console = make_console()
         with console.status("measuring the splatting") as status:
 
-            def tell(line: str) -> None:
+            def show(line: str) -> None:
                 status.update(f"measuring the {line}")
 
             rows = run_splatting_benchmark(
-                split_list(self.workloads), repeats=self.repeats, baseline=self.baseline, progress=tell
+                split_list(self.workloads), repeats=self.repeats, baseline=self.baseline, progress=show
             )
-            of_keyframes = run_information_benchmark(repeats=self.repeats, progress=tell)
+            of_keyframes = run_information_benchmark(repeats=self.repeats, progress=show)
         print_rows(console, rows, "speed of the rasteriser on this machine")
-        print_rows(console, of_keyframes, "a decision's information of the keyframes, processor ms")
+        print_rows(console, of_keyframes, "information of the keyframes for one decision, processor ms")
         return 0
 
 
@@ -79,7 +79,7 @@ class Env:
     preset: PresetName = "fast"
     """Use the configuration that `asg config PRESET` prints."""
     quick: Switch = False
-    """Measure in small, to see that it runs."""
+    """Measure one short round, as a check that the benchmark runs."""
 
     def run(self) -> int:
         """Measure and print."""
@@ -123,7 +123,7 @@ def print_rows(console: Console, rows: Sequence[Mapping[str, Any]], title: str) 
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
-    """Rows of any names as a table; numbers to three digits."""
+    """Return rows as a table with a column for every key; numbers have three digits."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = plain_table(title)
     for name in names:

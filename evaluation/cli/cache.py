@@ -1,4 +1,4 @@
-"""``asg cache``: what is kept on disk between runs."""
+"""Define ``asg cache``, which shows or removes the files that are kept between runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from activestructure_gym.streams import escape
 class Cache:
     """Show or remove files that are kept between runs.
 
-    These are computed facts about scenes, and compiled kernels. The cache of scenes stays below ASG_CACHE_MAX, by
+    These are data computed from scenes, and compiled kernels. The cache of scenes stays below ASG_CACHE_MAX, by
     default 4GiB; the least recently used files are removed first.
     """
 
@@ -30,7 +30,7 @@ class Cache:
     """Print JSON."""
 
     def run(self) -> int:
-        """Show or clear; files that are just in use stay."""
+        """Show or remove the files; files in use are kept."""
         parts = ("scenes", "kernels") if self.part == "all" else (self.part,)
         rows = [(_clear if self.what == "clear" else _show)(part) for part in parts]
         if self.json:
@@ -46,7 +46,7 @@ class Cache:
             place = escape(str(row["place"]))
             table.add_row(str(row["part"]), str(row["files"]), _megabytes(row["bytes"]), most, place)
         print_whole(console, table)
-        console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
+        console.print("Remove: asg cache clear; one part: asg cache clear scenes, asg cache clear kernels.")
         console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")
         return 0
 
@@ -65,7 +65,7 @@ def _show(part: str) -> dict[str, Any]:
     if place is None:
         where = "nowhere: no directory for them can be written"
     elif place.name == "__pycache__":
-        where = f"beside the sources in {place.parents[1]}"
+        where = f"next to the sources in {place.parents[1]}"
     else:
         where = str(place.parent)
     return _row(part, len(sizes), sum(sizes)) | {"limit": None, "place": where}
@@ -79,13 +79,13 @@ def _clear(part: str) -> dict[str, Any]:
 
     from activestructure_gym.compiling.files import kernel_files
 
-    count, gone = 0, 0
+    count, freed = 0, 0
     for file in kernel_files():
-        with suppress(OSError):  # another process, or not ours to remove
+        with suppress(OSError):  # removed by another process, or owned by another user
             size = file.stat().st_size
             file.unlink()
-            count, gone = count + 1, gone + size
-    return _row(part, count, gone)
+            count, freed = count + 1, freed + size
+    return _row(part, count, freed)
 
 
 def _row(part: str, files: int, size: int) -> dict[str, Any]:

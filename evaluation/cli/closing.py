@@ -1,4 +1,4 @@
-"""The last lines of a command: the result, where the page is, and which commands show more."""
+"""Print the last lines of a command: the result, the address of the page, and commands to run next."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _INDENT = "  "
 def print_end(
     console: Console, result: Result, directory: Path, seconds: float, baseline: str | None, *, wide: bool
 ) -> int:
-    """Write the report of a comparison, and print its result and what to run next; 0, or 1 if some runs failed."""
+    """Write the report of a comparison and print its result and next commands; return 1 if a run failed, else 0."""
     from activestructure_gym.evaluation.archive.comparison import read_record, run_directory
     from activestructure_gym.evaluation.archive.played import is_played
     from activestructure_gym.evaluation.cli.result_table import print_result
@@ -45,7 +45,7 @@ def print_end(
     if result.runs:
         try:
             with console.status("drawing"):
-                for run in result.runs:  # of a process that was killed between a run and its pictures
+                for run in result.runs:  # a process may have been killed between a run and its pictures
                     draw_missing_pictures(run)
                 files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         except FullDisk as error:
@@ -55,8 +55,8 @@ def print_end(
         left_out = print_result(console, result.runs, wide=wide)
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:
             print_whole(console, planning, wide=wide)
-        for told in trajectories_text(Results(result.runs, [])):
-            console.print(escape(told.replace("`", "")))
+        for text in trajectories_text(Results(result.runs, [])):
+            console.print(escape(text.replace("`", "")))
         console.print(
             f"{pluralised(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, "
             "tables/ for papers, results.csv and the pictures."
@@ -73,7 +73,7 @@ def print_end(
 
 
 def print_page(console: Console, page: Path) -> None:
-    """Print the address of a page; its path, as a link, where the address is wider than the terminal."""
+    """Print the address of a page, or its path as a link if the address is wider than the terminal."""
     address, width = page.absolute().as_uri(), width_of(console)
     head = "Open in a browser: "
     if width is None or cell_len(head + address) <= width:
@@ -85,7 +85,7 @@ def print_page(console: Console, page: Path) -> None:
 
 
 def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
-    """Print commands to run next, each as it can be copied into a shell."""
+    """Print commands to run next, quoted for a shell."""
     console.print("Next:")
     for words in commands:
         for line in command_lines(words, width_of(console)):
@@ -93,10 +93,10 @@ def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
 
 
 def command_lines(words: Sequence[str], width: int | None) -> list[str]:
-    """Return the lines of a command for a shell; where it is wider than a terminal it goes on behind backslashes.
+    """Return the lines of a command for a shell, broken by backslashes at ``width`` columns; None breaks nothing.
 
-    A path that is wider than a line goes on at the beginning of the next one, which a shell reads as one word. A quoted
-    word cannot.
+    A path wider than a line continues in the first column of the next line, which a shell reads as one word. A quoted
+    word is not broken.
     """
     quoted = [shlex.quote(word) for word in words]
     lines = [_INDENT + quoted[0]]
@@ -115,7 +115,7 @@ def command_lines(words: Sequence[str], width: int | None) -> list[str]:
 
 
 def next_commands(runs: Sequence[Run]) -> list[list[str]]:
-    """Return the commands that show two of the runs, of two policies in one scene, and that let the user plan."""
+    """Return two commands: `asg replay` of runs by two policies in one scene, and `asg watch` steered by the user."""
     first = runs[0]
     others = [run for run in runs if (run.scene, run.job.seed) == (first.scene, first.job.seed)]
     pair = [first, *(run for run in others if run.policy != first.policy)][:2]

@@ -1,4 +1,4 @@
-"""The commands by group and name, and the help that lists them; a command's module is loaded when it is asked for."""
+"""List the commands by group and name, and print the help of ``asg``; import a command's module when it is run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ GROUPS = {
         "completion": "completion:Completion",
     },
 }
-# `asg policies` is `asg list policies`; help shows the latter alone.
+# `asg policies` is `asg list policies`; help lists the second form only.
 ALIASES = {
     "policies": "policies:Policies",
     "scenes": "scenes:Scenes",
@@ -60,14 +60,14 @@ in about a minute, with nothing to download."""
 
 
 class Command(Protocol):
-    """A subcommand: a dataclass of its options with a method that runs it."""
+    """Define a subcommand: a dataclass of its options with a method that runs it."""
 
     def run(self) -> int:
-        """Run the command; returns the exit code."""
+        """Run the command and return the exit code."""
 
 
 def find_command(name: str) -> type[Command]:
-    """Return the options of a command; raises `InputError` for an unknown name."""
+    """Return the class of a command; raise `InputError` for an unknown name."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     module, _, kind = COMMANDS[name].partition(":")
@@ -76,14 +76,14 @@ def find_command(name: str) -> type[Command]:
 
 
 def parts_of(kind: type) -> dict[str, type]:
-    """Return the parts of a command by name, as bc, rank, ... of train, with their options; {} for most."""
+    """Return the classes of a command's parts by name, as bc and rank of train; {} for a command without parts."""
     unions = [typing.get_args(hint) for hint in typing.get_type_hints(kind, include_extras=True).values()]
     annotated = [typing.get_args(part) for union in unions for part in union if typing.get_origin(part) is Annotated]
     return {note.name: options for options, *notes in annotated for note in notes if getattr(note, "name", None)}
 
 
 def help_text() -> str:
-    """Return the help of ``asg``: every group with its commands."""
+    """Return the help of ``asg``, with every group and its commands."""
     size = max(map(len, SHOWN))
     lines = list[str]()
     for group, commands in GROUPS.items():
@@ -92,7 +92,7 @@ def help_text() -> str:
 
 
 def summary(name: str) -> str:
-    """Return the first line of a command's docstring, from its source: an import of all commands takes too long."""
+    """Return the first line of a command's docstring, read from its source: importing all commands takes too long."""
     module, _, kind = COMMANDS[name].partition(":")
     spec = find_spec(f"{__package__}.{module}")
     assert spec is not None and spec.origin is not None

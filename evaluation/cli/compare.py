@@ -1,4 +1,4 @@
-"""``asg compare``: from the options to the table."""
+"""Define ``asg compare``, which runs policies on scenes and prints a table."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GridOptions:
-    """The cells of a comparison. Without any of them, a resumed comparison has those of its record."""
+    """Hold the options that define the runs of a comparison; without any, a resumed comparison repeats its record."""
 
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
     """Explore these scenes, separated by commas or spaces: names (see `asg list scenes`), files, folders."""
     policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
-        "Compare these policies: names (see `asg list policies`), package.module:Class, `ladder` (the paper's rungs "
-        'A to E), or `all`. Options follow a question mark: "active_gs?travel=shared" has the shared travel term.'
+        "Compare these policies: names (see `asg list policies`) with options behind a question mark "
+        "(active_gs?travel=shared), package.module:Class, `ladder` (the paper's rungs A to E), or `all`."
     )
     mappers: NoNames = ()
     (
@@ -54,11 +54,11 @@ class GridOptions:
         "gaussian_slam or co_slam, one run for each."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
-    """Use these whole numbers as seeds. Equal seeds start at the same pose, so policies are compared in pairs."""
+    """Use these whole numbers as seeds; equal seeds start at the same pose, so that policies are compared in pairs."""
     references: NoNames = ()
     (
-        "Add upper bounds with ground truth: oracle (one step, all views of the pool, by newly observed surface), "
-        "oracle-quality (later by image quality)."
+        "Add upper bounds with ground truth: oracle (one-step choice by newly observed surface among all views of the "
+        "pool), oracle-quality (then by image quality)."
     )
 
 
@@ -82,32 +82,32 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
     )
     shard: Annotated[str | None, option("I/N", "")] = None
     (
-        "Run every N-th job, from the I-th one on: N programs with the same options, one for each I, run the whole "
-        "comparison into --out. `asg compare --resume --out` then runs what is missing and writes the report."
+        "Run every N-th job, from the I-th one on, so that N programs, one for each I, run the whole comparison into "
+        "--out (afterwards `asg compare --resume --out` runs missing jobs and writes the report)."
     )
     timeout_min: float = 0.0
     """Stop a run after this number of minutes and try it again; 0 is no limit."""
     retries: int = 1
     """Try a run again this many times if it was killed or timed out."""
     replay: Switch = False
-    """Write replay.html, a page to watch, for every run. This takes as long as the runs themselves explored."""
+    """Write replay.html, a page to watch, for every run; this takes as long as the exploration itself."""
     baseline: Text = None
     """Measure the other policies against this one in the report; see `asg report --help`."""
     wide: Switch = False
     """Print all columns of the result scene by scene, whatever the width of the terminal."""
 
     def run(self) -> int:
-        """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
+        """Check, run and report; return 0 if every run finished, 1 if some failed, 130 if stopped."""
         return compare_with(self)
 
 
-# What differs without any option: measured on less, to end in about a minute on two cores.
+# The comparison without options. It is measured on fewer views and points, to end in about a minute on two cores.
 DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 
 
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
-    """Do what the options say; with a ``comparison``, that one in place of what they name."""
-    # Before the slow imports: a directory that cannot be used is known at once.
+    """Run the comparison that the options name, or ``comparison`` if it is given; return the exit code."""
+    # The options are checked before the slow imports.
     from activestructure_gym.evaluation.archive.store import COMPARISON
 
     use_trust(options.trust_code)
@@ -140,7 +140,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     comparison = comparison or comparison_of(_with_demo_defaults(options) if demo else options)
     if options.engine != "ray" and not as_recorded:
         comparison.check_machine()
-    if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
+    if not options.resume and options.baseline is not None:  # checked before any scene is loaded
         options = _with_baseline(options, comparison.participants())
     if options.dry_run:
         recorded = recorded_jobs(directory) if as_recorded else None
@@ -169,13 +169,13 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
                 console.print(f"shard {shard} is done; `{again}` writes the report once all are")
                 return 1 if result.failed else 0
             seconds = time.monotonic() - began
-            if options.replay:  # before the report, which links to them
+            if options.replay:  # before the report, which links to the pages
                 from activestructure_gym.evaluation.cli.replay import add_replays
 
                 add_replays(console, result.runs)
             baseline = None if options.baseline is None else policy_label(options.baseline)
             return print_end(console, result, directory, seconds, baseline, wide=options.wide)
-    except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
+    except (KeyboardInterrupt, OSError) as error:  # the caller prints the message of an OSError
         if (directory / COMPARISON).is_file():
             trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
             complain(
@@ -188,14 +188,14 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
 
 def _typed(options: Compare, *names: str) -> bool:
-    """Check whether any of the named options was typed, even with its default value."""
+    """Return whether any of the named options was given, even with its default value."""
     return any(getattr(options, name) != getattr(Compare, name) for name in names)
 
 
 def _added_to(directory: Path, options: Compare) -> Comparison | None:
-    """The comparison in a directory with what was typed in place of what it has; None where it has no record.
+    """Return the comparison recorded in a directory, changed by the given options; None if it has no record.
 
-    Raises `InputError` where there is none and no scenes are named, which would begin another.
+    Raises `InputError` if it has no record and no scenes are named.
     """
     from activestructure_gym.evaluation.archive.jobs import code_of
     from activestructure_gym.evaluation.archive.store import COMPARISON
@@ -210,19 +210,19 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
         raise InputError(
             f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
         )
-    words = {"scene": "scenes", "policy": "policies"}  # what the user says himself needs no trust
+    words = {"scene": "scenes", "policy": "policies"}  # code named by the user in an option needs no trust
     for kind, name in (code for job in jobs for code in code_of(job)):
         if not _typed(options, words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)
     begun = Comparison.of(jobs)
     changes = _typed_fields(options, begun)
-    if {"policies", "references"} & changes.keys():  # who is added, and nobody else
+    if {"policies", "references"} & changes.keys():  # the added policies or references alone
         changes = {"policies": (), "references": ()} | changes
     return dataclasses.replace(begun, **changes)
 
 
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
-    """The options with the baseline called as its jobs are; raises `InputError` where it does not take part."""
+    """Return the options with the baseline's canonical name; raise `InputError` if it is not in the comparison."""
     from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.references.trajectory import named_trajectory
     from activestructure_gym.policies import canonical_policy
@@ -238,7 +238,7 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
 
 
 def _with_demo_defaults(options: Compare) -> Compare:
-    """The options as given, and the demo's where none is."""
+    """Return the options with the demo's values for those that were not given."""
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
@@ -248,7 +248,7 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def comparison_of(options: Compare) -> Comparison:
-    """Return the comparison that the options name; options that were not typed have their defaults."""
+    """Return the comparison that the options name; options that were not given have their defaults."""
     from activestructure_gym.evaluation.archive.conditions import Conditions
     from activestructure_gym.evaluation.running.comparison import Comparison
 
@@ -259,7 +259,7 @@ def comparison_of(options: Compare) -> Comparison:
 
 
 def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
-    """Return the typed options as fields of a comparison, which replace those of ``begun``."""
+    """Return the given options as fields of a comparison, to replace those of ``begun``."""
     from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.references.trajectory import with_mappers
 

@@ -1,4 +1,4 @@
-"""``asg completion``: tyro's completion of all commands and options."""
+"""Define ``asg completion``, which prints tyro's shell completion of all commands and options."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Completion:
     def run(self) -> int:
         """Print the script."""
         parts = tuple(Annotated[find_command(name), tyro.conf.subcommand(name)] for name in SHOWN)
-        commands: Any = Union[parts]  # noqa: UP007 (of as many types as there are commands)
+        commands: Any = Union[parts]  # noqa: UP007 (a union of a variable number of types)
         config = (tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
         try:
             with redirect_stdout(raw(sys.stdout)):

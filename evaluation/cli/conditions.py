@@ -1,4 +1,4 @@
-"""Options of `asg compare` and `asg replay-trajectory` for the conditions of runs, and for the way they are run."""
+"""Define the options that `asg compare` and `asg replay-trajectory` share: conditions of runs, and how to run them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ConditionOptions:
-    """`Conditions` as they are typed. An option that was not typed is None or empty."""
+    """Hold the options for `Conditions`; an option that was not given is None or empty."""
 
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """Start from this configuration; `asg config PRESET` prints it."""
@@ -46,7 +46,7 @@ class ConditionOptions:
     """Read AlexNet's and LPIPS's weights from this folder; by default ASG_LPIPS_WEIGHTS or torch's hub cache."""
 
     def typed(self, begun: Conditions) -> dict[str, Any]:
-        """Return the fields of `Conditions` that were typed; other constants of the protocol are those of ``begun``."""
+        """Return the given fields of `Conditions`; other constants of the protocol are those of ``begun``."""
         from activestructure_gym.config import known_preset
 
         overrides = parse_overrides(self.set)
@@ -68,16 +68,16 @@ class ConditionOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options for the place and the engine of runs."""
+    """Hold the options for the output directory and the engine of runs."""
 
     out: Out = None
     """Write the results into this directory; by default runs/<date>-<time>."""
     dry_run: DryRun = False
-    """Print the runs, their budget and their place, and write nothing."""
+    """Print the runs, their frame budget and their directory, and write nothing."""
     resume: Switch = False
     (
-        "Resume the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given as "
-        "well are added to it; everything else stays as it was."
+        "Resume the comparison in --out without repeating finished runs; scenes, policies and seeds given as well are "
+        "added, and all other conditions are kept."
     )
     engine: Annotated[str, option("local|inline|ray")] = "local"
     (

@@ -1,4 +1,4 @@
-"""``asg config``: print the configuration of an episode."""
+"""Define ``asg config``, which prints the configuration of an episode."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Config:
     """
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional, option("[fast|default|full|paper] [FIELD ...]", "")] = ()
-    """Print this preset (default: default), and these fields or groups of fields alone, as sensor or mapper.window."""
+    """Print this preset (default: default), or of it only these fields or groups of fields (sensor, mapper.window)."""
     set: Changes = ()
     """Change fields, as in compare and train; the changes are printed at the end."""
     wide: Switch = False
@@ -39,7 +39,7 @@ class Config:
     """Print JSON, which `gym.make(..., config=...)` takes."""
 
     def run(self) -> int:
-        """Field by field, and what the preset and ``--set`` change of the defaults."""
+        """Print the fields, and the changes by the preset and by ``--set``."""
         from activestructure_gym.config import ReconstructionConfig, configure, known_preset
 
         words = split_list(self.words)
@@ -70,7 +70,7 @@ class Config:
         return 0
 
 
-_MAX_COLUMNS = (36, 10)  # columns of a field and of its value; longer ones take room from the meaning
+_MAX_COLUMNS = (36, 10)  # columns of a field and of its value; longer ones shorten the meaning
 _HINTS = {
     False: "Whole texts, and what the preset changes: --wide. Change a field: --set FIELD=VALUE.",
     True: "Where nothing is under default, the value is the default. Change a field: --set FIELD=VALUE.\n"
@@ -79,12 +79,12 @@ _HINTS = {
 
 
 def _is_of(word: str, config: Any) -> bool:
-    """Whether it is a field of the configuration, or a group of them."""
+    """Return whether ``word`` is a field of the configuration or a group of fields."""
     return any(name == word or name.startswith(f"{word}.") for name, _ in leaves(config))
 
 
 def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
-    """The fields of a nested dataclass by their dotted names."""
+    """Yield the fields of a nested dataclass as pairs of dotted name and value."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
@@ -94,7 +94,7 @@ def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
-    """What every field is, by its dotted name; a field set anew by a subclass may keep what it was."""
+    """Yield pairs of dotted name and meaning; a field that a subclass redefines without a text keeps the parent's."""
     lineage = reversed(type(config).__mro__[:-1])
     notes = {name: note for kind in lineage for name, note in field_notes(kind).items() if note}
     for field in dataclasses.fields(config):
@@ -106,7 +106,7 @@ def meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
 
 
 def field_notes(kind: type) -> Mapping[str, str]:
-    """Descriptions of a dataclass's fields from its source: a text below, a comment behind, or comments above."""
+    """Return descriptions of a dataclass's fields from its source: the text below, or the comment behind or above."""
     source = textwrap.dedent(inspect.getsource(kind))
     comments = {
         token.start[0]: (token.string.lstrip("# ").rstrip(), token.line.strip().startswith("#"))

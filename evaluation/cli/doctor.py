@@ -1,4 +1,4 @@
-"""``asg doctor``: what works on this machine."""
+"""Define ``asg doctor``, which checks this machine or the folder of a dataset."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
 
-_NUMBA = "numba"  # what the kernels need
+_NUMBA = "numba"  # backend of the kernels
 _MAX_CHARACTERS = 20  # characters of a version; a checksum has 64
 
 
@@ -25,19 +25,19 @@ class Doctor:
     """
 
     dataset: Annotated[tuple[str, ...], option("replica|matterport3d PATH", "")] = ()
-    """Check a dataset's folder instead: which scenes are complete, and which files are missing or damaged."""
+    """Check a dataset's folder instead, and print which scenes are complete and which files are missing or damaged."""
     json: Switch = False
     """Print JSON, with checksums in full."""
 
     def run(self) -> int:
-        """Print what works, and return 0 if the main job can run; of a dataset, 0 if every scene is usable. Else 1."""
+        """Print the checks; return 0 if `asg compare` can run, or if every scene of the dataset is usable, else 1."""
         if self.dataset:
             return _print_dataset(*self.dataset)
         return _print_machine(json=self.json)
 
 
 def _print_machine(*, json: bool) -> int:
-    """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
+    """Print hardware, backends with their states, and versions; return 0 if `asg compare` can run, else 1."""
     from activestructure_gym.evaluation.machine import hardware as machine
 
     console = make_console()
@@ -69,12 +69,12 @@ def _print_machine(*, json: bool) -> int:
 
 
 def _broken(needed: set[str], rows: list[tuple[str, str, str]]) -> list[str]:
-    """The backends that the main job needs and that do not work."""
+    """Return the backends that `asg compare` needs and that do not work."""
     return [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
 
 
 def _print_dataset(*asked: str) -> int:
-    """Print which scenes a folder holds and what their files lack; 0 if all are usable, else 1."""
+    """Print the scenes of a folder and the state of their files; return 0 if all scenes are usable, else 1."""
     from activestructure_gym.scenes.dataset_check import check_dataset
     from activestructure_gym.scenes.datasets import DATASETS
 
@@ -110,7 +110,7 @@ def _print_dataset(*asked: str) -> int:
 
 
 def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
-    """The backends that the main job needs, and (part, backend, state) of all."""
+    """Return the backends that `asg compare` needs, and (part, backend, state) of all backends."""
     from activestructure_gym.evaluation.running.engines import ENGINES
     from activestructure_gym.scenes.cache import cache_directory
     from activestructure_gym.sensors.renderer import renderer_status
@@ -135,7 +135,7 @@ def _engine_state(name: str) -> str:
 
 
 def _kernels_state() -> tuple[str, str]:
-    """Directory of the compiled kernels, and whether its files can be used."""
+    """Return the directory of the compiled kernels and the state of its files."""
     from activestructure_gym.compiling import cache_place, check_compiling
     from activestructure_gym.compiling.files import is_whole, kernel_files
 
@@ -146,16 +146,16 @@ def _kernels_state() -> tuple[str, str]:
     place = cache_place()
     if place is None:
         return "compiled", "cannot be kept: every process compiles them. Set NUMBA_CACHE_DIR"
-    where = "beside the sources" if place.name == "__pycache__" else str(place.parent)
+    where = "next to the sources" if place.name == "__pycache__" else str(place.parent)
     files = kernel_files()
     damaged = [file for file in files if not is_whole(file)]
     if damaged:
-        return where, f"{len(damaged)} of {len(files)} files damaged: what they held is compiled again when needed"
+        return where, f"{len(damaged)} of {len(files)} files damaged: their kernels are compiled again when needed"
     return where, f"works, {len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.0f} MB"
 
 
 def _cache_state() -> str:
-    """Whether what scenes share can be kept on disk."""
+    """Return the state of the cache of scenes: whether it can be written, and its size."""
     import tempfile
 
     from activestructure_gym.scenes.cache import cache_directory

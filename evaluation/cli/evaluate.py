@@ -1,4 +1,4 @@
-"""``asg evaluate``: the numbers of finished runs, measured again from their stored maps; or those of anybody's map."""
+"""Define ``asg evaluate``, which measures the stored maps of finished runs again, or a map file of any origin."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _SHOWN = (
 class Evaluate:
     """Measure stored maps again, or a map file of any origin.
 
-    Print whether the numbers of finished runs are the same. Measure episodes that were played and not measured yet,
-    which finishes their runs. With --map and --scene, measure a map file.
+    Print whether the numbers of finished runs are reproduced. Finish runs whose episodes were played and not measured
+    yet. With --map and --scene, measure a map file.
     """
 
     runs: Runs = ()
     """Measure these: directories of runs or of comparisons."""
     protocols: NoNames = ()
-    """Measure by standard, activegamer, or both (default: the run's own). New numbers are kept."""
+    """Measure by standard, activegamer, or both, and keep new numbers (default: the run's own)."""
     map: PathName = None
     """Measure a map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
     scene: Annotated[str | None, option("SCENE", "")] = None
     """Compare --map with this scene."""
     poses: PathName = None
-    """Read the camera poses of --map from a trajectory.npz; needed for the TSDF surface."""
+    """Read the camera poses of --map from this trajectory.npz; the TSDF surface needs them."""
     out: Out = None
     """Write the numbers of --map to this JSON file."""
     trust_code: Switch = False
@@ -52,7 +52,7 @@ class Evaluate:
     """Read AlexNet's and LPIPS's weights from this folder (default: ASG_LPIPS_WEIGHTS, or torch's hub cache)."""
 
     def run(self) -> int:
-        """Print stored and new numbers; 0 if all stored ones are bit-identical and all new ones are kept."""
+        """Print stored and new numbers; return 0 if stored ones are bit-identical and new ones are kept, else 1."""
         use_trust(self.trust_code)
         use_lpips_weights(self.lpips_weights)
         if self.map is not None:
@@ -84,7 +84,7 @@ class Evaluate:
                     try:
                         write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
                         added += 1
-                    except InputError as error:  # to have measured for nothing would be worse
+                    except InputError as error:  # the numbers are printed even if they cannot be kept
                         lost.append(str(error))
                 reasons |= numbers["notes"]
                 mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
@@ -106,7 +106,7 @@ class Evaluate:
 
 
 def _evaluate_map(options: Evaluate) -> int:
-    """Score a map file of any origin on a scene."""
+    """Measure a map file of any origin on a scene."""
     from activestructure_gym.evaluation.archive.store import write_json
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.protocols import get_protocol
@@ -115,7 +115,7 @@ def _evaluate_map(options: Evaluate) -> int:
     if options.runs:
         raise InputError("give finished runs, or a map with --map FILE --scene SPEC, not both")
     if not options.scene:
-        raise InputError("--map needs --scene: what the map is compared with")
+        raise InputError("--map needs --scene, the scene that the map is compared with")
     assert options.map is not None
     console = make_console()
     names = split_list(options.protocols) or ("standard",)
@@ -162,7 +162,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
 
 
 def _finish_played(names: tuple[str, ...], console: Console) -> list[Run]:
-    """Measure the episodes that are kept in run directories and comparisons and are not measured yet."""
+    """Measure the episodes in run directories and comparisons that were played and not measured; return their runs."""
     from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
     from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.archive.played import is_played
@@ -190,7 +190,7 @@ def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dict[str, Any]]]) -> Table:
-    """The numbers behind the words of each row, headed as in reports, without what no row has."""
+    """Return a table of rows, each texts and metrics, headed as in reports; metrics that no row has are left out."""
     from activestructure_gym.evaluation.report.tables.columns import QUALITY
 
     titles = {column.key: column.title for column in QUALITY}

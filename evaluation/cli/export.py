@@ -1,4 +1,4 @@
-"""``asg export``: a run's map in a format that other programs read."""
+"""Define ``asg export``, which writes a run's map in a format that other programs read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Export:
     """Write a run's map for other programs."""
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
-    """Export the map of this run: its directory."""
+    """Export the map of the run in this directory."""
     format: Annotated[Literal["ply", "splat", "splatam"] | None, option("ply|splat|splatam", "")] = None
     """Write a 3DGS PLY, a .splat file, or SplaTAM's params.npz (default: by the name in --out, else ply)."""
     out: Out = None
@@ -30,7 +30,7 @@ class Export:
     """Turn the map: z is up as in the scene, -y for most splat viewers, y for three.js and game engines."""
 
     def run(self) -> int:
-        """Write the file and say what is in it."""
+        """Write the file and print its content in one line."""
         from activestructure_gym.evaluation.archive.store import read_run
         from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.protocols import CameraPath
@@ -42,7 +42,7 @@ class Export:
         out, form = destination(self)
         if form == "splatam" and self.up != "z":
             raise InputError(
-                f"--up {self.up} is for ply and splat: SplaTAM's params.npz lies in the frame of its first camera"
+                f"--up {self.up} is for ply and splat: SplaTAM's params.npz is in the frame of its first camera"
             )
         run = read_run(Path(self.run_directory))
         gaussians = run.gaussians
@@ -67,7 +67,7 @@ class Export:
 
 
 def destination(options: Export) -> tuple[Path, str]:
-    """The file and its format, which the file's name and --format have to agree about; raises `InputError`."""
+    """Return the file and its format; raise `InputError` if the file's name and --format contradict each other."""
     if options.out is None:
         usual = options.format or "ply"
         return Path(_NAMES[usual]), usual

@@ -1,4 +1,4 @@
-"""``asg features``: what a policy can be told about a candidate view."""
+"""Define ``asg features``, which lists the features of candidate views."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Features:
     """Print JSON."""
 
     def run(self) -> int:
-        """All features: what each is, of which columns and in which unit; or some with their whole descriptions."""
+        """Print all features with columns and units, or some with their whole descriptions."""
         from activestructure_gym.features import FEATURES
         from activestructure_gym.features.table import columns_in_words, units_in_words
 
@@ -69,7 +69,7 @@ def _facts(name: str) -> dict[str, Any]:
 
 
 def _described(name: str) -> str:
-    """One feature: its columns with units and ranges, what it is, and who asks for it."""
+    """Return the description of a feature: its docstring, columns, unit, range, and the policies that need it."""
     from activestructure_gym.features import FEATURES
     from activestructure_gym.features.table import columns_in_words, ranges_in_words, units_in_words
     from activestructure_gym.policies import POLICIES
@@ -82,6 +82,6 @@ def _described(name: str) -> str:
             inspect.getdoc(feature) or "It has no description.",
             "",
             f"Columns: {columns_in_words(feature)}; unit: {units_in_words(feature)}; range: {ranges_in_words(feature)}",
-            f"Asked for by: {', '.join(asking) or 'no registered policy'}",
+            f"Needed by: {', '.join(asking) or 'no registered policy'}",
         ]
     )

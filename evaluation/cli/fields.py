@@ -1,4 +1,4 @@
-"""Types of options that several commands share, with the names that help gives their values."""
+"""Define types of options that several commands share, with the metavariables that help prints for their values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import tyro
 
 
 def option(metavar: str, default: str | None = None, short: str | None = None) -> Any:
-    """Return settings of an option: the name of its value in help, a text for the default, and a short form."""
+    """Return settings of an option: its metavariable in help, a text for its default, and a short form as ``-o``."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=default, aliases=None if short is None else (short,))
 
 
@@ -16,13 +16,13 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavi
 Names = Annotated[tuple[str, ...], option("NAME [NAME ...]")]
 NoNames = Annotated[tuple[str, ...], option("NAME [NAME ...]", "")]
 Changes = Annotated[tuple[str, ...], option("FIELD=VALUE [FIELD=VALUE ...]", "")]
-Words = tuple[str, ...] | None  # None where the option was not given, which is not the same as its default
+Words = tuple[str, ...] | None  # None: the option was not given, not even with its default
 ViewSource = Literal["free_space", "recorded"]
 Text = Annotated[str | None, option("TEXT", "")]
 PathName = Annotated[str | None, option("PATH", "")]
 Out = Annotated[str | None, option("PATH", "", "-o")]
 DryRun = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="", aliases=("-n",))]
 Count = Annotated[int | None, option("N", "")]
-# A name that is checked where it is used, whose error knows the nearest one.
+# No Literal: the error of the function that uses the name suggests the nearest one.
 PresetName = Annotated[str, option("fast|default|full|paper")]
 Runs = Annotated[tuple[str, ...], tyro.conf.Positional, option("[RUN ...]", "")]

@@ -1,4 +1,4 @@
-"""Draw tables that fit the width of a terminal, in as many parts as that takes."""
+"""Draw tables that fit the width of a terminal, split into parts if necessary."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rich.text import Text
 from activestructure_gym.evaluation.machine.terminal import GAP, breaks, longest_piece
 
 _MIN_COLUMNS = 8  # columns of the narrowest column whose words are folded
-_PIECE = 24  # columns; longer names are folded wherever they must be
+_PIECE = 24  # columns; longer words may be broken at any character
 
 
 @dataclass(frozen=True)
 class _Column:
-    """A column's heading and cells, and how wide it has to be."""
+    """Hold the heading and the cells of a column, and compute its widths."""
 
     head: Text
     cells: list[Text]
@@ -25,13 +25,13 @@ class _Column:
 
     @property
     def natural(self) -> int:
-        """The columns that it takes unfolded; the heading of a number stands over its unit."""
+        """Return the width without folding; a heading of numbers has its unit in a second line."""
         head = _first_lines(self.head.plain) if self.numeric else [self.head.plain]
         return max(map(cell_len, [*head, *(cell.plain for cell in self.cells)]), default=0)
 
     @property
     def least(self) -> int:
-        """The columns that it takes folded; numbers are not."""
+        """Return the width with words folded; numbers are not folded."""
         words = [self.head.plain] if self.numeric else [self.head.plain, *(cell.plain for cell in self.cells)]
         least = min(max(map(longest_piece, words), default=0), _PIECE)
         return max([least, *(cell_len(cell.plain) for cell in self.cells)]) if self.numeric else least
@@ -40,9 +40,9 @@ class _Column:
 def table_lines(
     table: Table, width: int | None, *, rule: str = "─", shown: Callable[[str], Text] = Text.from_markup
 ) -> Iterator[Text]:
-    """Yield the lines of a table, none wider than ``width`` where there is one; ``shown`` reads a cell's markup.
+    """Yield the lines of a table, none wider than ``width`` (None: no limit); ``shown`` reads a cell's markup.
 
-    Words are folded; columns that have no room go into further parts, which the leading columns of words begin.
+    Words are folded. Columns that do not fit go into further parts, each of which begins with the leading text columns.
     """
     columns = _columns(table, shown)
     if not columns:
@@ -66,7 +66,7 @@ def table_lines(
 
 
 def fits(table: Table, width: int) -> bool:
-    """Whether a table is no wider than ``width`` with nothing folded."""
+    """Return whether a table fits into ``width`` columns without folding."""
     columns = _columns(table)
     return sum(column.natural for column in columns) + GAP * (len(columns) - 1) <= width
 
@@ -79,7 +79,7 @@ def _columns(table: Table, shown: Callable[[str], Text] = Text.from_markup) -> l
 
 
 def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]]:
-    """The columns of every part with their widths, by their places."""
+    """Return the parts of a table, each as a dictionary from column number to width."""
     natural, least = [column.natural for column in columns], [column.least for column in columns]
     if width is None or sum(natural) + GAP * (len(columns) - 1) <= width:
         return [dict(enumerate(natural))]
@@ -99,7 +99,7 @@ def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]
 
 
 def _widened(part: dict[int, int], natural: Sequence[int], width: int) -> dict[int, int]:
-    """The part with what is left of the width given to its columns: all numbers first, then words from the left."""
+    """Return a part with the rest of ``width`` given to its columns from left to right, up to their natural widths."""
     part = dict(part)
     left = width - sum(part.values()) - GAP * (len(part) - 1)
     for k in part:
@@ -110,7 +110,7 @@ def _widened(part: dict[int, int], natural: Sequence[int], width: int) -> dict[i
 
 
 def _drawn(cells: list[list[Text]], chosen: list[tuple[_Column, int]], *, bottom: bool = False) -> Iterator[Text]:
-    """Lines of a row from the lines of its cells; headings stand at the bottom."""
+    """Yield the lines of a row from the lines of its cells, aligned at the top, or at the bottom for headings."""
     height = max(map(len, cells))
     for k in range(height):
         line = Text()
@@ -130,7 +130,7 @@ def _head_lines(column: _Column, size: int) -> list[str]:
 
 
 def _first_lines(head: str) -> list[str]:
-    """The heading of numbers with its unit in a line of its own."""
+    """Split the heading of numbers into lines: the name, and the unit in parentheses."""
     return head.replace(" (", "\n(").split("\n")
 
 

@@ -1,4 +1,4 @@
-"""Print what is registered by name: as a table for readers, as JSON for programs."""
+"""Print registered names as a table, or as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from activestructure_gym.streams import escape, fitting, say
 
 
 def first_line(thing: Any) -> str:
-    """First line of the docstring of a class or function."""
+    """Return the first line of the docstring of a class or function."""
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
@@ -30,9 +30,9 @@ def print_listed(
     wide: bool,
     most: Sequence[int] = (),
 ) -> None:
-    """Print one line per row, its last entry shortened to the width of a terminal, and below them a hint.
+    """Print one line per row, with the last entry shortened to the terminal's width, and a hint below.
 
-    With ``wide`` and in a log nothing is shortened. ``most``: see `aligned`.
+    With ``wide``, and in a log, nothing is shortened. ``most`` limits the widths of the other columns, see `aligned`.
     """
     console = make_console()
     console.print(title, style="bold", markup=False)
@@ -44,7 +44,7 @@ def print_listed(
 
 
 def print_text(console: Console, text: str) -> None:
-    """Print a docstring: as it is in a log, its paragraphs as wide as a terminal else."""
+    """Print a docstring: unchanged in a log, with paragraphs filled to the width in a terminal."""
     if width_of(console) is None:
         print_lines(console, text.splitlines())
         return
@@ -53,9 +53,9 @@ def print_text(console: Console, text: str) -> None:
 
 
 def print_json(content: Any) -> int:
-    """Print ``content`` as JSON; returns exit code 0."""
+    """Print ``content`` as JSON; return exit code 0."""
     text = json.dumps(content, indent=1, default=str, ensure_ascii=False)
-    if fitting(printable(text), sys.stdout.encoding or "ascii") != text:  # JSON's own escapes keep it readable as JSON
+    if fitting(printable(text), sys.stdout.encoding or "ascii") != text:  # then JSON escapes are written
         text = json.dumps(content, indent=1, default=str)
     say(text)
     return 0

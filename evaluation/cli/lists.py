@@ -1,6 +1,6 @@
-"""``asg list``: the names that options take."""
+"""Define ``asg list``, which lists the names that options take."""
 
-# Not called list.py: as a name in the package it would hide the builtin.
+# The module is not called list.py, since that name would hide the builtin in the package.
 from __future__ import annotations
 
 from dataclasses import dataclass

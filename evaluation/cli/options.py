@@ -14,14 +14,14 @@ from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.registry import TRUST
 from activestructure_gym.specs import Spec
 
-# What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
+# A number behind a comma in a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _MAX_SEEDS = 10_000  # of a range
 _POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
 
 
 def split_list(words: Sequence[str]) -> tuple[str, ...]:
-    """Words separated by commas or spaces; a comma between numbers of a scene's option separates nothing."""
+    """Split words at commas, except commas between the numbers of a scene's option."""
     items: list[str] = []
     for word in words:
         for number, part in enumerate(word.split(",")):
@@ -33,14 +33,16 @@ def split_list(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
-    """Like `split_list`, but a word that is a file or a folder, with options or without and with its kind before it
-    (``replica:...``) or without, stays whole whatever its name holds."""
+    """Split words as `split_list` does, except names of existing files and folders, which may hold commas.
+
+    A name may have options behind it and a kind before it, as in ``replica:PATH``.
+    """
     items: list[str] = []
     for word in words:
         ends = [len(word), *(place for place, letter in enumerate(word) if letter == "?")]
         file = next((word[:end] for end in ends if _is_there(word[:end])), "")
         if file:
-            first, *others = split_list(["?" + word[len(file) + 1 :]])  # as if the file had no name
+            first, *others = split_list(["?" + word[len(file) + 1 :]])  # the options alone
             items += [file + first if file != word else file, *others]
         else:
             items += split_list([word])
@@ -48,14 +50,16 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def _is_there(word: str) -> bool:
-    """Whether it is a file or a folder, or has one behind the colon."""
+    """Return whether ``word``, or its part behind a colon, is an existing file or folder."""
     return any(os.path.exists(os.path.expanduser(name)) for name in (word, word.partition(":")[2]) if name)
 
 
 def split_policies(words: Sequence[str]) -> tuple[str, ...]:
-    """Names of policies; ``ladder`` stands for the rungs A to E of the paper's Table 3, ``all`` for all registered.
+    """Split words into names of policies.
 
-    Raises `InputError` for a word that is neither, nor ``package.module:Class``, and for a reference.
+    ``ladder`` is replaced by the rungs A to E of the paper's Table 3, ``all`` by all registered policies.
+
+    Raises `InputError` for an unknown name that is not ``package.module:Class``, and for a reference.
     """
     from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
     from activestructure_gym.policies import POLICIES
@@ -72,7 +76,7 @@ def split_policies(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
-    """Whole numbers from 0 on; ``0-4`` is 0, 1, 2, 3 and 4."""
+    """Parse whole numbers from 0 on; ``0-4`` is 0, 1, 2, 3 and 4."""
     seeds: list[int] = []
     for text in split_list(words):
         ends = text.split("-")
@@ -82,13 +86,13 @@ def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
             )
         first, last = int(ends[0]), int(ends[-1])
         if not 0 <= last - first < _MAX_SEEDS:
-            raise InputError(f"seeds from A to B are at most {_MAX_SEEDS}, the least one first; got {short_repr(text)}")
+            raise InputError(f"a range of seeds has at most {_MAX_SEEDS}, the smallest first; got {short_repr(text)}")
         seeds += range(first, last + 1)
     return tuple(seeds)
 
 
 def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
-    """``x,y,z,yaw`` in metres and degrees."""
+    """Parse ``x,y,z,yaw`` in metres and degrees."""
     if text is None:
         return None
     try:
@@ -101,7 +105,7 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
 
 
 def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, float, float] | None:
-    """Where every episode starts: `parse_start`, or ``published``: where papers start in the one scene."""
+    """Parse the start of every episode: `parse_start`, or for ``published`` the start of papers in the only scene."""
     if text != "published":
         return parse_start(text)
     if len(scenes) != 1:
@@ -116,7 +120,7 @@ def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, flo
 
 
 def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
-    """``key=value`` pairs; a value is read as JSON where it is JSON, ``.9`` as a number too, all else as text."""
+    """Parse ``key=value`` pairs; a value is JSON or a number as ``.9``, and otherwise text."""
     overrides = {}
     for word in words:
         key, equals, value = word.partition("=")
@@ -125,7 +129,7 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
         try:
             overrides[key] = json.loads(value)
         except (RecursionError, ValueError) as error:
-            if not isinstance(error, json.JSONDecodeError):  # nested without end, or a number of thousands of digits
+            if not isinstance(error, json.JSONDecodeError):  # too deeply nested, or a number of thousands of digits
                 raise InputError(f"--set {short_repr(key)} takes no such value, got {short_repr(value)}") from None
             if value[:1] in ("[", "{"):
                 raise InputError(
@@ -138,7 +142,7 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
 
 
 def use_lpips_weights(place: str | None) -> None:
-    """Make the weights known to this process and all that it starts; raises `InputError` if they are not there."""
+    """Set the folder of LPIPS weights for this process and its children; raise `InputError` if a file is missing."""
     from activestructure_gym.evaluation.metrics import lpips
 
     before = os.environ.get(lpips.VARIABLE)
@@ -156,6 +160,6 @@ def use_lpips_weights(place: str | None) -> None:
 
 
 def use_trust(trusted: bool) -> None:
-    """Let this process, and all that it starts, run code that files name; see `registry.refuse_code`."""
+    """Let this process and its children run code that files name, if ``trusted``; see `registry.refuse_code`."""
     if trusted:
         os.environ[TRUST] = "1"

@@ -1,4 +1,4 @@
-"""Printing tables to a terminal of any width, and what is going on to a terminal or a log."""
+"""Print tables to a terminal of any width, and progress to a terminal or a log."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import Stream, escape, fitting, raw
 
 _MAX_COLUMNS = 10_000  # columns
-_WIDE = 110  # columns from which on a terminal has room for long bars
+_WIDE = 110  # columns; from this width on, progress bars are long
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
 class PlainConsole(Console):
-    """A console that prints no control characters but its own, and of the others those that its stream can show."""
+    """Print to a stream without control characters of the text, and without characters that its encoding lacks."""
 
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
-        """Return the string as text, before anything is measured or wrapped."""
+        """Return the string as text, cleaned before it is measured or wrapped."""
         return super().render_str(self._shown(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
@@ -42,7 +42,7 @@ class PlainConsole(Console):
 
 
 def make_console() -> Console:
-    """Return a console on standard output: as wide as the terminal or as ``COLUMNS`` says; a log is not wrapped."""
+    """Return a console on standard output, as wide as the terminal or ``COLUMNS``; a log is not wrapped."""
     stream = raw(getattr(sys.stdout, "rich_proxied_file", sys.stdout))
     stream = stream if isinstance(stream, Stream) else Stream(stream)
     endless = not stream.isatty() and not os.environ.get("COLUMNS")
@@ -55,10 +55,10 @@ def _console(file: Any, width: int | None) -> Console:
 
 @contextmanager
 def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
-    """A spinner beside ``text`` while the block runs, and a function that says something else there.
+    """Show a spinner next to ``text`` while the block runs; yield a function that replaces the text.
 
-    A log, which shows no spinner, gets a line at the beginning, for every new kind of message (by its first word), and
-    for one kind a line every half minute.
+    A log gets lines instead: one at the beginning, one for every new kind of message (its first word), and at most one
+    line of each kind in 30 s.
     """
     last = dict[str, float]()
     if not console.is_terminal:
@@ -76,7 +76,7 @@ def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
 
 
 def progress_bar(console: Console, *behind: ProgressColumn, **options: Any) -> Progress:
-    """Return a bar behind a description and before these columns and the time left; see `short_title`."""
+    """Return a progress bar: description, bar, the columns ``behind`` and the time left; see `short_title`."""
     size = 32 if console.width >= _WIDE else 8
     left = TimeRemainingColumn(table_column=Column(no_wrap=True))
     columns = TextColumn("{task.description}"), BarColumn(bar_width=size), *behind, left
@@ -84,17 +84,17 @@ def progress_bar(console: Console, *behind: ProgressColumn, **options: Any) -> P
 
 
 def short_title(console: Console, title: str) -> str:
-    """Return a description of a bar, shortened to half of the terminal, without markup."""
+    """Return the description of a bar, shortened to half of the terminal and escaped."""
     return escape(shortened(title, console.width // 2, "..." if console.options.ascii_only else "…"))
 
 
 def width_of(console: Console) -> int | None:
-    """Return the columns of a terminal, or None for a log, which has no width."""
+    """Return the width of the terminal in columns, or None for a log."""
     return None if console.width >= _MAX_COLUMNS else console.width
 
 
 def print_whole(console: Console, table: Table, *, wide: bool = False) -> None:
-    """Print the table in as many parts as the terminal's width takes, so that no number is cut; ``wide`` in one."""
+    """Print a table in parts that fit the terminal, so that no number is cut; with ``wide`` in one part."""
     if table.title:
         console.print(str(table.title), style="bold")
     rule = "-" if console.options.ascii_only else "─"
@@ -104,7 +104,7 @@ def print_whole(console: Console, table: Table, *, wide: bool = False) -> None:
 
 
 def print_lines(console: Console, lines: Iterable[str]) -> None:
-    """Print lines as they are, whatever their width."""
+    """Print lines without wrapping."""
     for line in lines:
         console.print(Text(line), soft_wrap=True)
 

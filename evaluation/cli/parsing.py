@@ -1,4 +1,4 @@
-"""Parse the words behind ``asg COMMAND`` with tyro; its messages and its help fit the terminal and its encoding."""
+"""Parse the words behind ``asg COMMAND`` with tyro; help and messages fit the terminal and its encoding."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from activestructure_gym.streams import Stream, flat, raw, write_line
 
 T = TypeVar("T")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_HELP_COLUMNS = 110  # where no terminal says how wide it is
-_MAX_NUMBER = 2.0**63  # what a number of an option may be; each has limits of its own besides
+_HELP_COLUMNS = 110  # the width of help if no terminal gives one
+_MAX_NUMBER = 2.0**63  # limit of every number; most options have narrower limits of their own
 _MAX_CHARACTERS = 160  # characters of a word in a message
 
 
 def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     """Return the options of a command.
 
-    Raises `InputError` for bytes that are no text, and `SystemExit`: 0 after help, 2 after tyro's message about words
-    that cannot be read.
+    Raises `InputError` for bytes that are no text, and `SystemExit`: code 0 after help, code 2 after tyro's message
+    about words that cannot be parsed.
     """
     for word in words:
         if "\0" in word or not _encodable(word):
@@ -46,7 +46,8 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     except SystemExit as end:
         if not end.code:
             raise
-    # A message repeats words: again, with words as they can be printed. Of its name tyro repeats what a space ends.
+    # Tyro's message repeats words, so the words are parsed again in a printable form. In its message tyro cuts the
+    # program's name at a space, so a no-break space joins it.
     message = io.StringIO()
     with suppress(SystemExit), redirect_stdout(_Uncoloured()), redirect_stderr(message):
         _read(kind, f"asg\xa0{name}", [_printable(word) for word in words])
@@ -55,10 +56,10 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
 
 
 class _Folded(Stream):
-    """A standard output on which lines of help fit the terminal: tyro folds neither usage nor description."""
+    """Fold lines of help that are too wide for the terminal: tyro folds neither usage nor description."""
 
     def write(self, text: str) -> int:
-        """Write the text with line breaks in lines that are too wide."""
+        """Write the text with lines folded at the width of help."""
         super().write("\n".join(line for whole in text.split("\n") for line in _folded(whole, _columns_of_help())))
         return len(text)
 
@@ -72,7 +73,7 @@ def _folded(line: str, width: int) -> list[str]:
 
 
 class _Uncoloured(io.StringIO):
-    """A standard output for which tyro draws frames, and no colours."""
+    """Collect output in memory; with this encoding tyro draws frames, without colours."""
 
     encoding = "utf-8"  # type: ignore[assignment]
 
@@ -87,9 +88,9 @@ def _printable(word: str) -> str:
 
 
 def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
-    """Return the words with all values of a list behind the first time its option is given.
+    """Return the words with all values of a repeated list option moved behind its first occurrence.
 
-    tyro keeps the last time alone; its `UseAppendAction` takes one value a time.
+    Tyro alone would use the last occurrence; its `UseAppendAction` takes one value each time.
     """
     current: list[str] = []  # an option and its values
     groups: dict[str | int, list[str]] = {0: current}
@@ -107,7 +108,7 @@ def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
 
 
 def _lists(kind: type) -> set[str]:
-    """Return the options of a command, or of its parts, that take any number of values."""
+    """Return the options of a command and of its parts that take any number of values."""
     hints = [typing.get_type_hints(part) for part in (kind, *parts_of(kind).values())]
     return {f"--{name.replace('_', '-')}" for one in hints for name, hint in one.items() if "tuple[" in str(hint)}
 
@@ -115,14 +116,14 @@ def _lists(kind: type) -> set[str]:
 def _encodable(word: str) -> bool:
     try:
         word.encode()
-    except UnicodeEncodeError:  # bytes that are no UTF-8 arrive as lone surrogates
+    except UnicodeEncodeError:  # Python passes bytes that are not UTF-8 as lone surrogates
         return False
     return True
 
 
 @contextmanager
 def _columns(number: int) -> Iterator[None]:
-    """While the block runs, let tyro format for a terminal of this many columns."""
+    """Let tyro format for a terminal of ``number`` columns while the block runs."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(number)
     try:
@@ -145,12 +146,12 @@ def _columns_of_help() -> int:
 
 
 def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) -> Callable[[PrimitiveTypeInfo], Any]:
-    """tyro's rule to parse one type: values of ``kind`` that are ``good``, or None where the option is optional."""
+    """Return tyro's rule for options of one type, optional or not: values of ``kind`` for which ``good`` is true."""
 
     def read(texts: list[str]) -> Any:
         try:
             value = kind(texts[0])
-        except ValueError:  # more digits than Python reads come here too
+        except ValueError:  # also raised for more digits than Python reads
             value = None
         if value is None or not good(value):
             raise ValueError(f"expected {wanted}, got {short_repr(texts[0])}")
@@ -165,7 +166,7 @@ def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) ->
 
 
 def _choice(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """tyro's rule for one of some names, or None where the option is not typed; tyro's own takes the word None, too."""
+    """Return the rule for an optional choice of names; tyro's own rule would also take the word None."""
     names, *others = get_args(info.type) or (None,)
     if others != [NoneType] or get_origin(names) is not Literal:
         return None
@@ -181,7 +182,7 @@ def _choice(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 def _words(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """tyro's rule for any number of texts, or None where the option is not typed."""
+    """Return the rule for an optional list of texts, which is None if the option is not given."""
     if info.type != tuple[str, ...] | None:
         return None
     return PrimitiveConstructorSpec("*", "[TEXT ...]", tuple, lambda value: True, lambda value: list(value or ()))

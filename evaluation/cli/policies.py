@@ -1,4 +1,4 @@
-"""``asg policies``: list the policies, or describe one."""
+"""Define ``asg policies``, which lists the policies or describes some."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _QUALIFIED = re.compile(r"^(by a digest of|by the text of|inspired by) ")
 class Policies:
     """List the policies, or describe some.
 
-    The list has source and decision rule of each; --wide adds the features it needs.
+    The list has source and decision rule of each policy; --wide adds the features that it needs.
     """
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
@@ -34,7 +34,7 @@ class Policies:
     """Print JSON."""
 
     def run(self) -> int:
-        """All registered policies in a table, or some with their options and whole descriptions."""
+        """Print all registered policies in a table, or some with their options and whole descriptions."""
         from activestructure_gym.policies import POLICIES, canonical_policy
 
         names = split_list(self.names)
@@ -61,7 +61,7 @@ _HINT = "One with its options: asg policies NAME; your own: asg policies MODULE:
 
 
 def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
-    """A policy's line of the list: name, source, and what it decides by; the source is its first part if not wide."""
+    """Return a policy's row: name, source and decision rule; with ``wide`` the whole source and the features."""
     if wide:
         return [facts["name"], facts["source"], ", ".join(facts["features"]), facts["criterion"]]
     source = _QUALIFIED.sub("after ", facts["source"]).partition(",")[0]
@@ -75,7 +75,7 @@ def _describe(facts: dict[str, Any]) -> None:
     print_text(console, facts["about"])
     console.print(f"\nFeatures it needs: {escape(', '.join(facts['features']) or 'none')}")
     console.print(f"Its own travel term: {escape(facts['travel_term'])}.")
-    console.print(escape(f"In the native setup it brings {facts['native']}."))
+    console.print(escape(f"Native settings: {facts['native']}."))
     if not facts["options"]:
         console.print("It takes no options.")
         return
@@ -88,12 +88,12 @@ def _describe(facts: dict[str, Any]) -> None:
 
 
 def features_asked(name: str) -> tuple[str, ...]:
-    """The columns of features that a policy needs, with the options in its name or the defaults."""
+    """Return the feature columns that a policy needs, with the options in its name or the defaults."""
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import features_of
 
     kind: Any = POLICIES.get(Spec.of(name).name)
-    # Options of some change which features they ask for; required options must be given before one can be made.
+    # Options may change the features; a policy with required options cannot be made from its bare name.
     return features_of(kind if _required(kind) and "?" not in name else make_policy(name))
 
 
@@ -107,7 +107,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
 
     kind: Any = POLICIES.get(Spec.of(name).name)
     parameters = inspect.signature(kind).parameters.values()
-    about = _own_words(kind)
+    about = _docstring(kind)
     return {
         "name": name,
         "criterion": kind.criterion or about.partition("\n")[0],
@@ -121,9 +121,9 @@ def _policy_facts(name: str) -> dict[str, Any]:
     }
 
 
-def _own_words(kind: type) -> str:
-    """The docstring of a policy, or of one it is derived from; that of an interface says nothing about it."""
+def _docstring(kind: type) -> str:
+    """Return the docstring of a policy class, or of the nearest parent that is a policy and not abstract."""
     from activestructure_gym.policies import Policy
 
     policies = (parent for parent in kind.__mro__ if issubclass(parent, Policy) and not inspect.isabstract(parent))
-    return inspect.cleandoc(next((told for parent in policies if (told := vars(parent).get("__doc__"))), ""))
+    return inspect.cleandoc(next((text for parent in policies if (text := vars(parent).get("__doc__"))), ""))

@@ -1,4 +1,4 @@
-"""``asg replay``: one run, or two side by side, as a page to watch."""
+"""Define ``asg replay``, which writes a page or a video that replays finished runs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Replay:
     """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
-        """Play, write, say where."""
+        """Play the runs again, write the page or the video, and print its place."""
         use_trust(self.trust_code)
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
         if not 1 <= len(directories) <= MAX_RUNS:
@@ -64,9 +64,9 @@ class Replay:
 
 
 def add_replays(console: Console, runs: Iterable[Run]) -> None:
-    """Write replay.html into the directory of every run that has none; says of which runs there can be none.
+    """Write replay.html into the directory of every run that has none; print the runs that cannot be replayed.
 
-    The runs are the user's own: their files may name code.
+    The runs are trusted: code that their files name is run.
     """
     from activestructure_gym.evaluation.archive.store import REPLAY
 
@@ -75,19 +75,19 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
         if not page.exists():
             try:
                 write_page(console, page, [run], trusted=True)
-            except InputError as error:  # of one run, as of a mapper without Gaussians: the others have theirs
+            except InputError as error:  # for example, a mapper without Gaussians; the other runs are replayed
                 console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]")
 
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
-    """Play ``runs`` again, write the page, and say where it is."""
+    """Play ``runs`` again, write the page, and print its address."""
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.replay import play_again, write_replay
 
     began, recordings = time.monotonic(), []
     for run in runs:
-        with _progress(console, run) as tell:
-            recordings.append(play_again(run, tell, trusted=trusted))
+        with _progress(console, run) as update:
+            recordings.append(play_again(run, update, trusted=trusted))
     for recording in recordings:
         if recording.differs:
             console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.differs)}[/]")
@@ -106,8 +106,8 @@ def _video(console: Console, directory: Path, out: Path) -> int:
     check_video(out)
     _check_place("--video", out)
     run, began = read_run(directory), time.monotonic()
-    with _progress(console, run) as tell, writing(out):
-        length = write_video(run, out, tell)
+    with _progress(console, run) as update, writing(out):
+        length = write_video(run, out, update)
     size, seconds = out.stat().st_size / 1e6, time.monotonic() - began
     console.print(f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s")
     return 0
@@ -120,7 +120,7 @@ def _check_place(name: str, out: Path) -> None:
 
 @contextmanager
 def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]]:
-    """A bar while ``run`` is played again, and who tells it how far that is."""
+    """Show a progress bar while ``run`` is played again; yield the function that updates it, called with two counts."""
     with progress_bar(console, TextColumn("{task.completed} of {task.total} frames")) as progress:
         title = short_title(console, f"playing {run.job.title}")
         task = progress.add_task(title, total=run.metrics["metrics"]["frames"])
@@ -128,7 +128,7 @@ def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]
 
 
 def _runs_of(directory: Path) -> list[Path]:
-    """A finished run's own directory, or those of a comparison's finished runs."""
+    """Return the directory of a finished run, or the directories of a comparison's finished runs."""
     from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, completion_markers
 
     if (directory / DONE).is_file():

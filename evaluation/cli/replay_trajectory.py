@@ -1,4 +1,4 @@
-"""``asg replay-trajectory``: map and measure the trajectory of any system."""
+"""Define ``asg replay-trajectory``, which maps along a recorded trajectory and measures the map."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """A trajectory, its frame and its mapper."""
+    """Hold the options for a trajectory, its frame and its mapper."""
 
     trajectory: Annotated[str, tyro.conf.Positional, option("TRAJECTORY")]
     """Follow a file of poses, a folder with one (traj.txt, traj_w_c.txt, trajectory.npz, pose), or a finished run."""
@@ -30,7 +30,7 @@ class TrajectoryOptions:
     format: Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"] = "auto"
     """Read the file in this format; auto uses its ending and the numbers in a line."""
     axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: opencv; habitat's own)")] = None
-    """Read poses in these axes. Poses in walls are refused; the error names the axes that fit best."""
+    """Read poses in these axes; poses in walls are refused, and the error names the axes that fit best."""
     inverted: Switch = False
     """Read poses that map world to camera."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
@@ -45,11 +45,11 @@ class TrajectoryOptions:
 class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
     """Map a recorded trajectory and measure the map.
 
-    A run's own trajectory gives the run's own map again, byte for byte: asg replay-trajectory RUN.
+    With a finished run as TRAJECTORY the result is that run's map, byte for byte.
     """
 
     def run(self) -> int:
-        """Check, follow, report; exit codes as of `asg compare`."""
+        """Check the trajectory, follow it and report; the exit codes are those of `asg compare`."""
         use_trust(self.trust_code)
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
@@ -60,7 +60,7 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
 
 
 def _run_of(place: str) -> Run | None:
-    """The finished run whose trajectory it is."""
+    """Return the finished run that a trajectory belongs to, or None."""
     from activestructure_gym.evaluation.archive.store import DONE, read_run
 
     directory = Path(place) if Path(place).is_dir() else Path(place).parent
@@ -68,7 +68,7 @@ def _run_of(place: str) -> Run | None:
 
 
 def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Comparison]:
-    """The same question in `asg compare`'s words, and the comparison."""
+    """Return the equivalent options of `asg compare`, and the comparison."""
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
 
     given = TrajectorySpec(
@@ -98,7 +98,7 @@ def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Compari
 
 
 def _changes_of(run: Run) -> dict[str, Any]:
-    """What the run's configuration differs in from its preset's; what was computed for its policy alone is no part."""
+    """Return the changes of a run's configuration from its preset, without features and frame budget."""
     from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
     from activestructure_gym.evaluation.archive.store import CONFIG
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
@@ -107,11 +107,11 @@ def _changes_of(run: Run) -> dict[str, Any]:
     job = run.job
     if job.conditions.setup == "shared":
         refuse_code([replace(job, policy="random")], run.directory / CONFIG)
-        brought = dict(job.conditions.overrides)
+        changes = dict(job.conditions.overrides)
     else:
         refuse_code([job], run.directory / CONFIG)
         alone = is_reference(job.policy) or is_trajectory(job.policy)
-        brought = job.conditions.changes(None if alone else make_policy(job.policy))
+        changes = job.conditions.changes(None if alone else make_policy(job.policy))
     if is_trajectory(job.policy) and (mapper := TrajectorySpec.of(job.policy).mapper):
-        brought["mapper.name"] = mapper
-    return {name: value for name, value in brought.items() if name not in ("features", "frame_budget")}
+        changes["mapper.name"] = mapper
+    return {name: value for name, value in changes.items() if name not in ("features", "frame_budget")}

@@ -1,4 +1,4 @@
-"""``asg report``: write the report page and tables of finished runs."""
+"""Define ``asg report``, which writes the report page and tables of finished runs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Report:
     """Print all columns scene by scene, whatever the width of the terminal."""
 
     def run(self) -> int:
-        """Write the report, print the overview; 0 if every run asked for is in it, 1 if some are missing."""
+        """Write the report and print the overview; return 0 if it has every requested run, 1 if some are missing."""
         from activestructure_gym.evaluation.archive.store import COMPARISON
 
         if not self.runs:
@@ -65,7 +65,7 @@ class Report:
         if self.paper_tables:
             from activestructure_gym.evaluation.report.tables.published import published_tables
 
-            for table in published_tables(results)[::2]:  # averages; by scene they stand in the report
+            for table in published_tables(results)[::2]:  # averages; the report has the tables by scene
                 print_whole(console, in_terminal(table), wide=self.wide)
                 console.print(f"{escape(table.caption)}.\n")
         for name, why in results.missing.items():

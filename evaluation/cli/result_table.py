@@ -1,4 +1,4 @@
-"""The result of a comparison in a terminal: the columns that fit, a line per policy."""
+"""Print the result of a comparison in a terminal, with a line per policy and the columns that fit."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from activestructure_gym.evaluation.report.tables.columns import COLUMNS, Column
 from activestructure_gym.evaluation.report.tables.overview import AVERAGE, Cell, Row, rich_table, styled, table_rows
 from activestructure_gym.streams import escape
 
-_LOG = 80  # columns of a table in a log, which has no width
+_LOG = 80  # width of tables in a log, columns
 _BY_KEY = {column.key: column for column in COLUMNS}
-# The columns that every terminal shows, then those that it shows where they fit.
+# The columns that are always shown, and those that are added while they fit.
 _MAIN = ("observed", "completion_ratio", "psnr", "metres", "seconds")
 _MORE = ("tsdf_completion_ratio", "ssim", "completion_cm", "accuracy_cm", "precision", "frames")
 
 
 def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
-    """Print a line per policy; with ``wide`` every column, scene by scene. Returns whether something was left out."""
+    """Print a line per policy, or with ``wide`` all columns by scene; return whether something was left out."""
     if wide:
         print_whole(console, rich_table(table_rows(runs), title=_title(runs)), wide=True)
         return False
@@ -37,7 +37,7 @@ def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
 
 
 def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
-    """The mean over the scenes; a table for each scene where some policy has no run on another."""
+    """Return one table of means over the scenes, or a table per scene if a policy has no run in some scene."""
     rows = table_rows(runs)
     scenes = list(dict.fromkeys(run.scene for run in runs))
     averages = [_with_deviation(row, runs) for row in rows if row.scene == AVERAGE]
@@ -52,7 +52,7 @@ def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
 
 
 def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
-    """The average row with the deviation over the seeds of the mean over the scenes, where every seed has all."""
+    """Add to a row of averages the standard deviation over seeds of the scenes' mean, if every seed has all runs."""
     cells = dict(row.cells)
     for key, cell in cells.items():
         by_seed: dict[int, list[float | None]] = {}
@@ -68,7 +68,7 @@ def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
 
 
 def _fitting(rows: Sequence[Row], title: str, keys: Sequence[str], width: int) -> Table:
-    """The table of the main columns among ``keys``, with as many further ones as fit the width."""
+    """Return a table of the main columns among ``keys`` and as many further ones as fit into ``width``."""
     more = [key for key in _MORE if key in keys]
     for count in range(len(more), -1, -1):
         shown = [*(key for key in _MAIN if key in keys), *more[:count]]
@@ -93,7 +93,7 @@ def _shown(cell: Cell, column: Column) -> str:
 
 
 def _title(runs: Sequence[Run]) -> str:
-    """What the numbers are, in words."""
+    """Return the title of a table: over how many scenes and seeds its numbers are means."""
     scenes, seeds = len({run.scene for run in runs}), len({run.job.seed for run in runs})
     mean = f"mean of {pluralised(scenes, 'scene')}" if scenes > 1 else "mean"
     if seeds > 1:

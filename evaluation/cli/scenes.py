@@ -1,4 +1,4 @@
-"""``asg scenes``: list the registered scenes, or check one and list its regions of free space."""
+"""Define ``asg scenes``, which lists the registered scenes, or checks one and lists its regions of free space."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth.regions import Region
 
 _MAX_LISTED = 8  # regions
-_SAMPLES = 10_000  # of the surface, for the share that can be seen from regions that are not used
-_MAX_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
+_SAMPLES = 10_000  # surface samples for the observable share of an unused region
+_MAX_BOTTOMLESS = 0.1  # share of the free space; every scan has small holes
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Scenes:
     """Print JSON."""
 
     def run(self) -> int:
-        """List the registered scenes, or describe one and draw it if asked to."""
+        """Print the registered scenes, or the description of one, and draw it with ``--picture``."""
         console = make_console()
         console.quiet = self.json
         if self.spec is None:
@@ -88,13 +88,13 @@ class Scenes:
 
 
 def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
-    """Return the ``truth`` of the loaded scene, ``lines`` of (name, text) about it, and rows on its ``regions``."""
+    """Return the ``truth`` of a scene, ``lines`` of (name, text) that describe it, and rows of its ``regions``."""
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.ground_truth.truth import hardly_seen
     from activestructure_gym.scenes import load_scene
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", InputWarning)  # they stand in the scene's notes
+        warnings.simplefilter("ignore", InputWarning)  # the scene's notes have them
         scene = load_scene(spec)
     notify("finding free space")
     known = ground_truth_of(scene)
@@ -128,7 +128,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
 
 
 def _listed(known: GroundTruth) -> list[Region]:
-    """The regions with most level ground, and the one in use."""
+    """Return the regions with the most level ground, and the region in use."""
     places, used = known.regions.places, known.regions.used
     return [region for number, region in enumerate(places) if number < _MAX_LISTED or region is used]
 
@@ -162,7 +162,7 @@ def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
 
 
 def _region_table(rows: list[dict[str, Any]]) -> Table:
-    """The regions in 80 columns."""
+    """Return a table of the regions that fits 80 columns."""
     table = plain_table("Regions of free space (* is used; the scene's option inside=X,Y,Z uses another)")
     for column in ("", "volume m3", "floor z m", "ceiling m", "level m2", "seen", "inside="):
         table.add_column(column, justify="left" if column == "inside=" else "right", no_wrap=True)
@@ -181,7 +181,7 @@ def _region_table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _registered() -> list[dict[str, Any]]:
-    """Names and their options; an option without a default is None."""
+    """Return the names of scenes with their options; an option without a default is None."""
     from activestructure_gym.scenes import SCENES
 
     rows = []

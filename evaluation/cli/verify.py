@@ -1,4 +1,4 @@
-"""``asg verify``: play finished runs again and compare them with what they store."""
+"""Define ``asg verify``, which plays finished runs again and compares them with the stored files."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _NOT_COMPARABLE = 3  # exit code
 class Verify:
     """Play finished runs again and compare them byte for byte.
 
-    A run is identical, differs, or is damaged. Other bytes on another processor or with other versions than the run
-    names confirm and refute nothing: the run is not comparable here. Exit codes: 0, all runs are identical; 1, a run
-    differs, is damaged or cannot be played; 3, a run is not comparable here.
+    A run is identical, differs, or is damaged. If the bytes differ on another processor or with other versions than
+    recorded, the run is not comparable here. Exit codes: 0, all runs are identical; 1, a run differs, is damaged or
+    cannot be played; 3, a run is not comparable here.
     """
 
     runs: Runs = ()
@@ -36,7 +36,7 @@ class Verify:
     """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
-        """Play each run again and print its verdict; returns the exit code."""
+        """Play each run again, print its verdict and return the exit code."""
         use_trust(self.trust_code)
         from rich.progress import Progress as Bar
         from rich.progress import TextColumn
@@ -56,13 +56,13 @@ class Verify:
                 title = short_title(console, f"playing {run.job.title}")
                 task = bar.add_task(title, total=run.metrics["metrics"]["frames"])
 
-                def tell(progress: Progress, bar: Bar = bar, task: TaskID = task) -> None:
+                def update(progress: Progress, bar: Bar = bar, task: TaskID = task) -> None:
                     bar.update(task, completed=progress.frames)
 
                 found = None
                 try:
-                    found = verify(run, tell)
-                except Exception as error:  # of one run, whose policy may raise anything: the others are played
+                    found = verify(run, update)
+                except Exception as error:  # a policy may raise any error; the other runs are played
                     said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
             if found is None:
                 unplayed += 1

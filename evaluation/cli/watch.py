@@ -1,4 +1,4 @@
-"""``asg watch``: an episode in a browser while it happens."""
+"""Define ``asg watch``, which plays an episode and shows it in a browser."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from activestructure_gym.policies import Policy
     from activestructure_gym.viewer import LiveView
 
-YOU = "you"  # the policy that asks whoever watches
-_COLOURED_BY = "hole_area"  # whose feature the candidates bear for you
+YOU = "you"  # policy name: the user chooses every view on the page
+_COLOURED_BY = "hole_area"  # policy whose feature colours the candidates for YOU
 
 
 @dataclass(frozen=True)
 class Watch:
     """Play an episode in a browser while it runs.
 
-    The page shows the map as it grows, planes, candidates, the camera. It pauses, goes step by step and back in time;
-    a click on a candidate sends the agent there. Without --host only this machine can open it. Ctrl+C ends it.
+    The page shows the growing map, planes, candidates and the camera. You can pause, step, go back in time, and click a
+    candidate to send the agent there. Without --host only this machine can open the page. Ctrl+C ends it.
     """
 
     scene: Annotated[str, option("SCENE")] = "room"
@@ -45,7 +45,7 @@ class Watch:
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """Use the configuration that `asg config PRESET` prints."""
     setup: Setup = "shared"
-    """Use the common candidates and schedule (shared), or the planner's own with preset full (native)."""
+    """Use the common candidates and mapper (shared), or the planner's own with preset full (native)."""
     frames: Count = None
     """Stop after this many frames (default: the preset's)."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
@@ -55,14 +55,14 @@ class Watch:
     port: Annotated[int, option("N", "(default: a free one)")] = 0
     """Serve the page on this port."""
     host: Annotated[str, option("IP", "(default: 127.0.0.1)")] = "127.0.0.1"
-    """Serve the page at this address of the machine; everyone who has the link can watch and steer."""
+    """Serve the page at this address of the machine; everyone with the link can watch and steer."""
     paused: Switch = False
     """Begin paused."""
     exit: Switch = False
     """Exit when the episode ends, instead of serving the page until Ctrl+C."""
 
     def run(self) -> int:
-        """Serve, play, and serve on until it is stopped."""
+        """Serve the page and play the episode; keep serving until Ctrl+C, except with ``--exit``."""
         from activestructure_gym.viewer import LiveView
 
         env, policy = self._make()
@@ -78,14 +78,14 @@ class Watch:
         console = make_console()
         if not ip_address(self.host).is_loopback:
             complain(
-                f"note: whoever reaches {self.host} and has the link can look and steer, and the connection is "
+                f"note: everyone who reaches {self.host} and has the link can watch and steer, and the connection is "
                 "not encrypted"
             )
         console.print(f"Watch at [bold]{view.url}[/] (Ctrl+C ends)", soft_wrap=True)
         try:
             with working(console, "exploring") as say:
-                told = play(env, policy, self.seed, view, asks, say)
-            console.print(f"The episode has ended: {told}")
+                summary = play(env, policy, self.seed, view, asks, say)
+            console.print(f"The episode has ended: {summary}")
             while not self.exit:
                 try:
                     time.sleep(1.0)
@@ -122,7 +122,7 @@ class Watch:
 def play(
     env: gym.Env[Any, Any], policy: Policy, seed: int, view: LiveView, asks: bool, say: Callable[[str], None]
 ) -> str:
-    """One episode, shown; what became of it, in words."""
+    """Play and show one episode; return a summary in words. With ``asks``, the page chooses every view."""
     shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
     observation, info = env.reset(seed=seed)
     policy.reset(seed)
@@ -136,7 +136,7 @@ def play(
             view.chosen(wanted)
         clicked = view.wait()
         row = wanted if clicked is None else clicked
-        if row is None:  # nobody is there to say
+        if row is None:  # the page was closed
             break
         view.chosen(row)
         observation, _, terminated, truncated, info = env.step(np.int64(row))

@@ -1,4 +1,4 @@
-"""``asg train``: train a policy by one of several methods, or evaluate policies."""
+"""Define ``asg train``, which trains a policy by one of several methods, or evaluates policies."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from activestructure_gym.evaluation.cli.train.methods import Bc, Ppo, Rank
 class Train:
     """Train a learned policy, or evaluate policies.
 
-    Layouts are procedural apartments; evaluation uses others than training. Start ppo from a checkpoint of bc. The
-    options of a method are printed by its own help, as asg train bc --help.
+    Layouts are procedural apartments; training and evaluation use different ones. ppo is best started from a checkpoint
+    of bc. Every method has its own help, as asg train bc --help.
     """
 
     method: (
@@ -29,5 +29,5 @@ class Train:
     """Train by this method, or evaluate."""
 
     def run(self) -> int:
-        """0 when done, 1 if nothing came of it, 130 if stopped."""
+        """Run the method; return 0 when done, 1 without a checkpoint, 130 if stopped."""
         return self.method.run()

@@ -1,4 +1,4 @@
-"""Options that all parts of ``asg train`` share, about the episodes that are played."""
+"""Define the options about episodes that all parts of ``asg train`` share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 @dataclass(frozen=True)
 class Episodes:
-    """Options about the episodes: directory, processes, preset, budget, layouts."""
+    """Hold the options about episodes: directory, processes, preset, frame budget and layouts."""
 
     out: Out = None
     """Write the results into this directory (default: runs/eval-<date>-<time>)."""
@@ -25,7 +25,7 @@ class Episodes:
     trust_code: Switch = False
     """Run code (package.module:Name) that files name: the record of --resume, a checkpoint."""
     workers: int = 0
-    """Run this many processes at a time, 0 for one per core. The results are equal."""
+    """Run this many processes at a time, 0 for one per core; results do not depend on it."""
     preset: PresetName = "fast"
     """Use the configuration that `asg config PRESET` prints."""
     frames: Count = None
@@ -36,8 +36,8 @@ class Episodes:
     """Use layouts with these numbers of rooms, in turn."""
 
     def begin(self) -> int:
-        """Prepare this process, before torch is loaded; returns the number of processes to use."""
-        # Small networks gain nothing from a second thread, and one thread makes equal results.
+        """Prepare this process before torch is loaded, and return the number of processes to use."""
+        # One thread makes results reproducible, and small networks are not faster with two.
         os.environ.update(capped_environment(1))
         use_trust(self.trust_code)
         if self.workers < 0:

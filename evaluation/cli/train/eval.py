@@ -1,4 +1,4 @@
-"""``asg train eval``: evaluate checkpoints and planners on held-out layouts."""
+"""Define ``asg train eval``, which evaluates checkpoints and planners on held-out layouts."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Eval(Episodes):
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "")] = ()
     """Add these scenes, each with one episode per seed."""
     seeds: Annotated[tuple[str, ...], option("N [N ...]", "(default: 0 to 19)")] = tuple(str(n) for n in range(20))
-    """Set the seeds of the episodes on --scenes; each takes the scene's next start pose."""
+    """Set the seeds of the episodes on --scenes; each episode has the scene's next start pose."""
     baselines: NoNames = ()
-    """Add a column of differences to each of these (default: pixel_only, if it plays)."""
+    """Add a column of differences from each of these (default: pixel_only, if it is among --policies)."""
 
     def run(self) -> int:
-        """Play what is not in the directory yet, print and write the table."""
+        """Play the episodes that the directory lacks, then print and write the table."""
         workers = self.begin()
 
         from activestructure_gym.config import known_preset

@@ -1,4 +1,4 @@
-"""Run a training from its beginning, or from where it was stopped."""
+"""Run a training from its beginning, or from its last finished unit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check(config: TrainingConfig) -> None:
 
 
 def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
-    """Print what `learn` would do; returns 0."""
+    """Print what `learn` would do; return 0."""
     from activestructure_gym.evaluation.training.training_env import world_config
 
     world = config.world
@@ -45,7 +45,7 @@ def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
 
 
 def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
-    """Begin or resume a training run; returns 0 when there is a checkpoint to use, 1 without one, 130 if stopped."""
+    """Begin or resume a training run; return 0 if it has a best checkpoint, 1 without one, 130 if stopped."""
     from activestructure_gym.evaluation.archive.directory_lock import hold
 
     console = make_console()
@@ -72,7 +72,7 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
 def _run(
     config: TrainingConfig, directory: Path, data: str | None, workers: int, live: Live
 ) -> tuple[float | None, bool]:
-    """Train; returns the best validation, and whether there is a checkpoint to use."""
+    """Train; return the best validation score, and whether the run has a best checkpoint."""
     import torch
 
     from activestructure_gym.evaluation.archive.temporary import refuse_links
@@ -102,21 +102,21 @@ def _run(
             try:
                 train_ppo(config, envs, run, validate, live.unit)
             finally:
-                with suppress(EOFError, OSError):  # of a process that is gone, which must not hide why this one ends
+                with suppress(EOFError, OSError):  # of an ended child, which must not hide the first error
                     envs.close()
         else:
             from activestructure_gym.evaluation.training.supervised import train_supervised
 
-            refuse_links(directory, demonstrations.DATA)  # with --data the place is the user's own word
+            refuse_links(directory, demonstrations.DATA)  # a place given with --data is not checked
             episodes = Path(data) if data else directory / demonstrations.DATA
             live.begin(f"demonstrations of {config.teacher}", 1, 0)
 
-            def tell(done: int, total: int) -> None:
+            def update(done: int, total: int) -> None:
                 live.files(done, total)
                 run.timing.save()
 
             run.timing.switch("collecting")
-            missing = demonstrations.collect(config, episodes, workers=workers, tell=tell)
+            missing = demonstrations.collect(config, episodes, workers=workers, tell=update)
             states = demonstrations.load(config, episodes)
             if missing:
                 run.timing.count("collecting", len(states))

@@ -1,4 +1,4 @@
-"""Progress of a training run, in a terminal or in a log."""
+"""Show the progress of a training run in a terminal or in a log."""
 
 from __future__ import annotations
 
@@ -13,26 +13,24 @@ from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import escape
 
 _SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
+_WIDE = 110  # columns; from this width on, progress bars are long
+_TITLE, _OTHERS = 28, 52  # widest title, and width of all parts except bar, numbers and stage; columns
 
 
-_WIDE = 110  # columns from which on a terminal has room for long bars
-_TITLE, _OTHERS = 28, 52  # columns of the title at most; of all that is no bar, number or stage
-
-
-def _whole(entries: list[str], width: int) -> str:
-    """As many of the entries, from the first on, as a line of this width holds."""
+def _joined(entries: list[str], width: int) -> str:
+    """Join the leading entries that fit into ``width`` columns."""
     while entries and len("  ".join(entries)) > width:
         entries = entries[:-1]
     return "  ".join(entries)
 
 
 class Live:
-    """A bar with the latest numbers; validations are printed above it and stay. A context manager."""
+    """Show a bar with the latest numbers, and print validations above it. A context manager."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         bar = 24 if console.width >= _WIDE else 8
-        self._room = max(console.width - bar - _OTHERS, 0)  # columns of the numbers, or of the stage
+        self._room = max(console.width - bar - _OTHERS, 0)  # columns for the numbers or the stage
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=bar),
@@ -57,7 +55,7 @@ class Live:
         self._progress.stop()
 
     def begin(self, title: str, total: int, done: int, steps: int = 0) -> None:
-        """A new bar; ``steps`` of an environment are made per unit."""
+        """Begin a new bar; a unit takes ``steps`` steps of the environments."""
         if self._task is not None:
             self._progress.remove_task(self._task)
         short = escape(shortened(title, _TITLE))
@@ -73,7 +71,7 @@ class Live:
             self._progress.update(self._task, stage=escape(shortened(stage, self._room)))
 
     def files(self, done: int, total: int) -> None:
-        """Move the bar of files or episodes."""
+        """Set the progress of a bar that counts files or episodes."""
         if self._task is not None:
             self._progress.update(self._task, completed=done, total=total)
         if not self._console.is_terminal and 10 * done // max(1, total) > self._tenth:
@@ -81,14 +79,14 @@ class Live:
             self._console.print(f"[dim]{done}/{total}", highlight=False)
 
     def unit(self, done: int, row: Mapping[str, float]) -> None:
-        """Move the bar on by an epoch or an iteration, and show the numbers of ``row``."""
+        """Set the progress of a bar that counts epochs or iterations, and show the numbers of ``row``."""
         numbers = [f"{name.rpartition('/')[2]} {row[name]:.3g}" for name in _SHOWN if name in row]
         if self._steps and done > self._last[0]:
             seconds = time.monotonic() - self._last[1]
             numbers.append(f"{self._steps * (done - self._last[0]) / max(seconds, 1e-9):.0f} steps/s")
         self._last = (done, time.monotonic())
         if self._task is not None:
-            self._progress.update(self._task, completed=done, numbers=_whole(numbers, self._room), stage="")
+            self._progress.update(self._task, completed=done, numbers=_joined(numbers, self._room), stage="")
         if "validation/normalised" in row:
             self._console.print(
                 f"[green]✓[/] after {done}: coverage {100 * row['validation/auc']:.1f} %, normalised "

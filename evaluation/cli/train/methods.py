@@ -1,4 +1,4 @@
-"""``asg train bc``, ``rank`` and ``ppo``: from the options to a checkpoint."""
+"""Define ``asg train bc``, ``rank`` and ``ppo``, which train a policy and write its checkpoint."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from activestructure_gym.evaluation.cli.options import parse_overrides, split_li
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
 from activestructure_gym.evaluation.training.config import Method, Reward, TrainingConfig, WorldConfig
 
-# How and where a run is made, and not what is learnt.
+# Options that do not change the result of a training.
 _MANNER = ("out", "resume", "workers", "data", "trust_code", "dry_run")
 
 
 @dataclass(frozen=True)
 class Learning(Episodes):
-    """Options of every method."""
+    """Hold the options of every method."""
 
     method: ClassVar[Method]
 
@@ -37,9 +37,9 @@ class Learning(Episodes):
     use_planes: bool = True
     """Give the network the Plane Scene Graph, or an empty one (an ablation)."""
     noise: bool = True
-    """Draw new sensor noise in every training episode, or not; validation has none."""
+    """Draw new sensor noise in every training episode; validation has none."""
     reward: Reward = "rate"
-    """Reward new surface per frame (rate), area under the coverage curve (auc), or as the environment (env)."""
+    """Reward new surface per frame (rate), area under the coverage curve (auc), or as the environment does (env)."""
     gamma: float = 0.3
     """Discount the reward by this factor per decision."""
     learning_rate: Annotated[float | None, option("X", "(default: 1e-3; ppo: 3e-4, from a checkpoint 5e-5)")] = None
@@ -50,7 +50,7 @@ class Learning(Episodes):
     """Validate on this many apartments, one episode each."""
 
     def run(self) -> int:
-        """0 when there is a checkpoint to use, 1 if there is none, 130 if stopped."""
+        """Train; return 0 if the run has a best checkpoint, 1 if it has none, 130 if stopped."""
         workers = self.begin()
 
         from activestructure_gym.evaluation.cli.train.learning import check, learn, print_plan
@@ -76,14 +76,14 @@ class Learning(Episodes):
         return learn(config, directory, data=getattr(self, "data", None), workers=workers, begun=begun)
 
     def _is_bare(self) -> bool:
-        """Whether every option that decides what is learnt has its default."""
+        """Return whether every option that changes the result has its default."""
         manner = {field.name for field in dataclasses.fields(self)} & set(_MANNER)
         return self == type(self)(**{name: getattr(self, name) for name in manner})
 
 
 @dataclass(frozen=True)
 class _FromExpert(Learning):
-    """Options of the methods that learn from an expert."""
+    """Hold the options of methods that learn from an expert."""
 
     teacher: Annotated[str, option("NAME")] = "oracle"
     """Learn from this expert: oracle (true new surface of a view), oracle-way (per frame of its path), or a feature."""
@@ -97,12 +97,12 @@ class _FromExpert(Learning):
 
 @dataclass(frozen=True)
 class Bc(_FromExpert):
-    """Copy an expert: its choice among the candidates."""
+    """Imitate an expert's choice among the candidates."""
 
     method: ClassVar[Method] = "bc"
 
     temperature: float = 0.04
-    """Divide the expert's scores by this before the softmax; lower is sharper. Matters where ppo starts from it."""
+    """Divide the expert's scores by this before the softmax; lower values give sharper probabilities, also to ppo."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ class Ppo(Learning):
     steps: int = 128
     """Make this many steps per environment and iteration."""
     envs: int = 8
-    """Use this many environments at a time; changes results, unlike --workers."""
+    """Use this many environments at a time; unlike --workers, this changes results."""
 
 
 def training_config(options: Learning) -> TrainingConfig:
-    """The training configuration that the options ask for; defaults where a method has no option."""
+    """Return the training configuration of the options, with defaults for fields without an option."""
     from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.policies.learned import learned_from
 

@@ -62,8 +62,8 @@ def test_policies_for_programs(capsys):
 
 def test_a_policy_says_what_it_brings_on_native_terms(capsys):
     out = " ".join(said(capsys, "policies", "activesplat").split())
-    assert "In the native setup it brings mapper splatam, 15 iterations a keyframe; its paper spends 1000 steps" in out
-    assert "In the native setup it brings nothing." in said(capsys, "policies", "hole_area")
+    assert "Native settings: mapper splatam, 15 iterations a keyframe; its paper spends 1000 steps" in out
+    assert "Native settings: nothing." in said(capsys, "policies", "hole_area")
 
 
 def test_several_policies_are_described_one_after_the_other(capsys):
@@ -89,7 +89,7 @@ def test_lists_fold_at_the_width_of_a_terminal(capsys, monkeypatch, words):
 
 def test_a_feature_is_described_with_its_columns_and_who_asks_for_it(capsys):
     out = said(capsys, "features", "naruto_look", "unknown_volume_way")  # a column stands for its feature
-    assert "30" in out and "Asked for by: naruto" in out and "the whole way" in out and "activestructure" in out
+    assert "30" in out and "Needed by: naruto" in out and "the whole way" in out and "activestructure" in out
     assert [row["name"] for row in json.loads(said(capsys, "features", "pixel", "--json"))] == ["pixel"]
     assert main(["features", "pixle"]) == 2
     assert "did you mean 'pixel'" in capsys.readouterr().err

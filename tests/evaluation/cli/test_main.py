@@ -108,7 +108,7 @@ def bad_meshes(tmp_path):
             ["compare", "--scenes", "box", "--policies", "random", "--baseline", "nobody"],
             ["one of the policies, random;"],
         ),
-        (["compare", "--scenes", "box", "--seeds", "3-1"], ["the least one first", "3-1"]),
+        (["compare", "--scenes", "box", "--seeds", "3-1"], ["the smallest first", "3-1"]),
         (["compare", "--scenes", "box", "--seeds", "0..3"], ["0,2,5 or 0-4", "0..3"]),
         (["policies", "my_policy.py:Mine"], ["without .py it is my_policy:Mine"]),
         (["policies", "activestructure_gym.policies.pixel_only:pixelonly"], ["did you mean 'PixelOnly'"]),

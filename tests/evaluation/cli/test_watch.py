@@ -26,7 +26,7 @@ def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -
     told = capsys.readouterr()
     assert "http://127.0.0.1:" in told.out and "The episode has ended: 20 frames" in told.out and told.err == ""
     assert main([*command, "--exit", "--host", "0.0.0.0"]) == 0
-    assert "whoever reaches 0.0.0.0 and has the link can look and steer" in capsys.readouterr().err
+    assert "everyone who reaches 0.0.0.0 and has the link can watch and steer" in capsys.readouterr().err
     for wrong, message in (
         (["--policy", "nobody"], "unknown policy 'nobody'"),
         (["--host", "here"], "cannot serve at"),

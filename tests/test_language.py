@@ -36,6 +36,7 @@ READ = (
     "envs",
     "evaluation/cli",
     "evaluation/machine",
+    "evaluation/reproduction",
     "policies/*.py",
 )
 # What to write instead is in brackets; a dash means: rewrite the sentence.

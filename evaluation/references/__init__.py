@@ -1,1 +1,1 @@
-"""Deciders that know the ground truth or a whole path: oracles, and trajectories that are followed."""
+"""Choose views with the ground truth (oracles), or follow a given trajectory."""

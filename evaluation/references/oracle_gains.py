@@ -1,6 +1,6 @@
-"""What going to a view would truly show: the surface that the keyframes of the way see first, and what the map gains.
+"""Compute the true gain of going to a view: newly observed surface, and the change of the map's quality.
 
-Ground truth, for references and benchmarks; nothing here reaches an observation.
+Both use the ground truth. They are for references and benchmarks; no observation contains them.
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import RGBDSensor
 
-QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # and the sign of what is better
+QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # sign: +1 if more is better, -1 if less
 
-_SAMPLES = 4000  # of the observable surface, spread evenly
-_RATIO_SAMPLES = 10_000  # surface points a C.R. is taken on
-_BLOCKS = 96  # of a held-out view, at least, whose error stands at one point of the surface
+_SAMPLES = 4000  # samples of the observable surface
+_RATIO_SAMPLES = 10_000  # surface samples for a completion ratio
+_BLOCKS = 96  # minimum number of blocks of a held-out view; a block's error is assigned to one surface point
 
 
 def whole_pool(reconstruction: Reconstruction, most: int | None = None) -> np.ndarray:  # [n, 4, 4] world_from_camera
-    """Every view of the pool that can be reached now, no matter how many a table holds; at most ``most``, drawn."""
+    """Return all reachable views of the pool, without the row limit of the candidate table.
+
+    If ``most`` is given, at most that many are drawn at random.
+    """
     pool = copy.copy(reconstruction.pool)
     rows = pool.positions.shape[0] * pool.config.directions if most is None else most
     pool.config = replace(pool.config, max_candidates=max(rows, pool.config.max_revisits + 1))
@@ -40,9 +43,10 @@ def whole_pool(reconstruction: Reconstruction, most: int | None = None) -> np.nd
 
 
 class TrueSurface:
-    """The observable surface of the scene of an episode, and which of it is still to be seen.
+    """Track which part of the observable surface the keyframes of an episode have seen.
 
-    By lines of sight from the keyframes' true poses, as `observed` of the standard protocol, not by the sensor's depth.
+    Visibility is tested by lines of sight from the keyframes' true poses, as in `observed` of the standard protocol.
+    The sensor's depth is not used.
     """
 
     def __init__(self, truth: GroundTruth, samples: int = _SAMPLES) -> None:
@@ -50,34 +54,34 @@ class TrueSurface:
         self._scene = truth.scene
         self.points = surface.points[:: max(1, len(surface.points) // samples)]  # [S, 3]
         self.area = surface.area / max(1, len(self.points))  # m^2 of a point
-        self._counted = 0  # keyframes
+        self._counted = 0  # keyframes processed so far
         self.seen = np.zeros(len(self.points), dtype=bool)
 
     def follow(self, reconstruction: Reconstruction) -> None:
-        """Count the keyframes that the episode has taken since the last call."""
+        """Mark the points that are visible in the keyframes since the last call as seen."""
         new = reconstruction.keyframe_indices[self._counted :]
         if new:
             poses = np.stack([reconstruction.trajectory[index] for index in new])
             waiting = np.flatnonzero(~self.seen)
-            self.seen[waiting] = shown(reconstruction, self._scene, poses, self.points[waiting])
+            self.seen[waiting] = visible_points(reconstruction, self._scene, poses, self.points[waiting])
             self._counted += len(new)
 
     def new_area(self, reconstruction: Reconstruction, keyframes: np.ndarray) -> float:  # [K, 4, 4] -> m^2
-        """The area that these keyframes together would show and none has shown yet."""
-        return self.area * int(shown(reconstruction, self._scene, keyframes, self.points[~self.seen]).sum())
+        """Return the unseen area that these keyframes together would show."""
+        return self.area * int(visible_points(reconstruction, self._scene, keyframes, self.points[~self.seen]).sum())
 
     def rates(
-        self, reconstruction: Reconstruction, taken: Sequence[PlannedPath | None]
+        self, reconstruction: Reconstruction, paths: Sequence[PlannedPath | None]
     ) -> np.ndarray:  # [n] m^2 per frame
-        """Newly observed area by frame paid, of every way; 0 where there is none."""
-        found = [0.0 if w is None else self.new_area(reconstruction, w.keyframes) / max(w.frames, 1) for w in taken]
+        """Return the newly observed area of each path per frame; 0 for a candidate without a path."""
+        found = [0.0 if p is None else self.new_area(reconstruction, p.keyframes) / max(p.frames, 1) for p in paths]
         return np.array(found, np.float64)
 
 
 class TrueQuality:
-    """What the map of an episode gets right on held-out views of the scene, and what mapping a way changes there.
+    """Measure the quality of a map on held-out views, and how mapping the keyframes of a path changes it.
 
-    The views are the first ones that ``protocol`` measures a finished map by.
+    The views are those with which ``protocol`` measures a finished map.
     """
 
     def __init__(self, truth: GroundTruth, protocol: StandardProtocol) -> None:
@@ -85,29 +89,29 @@ class TrueQuality:
         self._truth = protocol.truth(truth)
 
     def changes(
-        self, reconstruction: Reconstruction, taken: Mapping[int, PlannedPath]
-    ) -> dict[int, dict[str, float]]:  # of QUALITY, by the same keys
-        """Change of the held-out numbers per 100 frames from truly mapping the keyframes of each way, in a copy.
+        self, reconstruction: Reconstruction, paths: Mapping[int, PlannedPath]
+    ) -> dict[int, dict[str, float]]:  # changes of QUALITY, by the same rows
+        """Return the changes of the held-out scores per 100 frames from mapping each path's keyframes in a map copy.
 
-        Rows of the candidate table are the keys, so that a way that ends at a keyframe's own pose is mapped with the
-        iterations of a revisit. The noise of the pictures is not the noise the episode would draw; that what is seen
-        on the way may block it is not foreseen.
+        The keys are rows of the candidate table; a path to a revisited keyframe is mapped with the iterations of a
+        revisit. The sensor noise differs from the noise that the episode would draw. Obstacles that would be discovered
+        along the path are not considered.
         """
         config = reconstruction.config
         before = self._measured(reconstruction.mapper.map)
         sensor = RGBDSensor(self._scene, config.sensor, np.random.default_rng(reconstruction.decisions))
         found = {}
         try:
-            for row, way in taken.items():
+            for row, path in paths.items():
                 mapper = copy.deepcopy(reconstruction.mapper)
-                arrives = np.allclose(way.keyframes[-1], reconstruction.candidates.world_from_camera[row])
-                again = arrives and bool(reconstruction.candidates.revisit[row])
-                for number, pose in enumerate(way.keyframes, start=1):
-                    refine_factor = config.revisit_rounds if again and number == len(way.keyframes) else 1
+                arrives = np.allclose(path.keyframes[-1], reconstruction.candidates.world_from_camera[row])
+                revisits = arrives and bool(reconstruction.candidates.revisit[row])
+                for number, pose in enumerate(path.keyframes, start=1):
+                    refine_factor = config.revisit_rounds if revisits and number == len(path.keyframes) else 1
                     mapper.observe(sensor.capture(pose), iterations=refine_factor * config.mapper.iterations)
                 after = self._measured(mapper.map)
                 found[row] = {
-                    name: 100.0 * (after[name] - before[name]) / way.frames
+                    name: 100.0 * (after[name] - before[name]) / path.frames
                     for name in QUALITY
                     if name in after and name in before
                 }
@@ -116,10 +120,10 @@ class TrueQuality:
         return found
 
     def error_points(self, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:  # [P, 3], [P]
-        """Points of the surface in the held-out views, and how wrong the map is around each in these pictures.
+        """Return surface points in the held-out views, and the map's colour error in the block around each point.
 
-        A view is cut into blocks, each with the true point in its middle and the squared colour error of its pixels,
-        divided by that of the view: so they are to first order shares of its PSNR.
+        Every view is divided into blocks. A block gives the true surface point at its centre and the sum of its squared
+        colour errors, divided by the sum of the view. To first order this is the block's share of the view's PSNR.
         """
         views = self._truth.views
         size = max(1, int(np.sqrt(views.camera.width * views.camera.height / _BLOCKS)))
@@ -140,14 +144,16 @@ class TrueQuality:
     def visible_errors(
         self,
         reconstruction: Reconstruction,
-        taken: Sequence[PlannedPath | None],
-        wrong: tuple[np.ndarray, np.ndarray],  # what `error_points` found
+        paths: Sequence[PlannedPath | None],
+        wrong: tuple[np.ndarray, np.ndarray],  # the result of `error_points`
     ) -> np.ndarray:  # [n] per frame
-        """How much of what is wrong the keyframes of every way would see, per frame paid; 0 where there is none."""
+        """Return the error visible from the keyframes of each path, per frame; 0 for a candidate without a path."""
         points, errors = wrong
         found = [
-            0.0 if way is None else errors[shown(reconstruction, self._scene, way.keyframes, points)].sum() / way.frames
-            for way in taken
+            0.0
+            if path is None
+            else errors[visible_points(reconstruction, self._scene, path.keyframes, points)].sum() / path.frames
+            for path in paths
         ]
         return np.array(found, np.float64)
 
@@ -155,13 +161,13 @@ class TrueQuality:
         return self._protocol.checkpoint(gaussians, self._truth, images=True, samples=_RATIO_SAMPLES)
 
 
-def shown(
+def visible_points(
     reconstruction: Reconstruction,
     scene: Scene,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera of keyframes
     points: np.ndarray,  # [P, 3] on the surface
 ) -> np.ndarray:  # [P] bool
-    """Which points keyframes of the episode's sensor there would see."""
+    """Return which points are visible from keyframes of the episode's sensor at these poses."""
     sensor = reconstruction.config.sensor
     path = CameraPath(sensor.camera, poses[0], poses, sensor.max_range)
     return seen_by_keyframes(points, path, scene, SIGHT_MARGIN)

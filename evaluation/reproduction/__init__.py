@@ -1,1 +1,1 @@
-"""Doing finished work again: a run is played again and compared, or its map is measured again."""
+"""Reproduce finished runs: play a run again and compare it, or measure its map again."""

@@ -1,4 +1,4 @@
-"""Numbers from what lies on disk alone: a run's directory, or a map file of any origin."""
+"""Measure stored maps: that of a run's directory, or a map file of any origin."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from activestructure_gym.npz import read_npz
 
 
 def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationProtocol, dict[str, Any] | None]]:
-    """The protocols called ``names``, with the numbers the run stored for each; all that it stored if none is named.
+    """Return the named protocols, each with the run's stored metrics; by default all protocols that the run stores.
 
-    A stored protocol comes with the constants it was measured with, another one with its usual ones and None.
+    A stored protocol has the recorded constants. A protocol without stored metrics has its default constants and None.
     """
     stored = run.protocols
     for name in names:
@@ -38,20 +38,20 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
 
 
 def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
-    """The protocol's numbers from ``map.npz`` and ``trajectory.npz`` alone, in JSON's types."""
+    """Return the protocol's metrics, measured on ``map.npz`` and ``trajectory.npz`` alone, as JSON types."""
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
-    # Nobody plays here: of what the job names only the scene is loaded.
+    # No policy acts here: only the scene of the job is loaded.
     refuse_code([replace(run.job, policy="random", conditions=Conditions())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 
 
 def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
-    """Names of the numbers that are not the stored ones to the last bit.
+    """Return the names of the numbers that are not bit-identical to the stored ones.
 
-    LPIPS is compared only where both have it: it depends on weights that need not be here today.
+    LPIPS is compared only if both have it, because its weights may be missing on this machine.
     """
     partial = stored.get("lpips") is None or numbers.get("lpips") is None
     if partial:
@@ -60,7 +60,7 @@ def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
 
 
 def without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers without LPIPS, of every view too."""
+    """Return the metrics without LPIPS, also in the views and the notes."""
     kept = {name: value for name, value in numbers.items() if not name.startswith("lpips")}
     kept["views"] = [{k: v for k, v in view.items() if k != "lpips"} for view in numbers["views"]]
     kept["notes"] = {k: v for k, v in numbers["notes"].items() if k != "lpips"}
@@ -70,10 +70,11 @@ def without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
 def measure_file(
     map_file: str | Path, scene: str, protocol: EvaluationProtocol, *, poses: str | None = None
 ) -> dict[str, Any]:
-    """A protocol's numbers of a map of any origin: our ``map.npz``, SplaTAM's ``params.npz``, or a 3DGS PLY.
+    """Return a protocol's metrics of a map file: ``map.npz`` of a run, ``params.npz`` of SplaTAM, or a 3DGS PLY.
 
-    A PLY must lie in the scene's frame (z up, metres); a ``params.npz`` lies in its first camera's, which is the first
-    of ``poses``, a ``trajectory.npz``. What needs poses is None without them. Raises `InputError`.
+    A PLY must be in the scene's frame (z up, metres). A ``params.npz`` is in the frame of its first camera, whose pose
+    is the first one of ``poses``, a ``trajectory.npz``. Metrics that need poses are None without them. Raise
+    `InputError` for a file that cannot be read.
     """
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.mapping.files import map_kind, read_map
@@ -90,7 +91,7 @@ def measure_file(
 
 
 def _refuse_turned(map_file: str | Path) -> None:
-    """Raise `InputError` for a PLY that says, as `asg export --up` writes it, that it is not z up."""
+    """Raise `InputError` for a PLY with a comment by ``asg export --up`` that another axis is up."""
     with suppress(OSError), open(map_file, "rb") as file:
         said = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
         if said:
@@ -101,7 +102,7 @@ def _refuse_turned(map_file: str | Path) -> None:
 
 
 def read_path(file: str | Path) -> CameraPath:
-    """The poses and the camera of a ``trajectory.npz``; raises `InputError` if it is none."""
+    """Return the poses and the camera of a ``trajectory.npz``; raise `InputError` if it cannot be read."""
     try:
         return _path_of(read_npz(file), file)
     except InputError:
@@ -125,7 +126,7 @@ def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
 
 
 def _as_stored(name: str, array: np.ndarray) -> np.ndarray:
-    """A path from elsewhere may have numbers of another width, such as float32."""
+    """Convert an array to the stored type: trajectories of other programs may use float32, for example."""
     wanted = run_files.TRAJECTORY.get(name)
     same_kind = wanted is not None and array.dtype.kind in ("f" if wanted.dtype == "f8" else "iu")
     return array.astype(wanted.dtype) if wanted is not None and same_kind else array

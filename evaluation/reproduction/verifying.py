@@ -1,9 +1,9 @@
-"""Play a finished run again and compare everything that its job decides with what the run stores.
+"""Verify a finished run: play its job again and compare the result with the stored files.
 
-Equal jobs give equal bytes on one kind of processor with the same versions, so only equal bytes confirm a run. Other
-bytes refute it where nothing else differs. On another processor or with other versions they do neither: sums are
-rounded otherwise, and a close decision may fall the other way. Processor and versions are the run's own words, so they
-never turn a difference into a confirmation. Such a run is refuted only where it contradicts itself.
+Equal jobs give equal bytes with the same processor model and package versions. So equal bytes confirm a run, and
+different bytes refute it if processor and versions are the same. With another processor or other versions, different
+bytes decide nothing: rounding differs, and a close decision may change. The run itself records its processor and
+versions, so they never confirm a run. Such a run is refuted only if its own files contradict each other.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.reproduction.remeasure import differing, measure_again, protocols_of, without_lpips
 from activestructure_gym.evaluation.running.episode import Progress, run_job
 
-# What a run stores and its job decides. The clock is not compared, nor are pictures and pages drawn from these files.
+# Files that depend only on the job. Times are not compared, nor pictures and pages, which are drawn from these files.
 COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP,
             store.PLY)  # fmt: skip
-# Up to which a number of one map agrees with that measured on another processor. Own choice, far above rounding:
-# agreement confirms nothing.
+# Tolerance between numbers of one map measured on two processors. Own choice, far above rounding: agreement within it
+# confirms nothing.
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
-_MAX_NAMED = 5  # numbers that are named, the leading ones first
+_MAX_NAMED = 5  # numbers listed in a message, those of `_LEADING` first
 _LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
-_SHOWING = ("rich", "tyro", "pillow")  # packages that make no number
+_SHOWING = ("rich", "tyro", "pillow")  # packages that affect no number
 
 Verdict = Literal["identical", "not comparable here", "differs", "damaged"]
 REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
@@ -43,17 +43,17 @@ REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of playing a run again."""
+    """Hold the result of playing a run again."""
 
     verdict: Verdict
-    why: tuple[str, ...] = ()  # what differs, or which processor and versions differ
+    why: tuple[str, ...] = ()  # the differences of files, of the processor, and of versions
 
 
 def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
-    """Check the stored files of ``run`` against their checksums, play its job again, and compare.
+    """Compare the files of ``run`` with their checksums, play its job again, and compare the results.
 
-    Raises `InputError` where the job cannot be played here: its scene or policy is missing or has changed, or its
-    files name code that was not trusted.
+    Raise `InputError` if the job cannot be played here: its scene or policy is missing or has changed, or its files
+    name code that is not trusted.
     """
     try:
         run = store.open_run(run.directory, run.scene)
@@ -75,19 +75,19 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:
         return Verification("not comparable here" if missing else "identical", tuple(missing))
-    told = f"other bytes in {', '.join(others)}"
+    difference = f"other bytes in {', '.join(others)}"
     elsewhere = environment_differences(run, again) + missing
     if not elsewhere:
-        return Verification("differs", (told, *numbers_that_differ(run, again)))
+        return Verification("differs", (difference, *numbers_that_differ(run, again)))
     codes = [one.config["versions"].get("code") for one in (run, again)]
     wrong = [f"another {store.CONFIG} of the same code"] if store.CONFIG in others and codes[0] == codes[1] else []
     if wrong := [*wrong, *contradictions(run)]:
-        return Verification("differs", (told, *wrong))
-    return Verification("not comparable here", (*elsewhere, told, *numbers_that_differ(run, again)))
+        return Verification("differs", (difference, *wrong))
+    return Verification("not comparable here", (*elsewhere, difference, *numbers_that_differ(run, again)))
 
 
 def numbers_that_differ(run: Run, again: Run) -> list[str]:
-    """The run's own numbers that come out otherwise, in words, `_MAX_NAMED` of them."""
+    """Describe up to `_MAX_NAMED` stored metrics that differ from the new ones."""
     stored, found = (one.metrics["metrics"] for one in (run, again))
     names = dict.fromkeys((*_LEADING, *found, *stored))
     return _first(
@@ -98,13 +98,13 @@ def numbers_that_differ(run: Run, again: Run) -> list[str]:
 
 
 def contradictions(run: Run) -> list[str]:
-    """Numbers that do not follow from the map, the path and the curve that the run itself stores, in words.
+    """Describe stored metrics that contradict the run's own map, trajectory and curve.
 
-    Whichever processor played the run, its map can be measured on this one.
+    The map is measured on this machine, which works for runs of any processor.
     """
     planned, _ = planning_scores(run.metrics["curve"], run.config["configuration"]["frame_budget"])
     wrong = []
-    with suppress(InputError):  # a protocol that this version does not know
+    with suppress(InputError):  # a protocol that this version does not have
         for protocol, stored in protocols_of(run):
             stored = stored or {}
             own = protocol.name == run.job.conditions.protocol.name
@@ -119,7 +119,7 @@ def contradictions(run: Run) -> list[str]:
 
 
 def altered_evaluations(run: Run) -> list[str]:
-    """Evaluations by the run's own protocol that say more than an LPIPS beside the run's own numbers, in words."""
+    """Describe evaluations by the job's protocol that differ from the run's metrics in more than LPIPS."""
     own, parameters = run.metrics["metrics"], store.plain(run.job.conditions.protocol.parameters())
     wrong = []
     for name, content in run.evaluations.items():
@@ -133,10 +133,10 @@ def altered_evaluations(run: Run) -> list[str]:
 
 
 def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
-    """Measure every stored evaluation again, those of later sittings too.
+    """Measure every stored evaluation again, also those measured after the run.
 
-    Returns the files with other numbers, and in words what cannot be measured here: LPIPS without its weights, and
-    protocols that this version does not know.
+    Return the files whose numbers differ, and messages about numbers that cannot be measured here: LPIPS without its
+    weights, and protocols that this version does not have.
     """
     wrong, unknown = [name for name in again.evaluations if name not in run.evaluations], []
     own, found = run.metrics["metrics"], again.metrics["metrics"]
@@ -144,7 +144,7 @@ def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
     for name, content in run.evaluations.items():
         stored, parameters = content["metrics"], content["protocol"]
         own_name = run.job.conditions.protocol.name
-        if parameters["name"] == own_name:  # an LPIPS and nothing else, see `altered_evaluations`
+        if parameters["name"] == own_name:  # contains only LPIPS, see `altered_evaluations`
             pairs.append((stored, found))
             same = None in (_lpips_of(stored), _lpips_of(found)) or _lpips_of(stored) == _lpips_of(found)
         elif (made := again.evaluations.get(name)) is not None:
@@ -165,7 +165,7 @@ def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
 
 
 def environment_differences(run: Run, again: Run) -> list[str]:
-    """What a run was made with that is not what this machine has, where bytes can depend on it; in words."""
+    """Describe the differences of processor, versions, plug-in code and LPIPS weights that can change bytes."""
     found = []
     before, now = (str(one.timing["hardware"]["processor"]) for one in (run, again))
     if before != now:
@@ -182,8 +182,9 @@ def environment_differences(run: Run, again: Run) -> list[str]:
 
 
 def _same(run: Run, again: Run, name: str) -> bool:
+    """Return whether a file is equal in both runs, without the differences that are allowed in JSON files."""
     files = [one.directory / name for one in (run, again)]
-    if name == store.PLY and not files[0].exists():  # which may be deleted
+    if name == store.PLY and not files[0].exists():  # a user may delete it
         return True
     if not all(file.is_file() for file in files):
         return not any(file.exists() for file in files)
@@ -199,32 +200,32 @@ def _same(run: Run, again: Run, name: str) -> bool:
 
 
 def _job_alone(config: dict[str, Any]) -> dict[str, Any]:
-    """A configuration without versions and without where the scene's file was: the content of a scene counts."""
+    """Return a configuration without versions and without the scene's path and name; its content hash is kept."""
     kept = {name: value for name, value in config.items() if name not in ("versions", OWN_CODE)}
     scene = {name: value for name, value in config["scene"].items() if name not in ("spec", "source", "name")}
     return {**kept, "scene": scene, "job": {**config["job"], "scene": None}}
 
 
 def _same_numbers(stored: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Whether all numbers are equal to the last bit; without LPIPS where one side has none."""
+    """Return whether all numbers are bit-identical, ignoring LPIPS if one side has none."""
     if _lpips_of(stored) is None or _lpips_of(found) is None:
         stored, found = without_lpips(stored), without_lpips(found)
     return _text(stored) == _text(found)
 
 
 def _lpips_of(numbers: dict[str, Any]) -> list[Any] | None:
-    """LPIPS as the mean and of every view; None where there is none."""
-    told = [numbers.get("lpips"), *(view.get("lpips") for view in numbers["views"])]
-    return None if told == [None] * len(told) else told
+    """Return the mean LPIPS followed by that of every view; None if all are missing."""
+    values = [numbers.get("lpips"), *(view.get("lpips") for view in numbers["views"])]
+    return None if values == [None] * len(values) else values
 
 
 def _is_as_written(file: Path, content: Any) -> bool:
-    """Whether a file's bytes are those that we write of its content: no name twice, nothing besides."""
+    """Return whether a file's bytes are those that `store.json_text` gives: no repeated keys, no other layout."""
     return file.read_bytes() == store.json_text(content).encode("utf-8")
 
 
 def _text(content: Any) -> str:
-    """Content as text, in which 1, 1.0 and true are different."""
+    """Return the content as text, which distinguishes 1, 1.0 and true."""
     return json.dumps(content, sort_keys=True)
 
 

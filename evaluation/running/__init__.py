@@ -1,1 +1,1 @@
-"""Running jobs: one episode, its worker, the engines, a whole comparison."""
+"""Run jobs: a single episode, its worker process, the engines, and a whole comparison."""

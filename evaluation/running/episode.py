@@ -1,4 +1,4 @@
-"""Running one job: from a scene and a policy to a finished run directory."""
+"""Run one job: play its episode, measure the map, and write the run directory."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
 
-CHECKPOINTS = 20  # points of the convergence curve, besides the first
-IMAGE_CHECKPOINTS = 10  # points of the PSNR curve, besides the first: each renders every held-out view
-CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
-# In how many parts the budget is divided by points at which the TSDF surface is fused anew out of the depth at all
-# keyframes: each as dear as at the end in proportion to the keyframes so far. The last point is the finished map's.
+CHECKPOINTS = 20  # points of the convergence curve after the first
+IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
+CHECKPOINT_SAMPLES = 10_000  # surface samples for the completion ratio of a point: standard error below 0.5 %
+# Points at which the TSDF surface is fused from the depth of all keyframes so far. The cost of a point is proportional
+# to the number of keyframes. The last point is that of the finished map.
 SURFACE_CHECKPOINTS = 4
 
 
@@ -43,21 +43,21 @@ Stage = Literal["loading", "exploring", "measuring", "done"]
 
 
 class Actor(Protocol):
-    """Who chooses: a policy, or a reference."""
+    """Define the interface of a policy or a reference: choose a row of the candidate table at every decision."""
 
     def reset(self, seed: int) -> None:
         """Begin an episode."""
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """The row to go to."""
+        """Return the row of the candidate to go to."""
 
     def trace(self) -> dict[str, Any]:
-        """Numbers behind the last choice."""
+        """Return the numbers that led to the last choice."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a running job."""
+    """Describe the progress of a running job."""
 
     stage: Stage
     frames: int = 0
@@ -66,18 +66,18 @@ class Progress:
 
 
 def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | None = None) -> store.Run:
-    """Run ``job`` and write ``directory``, whole or not at all; returns what was written.
+    """Run ``job``, write ``directory`` completely or not at all, and return the run.
 
-    The episode is kept before it is measured. Where one is kept already, it is not played again.
+    The played episode is stored before it is measured. If it is already stored, it is not played again.
 
-    A pure function of the job: no global state, no clock in any result but ``timing.json``. Raises `InputError` where
-    the job cannot be run at all.
+    The result depends only on the job. Only ``timing.json`` contains times. Raise `InputError` if the job cannot be
+    run.
     """
     from activestructure_gym.ground_truth import ground_truth_of
 
     tell = progress or (lambda _: None)
     tell(Progress("loading"))
-    own = plugin_code_of(job, first_checksum_of)  # before it is imported, as it may be edited while it plays
+    own = plugin_code_of(job, first_checksum_of)  # before the import: the files may be edited during the episode
     began = time.perf_counter()
     known = ground_truth_of(load_job_scene(job))
     truth = job.conditions.protocol.truth(known)
@@ -103,10 +103,10 @@ def _play(
     known: GroundTruth,
     truth: Truth,
     own: dict[str, str],
-    loading: float,  # seconds that it took so far
+    loading: float,  # seconds spent on loading so far
     tell: Callable[[Progress], None],
 ) -> None:
-    """Play the episode of ``job``, and keep it in ``directory``, whole or not at all."""
+    """Play the episode of ``job`` and store it in ``directory``, completely or not at all."""
     began = time.perf_counter()
     policy, env = build(job, known)
     loading += time.perf_counter() - began
@@ -122,9 +122,9 @@ def _play(
 
 
 def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
-    """The job's policy and an env that offers the features it asks for; or its reference, which alone gets the truth.
+    """Return the actor of a job and its env: a policy with its required features, a reference, or a trajectory.
 
-    Or who follows the job's trajectory, which decides nothing.
+    Only a reference receives the ground truth.
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
@@ -147,7 +147,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
 
 
 def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Episode) -> dict[str, Any]:
-    """Frames, metres, decisions and Gaussians of an episode, and its collisions with the true mesh."""
+    """Return the counts of an episode (frames, metres, decisions, ...) and its collisions with the true mesh."""
     return {
         "frames": reconstruction.frames,
         "metres": reconstruction.metres,
@@ -160,14 +160,14 @@ def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Epis
 
 
 def _followed(env: ReconstructionEnv) -> dict[str, float]:
-    """What is told of a trajectory that was given, nothing of any other."""
+    """Return the metrics of a followed trajectory; empty for other runs."""
     from activestructure_gym.evaluation.references.trajectory import TrajectoryEnv, followed_metrics
 
     return followed_metrics(env) if isinstance(env, TrajectoryEnv) else {}
 
 
 def path_collisions(scene: Scene, trajectory: np.ndarray) -> int:
-    """Number of executed steps of a trajectory [T, 4, 4] that pass through the true mesh. Must be 0."""
+    """Return how many executed steps of a trajectory [T, 4, 4] pass through the true mesh; expected: 0."""
     positions = trajectory[:, :3, 3]
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=1) > 1e-9
     if not moved.any():
@@ -176,7 +176,7 @@ def path_collisions(scene: Scene, trajectory: np.ndarray) -> int:
 
 
 class _Episode:
-    """The loop of decisions, with its log, its convergence curve and its clock."""
+    """Play an episode, and record its decisions, convergence curve and times."""
 
     def __init__(
         self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth, tell: Callable[[Progress], None]
@@ -187,14 +187,14 @@ class _Episode:
         self.ended = ""
         self.evaluation_seconds = 0.0
         self.total_seconds = 0.0  # without the evaluation
-        self.decision_seconds: list[float] = []  # total seconds at the end of each decision
+        self.decision_seconds: list[float] = []  # elapsed seconds at the end of each decision, without the evaluation
         self._policy_seconds = 0.0
         self._next_checkpoint = 0
         self._next_images = 0
         self._next_surface = 0
 
     def run(self) -> None:
-        """Play the episode from the first frame to the end of the budget."""
+        """Play the episode from the first frame to its end."""
         env, policy = self.env, self.policy
         self._began = time.perf_counter()
         observation, info = env.reset(seed=self.job.seed)
@@ -223,6 +223,7 @@ class _Episode:
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
 
     def _chosen(self, row: Any) -> int:
+        """Return the row that a policy chose; raise `InputError` if it is not a row of the candidate table."""
         if not self.env.is_row(row):
             last = int(self.env.action_space.n) - 1
             raise InputError(
@@ -233,15 +234,15 @@ class _Episode:
 
     @property
     def last_ratio(self) -> float | None:
-        """C.R. at the last checkpoint."""
+        """Return the completion ratio (%) at the last checkpoint, None before the first."""
         return self.curve[-1]["completion_ratio"] if self.curve else None
 
     def seconds(self) -> dict[str, float]:
-        """Wall-clock by stage, the policy's own share beside the conductor's."""
+        """Return the wall-clock seconds by stage: those of the reconstruction and of the policy."""
         return {**self.env.reconstruction.seconds, "policy": self._policy_seconds}
 
     def _describe(self, observation: dict[str, np.ndarray], action: int) -> dict[str, Any]:
-        """The decision as the policy made it, before its consequences."""
+        """Return the log entry of a decision before it is executed."""
         from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 
         mask = observation["action_mask"]
@@ -254,11 +255,11 @@ class _Episode:
         return step | {"trace": self.policy.trace()}
 
     def _checkpoint(self, *, last: bool = False) -> dict[str, float]:
-        """A point of the convergence curve; its time is not the planner's."""
+        """Add a point to the convergence curve and return its scores; the time counts as evaluation."""
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
         frames, budget = reconstruction.frames, reconstruction.frame_budget
-        # The last point is the finished map's: `end_curve` writes it.
+        # `measuring.measure` adds the numbers of the finished map to the last point.
         images, surface = (frames >= following and not last for following in (self._next_images, self._next_surface))
         if images:
             self._next_images = _following(frames, budget // IMAGE_CHECKPOINTS)
@@ -280,7 +281,7 @@ class _Episode:
 
 
 def _following(frames: int, spacing: int) -> int:
-    """The next multiple of the spacing, which is at least 1."""
+    """Return the next multiple of the spacing after ``frames``; the spacing is at least 1."""
     spacing = max(1, spacing)
     return (frames // spacing + 1) * spacing
 
@@ -298,7 +299,7 @@ def _write_episode(
     own: dict[str, str],
     loading: float,
 ) -> None:
-    """Configuration, decisions, curve and clocks."""
+    """Write the configuration, the decisions, the curve and the times."""
     config = {
         "format": store.FORMAT_VERSION,
         "job": job.as_dict(),
@@ -335,7 +336,7 @@ def _write_episode(
 
 
 def _write_files(part: Path, reconstruction: Reconstruction) -> None:
-    """Map, path, planes and plan."""
+    """Write the map, the trajectory, the planes and the plan."""
     from activestructure_gym.mapping.ply import write_ply
 
     reconstruction.mapper.map.save_npz(part / store.MAP)
@@ -347,7 +348,7 @@ def _write_files(part: Path, reconstruction: Reconstruction) -> None:
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """Every executed pose [T, 4, 4], which of them were keyframes [K], decisions, camera, range; `Run.trajectory`."""
+    """Return the arrays of ``trajectory.npz``, see `Run.trajectory`: poses, keyframes, decisions, camera, range."""
     camera = reconstruction.config.sensor.camera
     return {
         "world_from_camera": np.stack(reconstruction.trajectory),

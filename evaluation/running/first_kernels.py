@@ -1,4 +1,4 @@
-"""The kernels that a first comparison compiles, so that its progress has a total."""
+"""List the kernels that a first comparison compiles, which gives the total for its progress display."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-# By module, without the package's name: what `warmup` compiles for any policy. A slow test compiles them all.
+# Kernels that `warmup` compiles for any policy, by module without the package's name. A slow test compiles them all.
 _ALWAYS = {
     "envs.reward": "_mark_seen",
     "evaluation.metrics.fusion_kernels": (
@@ -53,7 +53,7 @@ _OURS = __name__.partition(".")[0]
 
 
 def kernels_of(features: Sequence[str]) -> set[str]:
-    """Return the names of the kernels that a comparison compiles whose policies ask for these features."""
+    """Return the names of the kernels that a comparison with these features compiles."""
     from activestructure_gym.features import FEATURES
 
     names = {f"{_OURS}.{module}.{name}" for module, of_module in _ALWAYS.items() for name in of_module.split()}
@@ -61,7 +61,7 @@ def kernels_of(features: Sequence[str]) -> set[str]:
 
 
 def _kernels_in(module: str) -> set[str]:
-    """Names of the kernels that a module of this package defines."""
+    """Return the names of the kernels that a module of this package defines."""
     from activestructure_gym.compiling.decorator import name_of
 
     found = [thing for thing in vars(sys.modules[module]).values() if hasattr(thing, "py_func")]
@@ -69,15 +69,15 @@ def _kernels_in(module: str) -> set[str]:
 
 
 def not_compiled(names: Iterable[str], files: Iterable[Path]) -> set[str]:
-    """Return the kernels among ``names`` that none of the files of compiled kernels is of."""
+    """Return the kernels among ``names`` without a file of compiled code among ``files``."""
     kept = {_parts(file) for file in files}
     return {name for name in names if tuple(name.split(".")[-3:]) not in kept}
 
 
 def _parts(file: Path) -> tuple[str, str, str]:
-    """The package, the module and the function of a file of a compiled kernel.
+    """Return package, module and function of a file of a compiled kernel.
 
-    A file is called MODULE.FUNCTION-LINE.VERSION.DIGEST.kernel, and is in PACKAGE/__pycache__ or in PACKAGE_DIGEST.
+    A file is named MODULE.FUNCTION-LINE.VERSION.DIGEST.kernel and is in PACKAGE/__pycache__ or in PACKAGE_DIGEST.
     """
     folder = file.parent.parent.name if file.parent.name == "__pycache__" else file.parent.name.rpartition("_")[0]
     module, _, rest = file.name.partition(".")

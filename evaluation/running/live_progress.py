@@ -1,4 +1,4 @@
-"""Progress of a comparison, in a terminal or a log."""
+"""Show the progress of a comparison in a terminal or a log."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from activestructure_gym.evaluation.running import episode
 from activestructure_gym.evaluation.running.engines import Outcome
 from activestructure_gym.streams import escape
 
-# Share of a job's time that follows its last frame: measuring and writing.
-_REST_SHARE = 0.1
-_QUIET = 30.0  # seconds that a log says nothing at most
-_WIDE = 110  # columns from which on a terminal has room for long bars
-_WIDE_BAR, _NARROW_BAR, _MIN_BAR = 24, 8, 8
-_NUMBERS = 48  # columns of frames, C.R., time left and stage, with what is between them
+_REST_SHARE = 0.1  # assumed share of a job's time after its last frame, for measuring and writing
+_QUIET = 30.0  # seconds without output after which a log gets a line about the running jobs
+_WIDE = 110  # columns of a terminal with room for long bars
+_WIDE_BAR, _NARROW_BAR, _MIN_BAR = 24, 8, 8  # columns
+_NUMBERS = 48  # columns of frames, completion ratio, time left and stage, including the gaps
 
 
 class LiveProgress:
-    """One bar per running job and one for all of them; finished jobs are printed above and stay.
+    """Show one bar per running job and one for all jobs; print finished jobs above the bars.
 
-    On anything but a terminal there are lines: of finished jobs, each with how many are done and the time left, and of
-    what is running whenever nothing has been said for half a minute. A context manager, and a `Listener`.
+    If the output is not a terminal, write lines instead: one per finished job with the count of finished jobs and the
+    time left, and one about the running jobs after 30 seconds without output. The object is a context manager and a
+    `Listener`.
     """
 
     def __init__(self, console: Console) -> None:
@@ -128,7 +128,7 @@ class LiveProgress:
             self._say(f"[red]✗[/] {escape(outcome.job.title)}  [red]{escape(outcome.error or '')}[/]", *rest)
 
     def _say(self, text: str, *facts: str) -> None:
-        """Print the text and the facts behind it, those in a line of their own where one line has no room for both."""
+        """Print the text followed by the facts; the facts get a line of their own if one line is too short."""
         self._said = time.monotonic()
         tail = "  ".join(facts)
         line = self._console.render_str(f"{text}  {tail}").plain
@@ -136,7 +136,7 @@ class LiveProgress:
         self._console.print(f"{text}{gap if facts else ''}[dim]{escape(tail)}[/]", highlight=False)
 
     def _keep_saying(self) -> None:
-        """Write the state of all jobs to a log whenever nothing has been written for half a minute."""
+        """Write the state of all jobs to a log after every 30 seconds without output."""
         while not self._over.wait(_QUIET / 30):
             if time.monotonic() - self._said > _QUIET:
                 self._say(f"[dim]{escape(self._state())}")
@@ -153,7 +153,7 @@ class LiveProgress:
         )
 
     def _update_whole(self) -> float | None:
-        """Move the bar of all jobs; returns the seconds that are left, from the speed so far."""
+        """Update the bar of all jobs; return the estimated seconds left, None at the beginning."""
         done = self._ended + sum(bar.share for bar in self._bars.values())
         spent = time.monotonic() - self._began
         left = spent / done * (self._jobs - done) if done > 0.05 else None
@@ -163,16 +163,16 @@ class LiveProgress:
 
 
 class _Bar:
-    """One running job."""
+    """Hold the bar of one running job and estimate its remaining time."""
 
     def __init__(self, task: TaskID, title: str) -> None:
         self.task, self.title = task, title
         self.began = time.monotonic()
         self.share = 0.0
-        self._first: tuple[float, int] | None = None  # when exploring began, and at which frame
+        self._first: tuple[float, int] | None = None  # time and frame of the first decision
 
     def seconds_left(self, progress: episode.Progress) -> float | None:
-        """Seconds left by the speed since the first decision; loading and compiling before it do not count."""
+        """Estimate the seconds left from the speed since the first decision, without loading and compiling before."""
         if progress.stage != "exploring":
             return None
         now = time.monotonic()
@@ -191,9 +191,10 @@ def _ellipsis(console: Console) -> str:
 
 
 class _Left(ProgressColumn):
-    """Time left."""
+    """Show the time left."""
 
     def render(self, task: Task) -> Text:
+        """Return the text of the column."""
         left = task.fields.get("left")
         if left is None:
             return Text("", style="cyan")
@@ -201,7 +202,7 @@ class _Left(ProgressColumn):
 
 
 def _clock(seconds: float) -> str:
-    """Minutes and seconds, with hours where there are any."""
+    """Format seconds as M:SS or H:MM:SS."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

@@ -1,6 +1,6 @@
-"""Turn a played episode into a finished run from its files alone: measure its map, then draw its pictures.
+"""Turn a played episode into a finished run using only its files: measure its map, then draw its pictures.
 
-The episode keeps its place until the run takes it, so whatever ends measuring, the episode can be measured again.
+The episode's directory is replaced only by the complete run. So an interrupted measurement can be repeated.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 
 def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: Truth) -> store.Run:
-    """Measure the episode in ``place``, and write the run in ``directory``, whole or not at all."""
+    """Measure the episode in ``place`` and write the run into ``directory``, completely or not at all."""
     from activestructure_gym.mapping import GaussianMap
 
     began = time.perf_counter()
     episode = played.read_episode(place)
     path, gaussians = CameraPath.from_arrays(played.read_path(place)), GaussianMap.load_npz(place / store.MAP)
     metrics = job.conditions.protocol.evaluate(gaussians, truth, path)
-    # The curve ends with the numbers of the finished map.
+    # The last point of the curve has the numbers of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
     episode["curve"][-1] |= last
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
@@ -53,7 +53,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
         pictures = picture_arrays(job.conditions.protocol, truth, gaussians, played.read_plan(place), views)
         write_npz(part / store.PICTURES, pictures)
         _write_clocks(part, episode["clock"], time.perf_counter() - began)
-        # Last: a directory without it is not a result.
+        # The completion marker is written last: a directory without it is not a result.
         store.finish(part, job)
     run = store.read_run(directory)
     draw_missing_pictures(run)
@@ -61,9 +61,9 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
 
 
 def measure_played(directory: Path) -> store.Run | None:
-    """Measure the episode that was played for a run's directory; None where there is none.
+    """Measure the played episode in a run's directory and return the run; None if there is no played episode.
 
-    Raises `InputError` where the scene is not there or another one, and where the job names code that is not trusted.
+    Raise `InputError` if the scene is missing or has changed, or if the job names code that is not trusted.
     """
     from activestructure_gym.ground_truth import ground_truth_of
 
@@ -71,7 +71,7 @@ def measure_played(directory: Path) -> store.Run | None:
     if place is None:
         return None
     job = played.job_of(place)
-    # No policy acts here: of what the job names only scene and protocols are loaded.
+    # No policy acts here: only the scene and the protocols of the job are loaded.
     refuse_code([replace(job, policy="random", conditions=Conditions(also=job.conditions.also))], place / store.CONFIG)
     known = ground_truth_of(load_job_scene(job))
     return measure(job, place, directory, known, job.conditions.protocol.truth(known))
@@ -91,7 +91,7 @@ def _write_numbers(
 
 
 def _write_steps(source: Path, target: Path, last: Mapping[str, Any]) -> None:
-    """Copy the log of decisions; the checkpoint of the last one gets the numbers of the finished map."""
+    """Copy the log of decisions, and add the numbers of the finished map to the last checkpoint."""
     with open(source, encoding="utf-8") as lines, open(target, "w", encoding="utf-8") as file:
         before = ""
         for line in lines:
@@ -117,7 +117,7 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
 
 
 def draw_missing_pictures(run: store.Run) -> None:
-    """Draw the pictures of a finished run that has none. A failure is a warning, since the run is complete without."""
+    """Draw the pictures of a finished run that has none. A failure is a warning: the run is complete without them."""
     from activestructure_gym.evaluation.report.pictures.run_figures import VIEWS, draw_run
 
     if (run.directory / VIEWS).exists():

@@ -1,4 +1,4 @@
-"""The scene of a record, which is known by its content, wherever its file is now."""
+"""Load the scene of a recorded job, identified by its content hash, even if its file has moved."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from activestructure_gym.evaluation.archive.jobs import Job, split_spec
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
 
-SCENE_FOLDERS = "ASG_SCENES"  # variable: where files are looked for that have moved since a record was made
+SCENE_FOLDERS = "ASG_SCENES"  # environment variable: folders to search for scene files that have moved
 
 
 def load_job_scene(job: Job) -> Scene:
-    """The job's scene; raises `InputError` if its file is not the one the job was made for."""
+    """Return the job's scene; raise `InputError` if its content is not the recorded one."""
     return scene_as_recorded(job.scene, job.scene_hash)
 
 
 def scene_as_recorded(spec: str, content_hash: str) -> Scene:
-    """The scene of a record, known by its content; an empty hash is that of any.
+    """Return the scene with the recorded content hash; an empty hash accepts any content.
 
-    Where the record's own file is gone, a file of the same name and content in the working directory or a folder of
-    ``ASG_SCENES`` is used, with a warning. Raises `InputError` for every other content.
+    If the recorded file does not exist, a file with the same name and content in the working directory or a folder of
+    ``ASG_SCENES`` is used, with a warning. Raise `InputError` for any other content.
     """
     from activestructure_gym.scenes import load_scene
 
@@ -57,7 +57,7 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
 
 
 def _moved_specs(spec: str) -> list[str]:
-    """Specs of files called as the one of ``spec``, which is not there, in the folders where they are looked for."""
+    """Return specs of files with the name of the missing file of ``spec`` in the searched folders."""
     kind, path, options = split_spec(spec)
     if not _is_gone(spec):
         return []
@@ -71,13 +71,13 @@ def _moved_specs(spec: str) -> list[str]:
 
 
 def _is_gone(spec: str) -> bool:
-    """Whether a spec names a file or folder by its whole path, and nothing is there."""
+    """Return whether a spec has an absolute path that does not exist."""
     path = split_spec(spec)[1]
     return os.path.isabs(path) and not os.path.exists(path)
 
 
 def _quietly(load: Callable[[str], Scene], spec: str) -> Scene:
-    """``load(spec)`` without its `InputWarning`s: they were given when the scene was chosen."""
+    """Return ``load(spec)`` without `InputWarning`: they were shown when the comparison was prepared."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         return load(spec)

@@ -1,7 +1,7 @@
-"""Going on with a comparison: what its record says, and which jobs may be added to it.
+"""Resume a comparison: read its record, check its finished runs, and add further jobs.
 
-A comparison has one set of conditions (preset, budget, overrides, start, protocols) and one version of every scene and
-of this package. Its grid may grow; no job ever leaves it.
+All jobs of a comparison share the conditions (preset, budget, overrides, start, protocols), the content of every scene
+and the version of this package. Jobs can be added, never removed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from activestructure_gym.evaluation.archive.native_settings_diff import changed_
 
 
 def recorded_jobs(directory: Path) -> list[Job]:
-    """The jobs a comparison was begun with, none where there is no record; `InputError` if by another version."""
+    """Return the jobs in the record of a comparison, none without a record; raise `InputError` for another version."""
     record = read_record(directory)
     if record is None:
         return []
@@ -38,11 +38,11 @@ def recorded_jobs(directory: Path) -> list[Job]:
 
 
 def review_finished(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
-    """Take from the finished runs those that are damaged, and of those ``asked`` for those that other code played.
+    """Mark damaged runs as not finished, and withdraw runs of ``asked`` jobs that were played with other code.
 
-    Other code: somebody's own, or in the native setup another schedule of the policy. ``asked`` holds names of jobs. A
-    run whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one
-    piece of code concerns.
+    Other code means changed plug-in code or, in the native setup, changed native settings of the policy. ``asked``
+    holds the names of jobs. A withdrawn run is reinstated if its code is unchanged again. ``tell`` is called with a
+    message for each damaged run, and one for all runs with the same changed code.
     """
     checksums = cache(plugin_code.checksum_of)
     again, kept = Counter[str](), Counter[str]()
@@ -66,6 +66,7 @@ def review_finished(jobs: Iterable[Job], asked: Collection[str], directory: Path
 
 
 def _is_unchanged(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
+    """Return whether the code that a withdrawn run was played with is the current code."""
     if plugin_code.plugin_code_of(job, checksums):
         return plugin_code.is_unchanged(place, job, checksums)
     return job.conditions.setup == "native" and not changed_native_settings(place, job)
@@ -73,7 +74,7 @@ def _is_unchanged(place: Path, job: Job, checksums: Callable[[str], str | None])
 
 def _changed_settings(place: Path, job: Job) -> list[str]:
     fields = changed_native_settings(place, job)
-    return [f"the schedule of {policy_label(job.policy)} ({', '.join(fields)})"] if fields else []
+    return [f"the native settings of {policy_label(job.policy)} ({', '.join(fields)})"] if fields else []
 
 
 def _runs(count: int, own: str) -> str:
@@ -81,9 +82,9 @@ def _runs(count: int, own: str) -> str:
 
 
 def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> list[Job]:
-    """The jobs of the record and those that are new; raises `InputError` where they do not belong into one table.
+    """Return the recorded jobs and the new ones; raise `InputError` if they cannot be in one comparison.
 
-    A scene that is asked for under another path has that one in all of them.
+    A scene that is asked for under a new path gets this path in all jobs.
     """
     if recorded and asked:
         _check_conditions(recorded[0].conditions, asked[0].conditions, directory)
@@ -114,7 +115,7 @@ def _check_conditions(before: Conditions, asked: Conditions, directory: Path) ->
 
 
 def _flat(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested names joined by dots."""
+    """Return a nested table as one level, with names joined by dots."""
     flat: dict[str, Any] = {}
     for name, value in content.items():
         if isinstance(value, dict):

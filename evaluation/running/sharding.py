@@ -1,4 +1,4 @@
-"""One of several programs that run one comparison into the same directory: a plain partition of its jobs."""
+"""Split the jobs of a comparison between several programs that write into the same directory."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from activestructure_gym.evaluation.archive.jobs import Job
 
 @dataclass(frozen=True)
 class Shard:
-    """One of ``of`` programs."""
+    """Select the jobs of program ``number`` out of ``of`` programs."""
 
-    number: int  # from 1 on
+    number: int  # from 1
     of: int
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read ``2/8``; raises `InputError` for anything else."""
+        """Parse a text such as ``2/8``; raise `InputError` for any other form."""
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not found or not 1 <= int(found[1]) <= int(found[2]):
             raise InputError(
@@ -28,7 +28,7 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def part(self, jobs: Sequence[Job]) -> list[Job]:
-        """Return every ``of``-th job, from the ``number``-th one on."""
+        """Return every ``of``-th job, beginning with number ``number``."""
         return list(jobs[self.number - 1 :: self.of])
 
     def __str__(self) -> str:

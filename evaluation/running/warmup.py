@@ -1,4 +1,4 @@
-"""Compile the kernels of a comparison before the clock of any run starts, while the scenes are prepared."""
+"""Compile the kernels of a comparison while its scenes are prepared, so that no run's time includes compilation."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.first_kernels import kernels_of, not_compiled
 
-_COUNTS = ("NUMBA_NUM_THREADS",)  # variables of numba that change no machine code
-_FRAMES = 12  # enough for a few decisions, a path and two keyframes on it
+_COUNTS = ("NUMBA_NUM_THREADS",)  # variables of numba that do not change the machine code
+_FRAMES = 12  # enough for a few decisions and a path with two keyframes
 
 
 @contextmanager
 def warming_up(
     policies: Sequence[str], overrides: Mapping[str, Any], notify: Callable[[str], None] = lambda _: None
 ) -> Iterator[None]:
-    """Play the smallest possible job in another process while the block runs, and wait for it at the end.
+    """Compile all kernels in two other processes while the block runs, and wait for them at the end.
 
-    That process then evaluates every feature that the policies need. A second one compiles the map's kernels, which
-    take half of the time. So no run's time contains a compilation. Results are discarded, and so are failures: the real
-    job will fail with a reason. ``notify`` gets the progress, nothing if all is compiled. Where the same warm-up
-    succeeded before, nothing is started.
+    One process plays the smallest possible job and then evaluates every feature that the policies need. The other one
+    compiles the map's kernels, which take half of the time. Results and failures are ignored: the real job will fail
+    with a message. ``notify`` is called with the progress if anything is compiled. If the same warm-up has succeeded
+    before, nothing is started.
     """
     from activestructure_gym.compiling import told_to
     from activestructure_gym.compiling.ahead import FIRST_USE, compiling_beside
@@ -50,7 +50,7 @@ def warming_up(
         yield
         return
     tally = Tally(notify, not_compiled(kernels_of(features), kernel_files()))
-    world = [f"{FIRST_USE}:{part}" for part in ("sensing", "motion", "views")]
+    world = [f"{FIRST_USE}:{room}" for room in ("sensing", "motion", "views")]
     work = json.dumps({"job": smallest.as_dict(), "features": features})
     calls = [[f"{__name__}:compile_map"], [*world, f"{__name__}:play {work}"]]
     with told_to(tally), compiling_beside(calls, tally, worker_environment(slots=core_count())) as succeeded:
@@ -62,7 +62,7 @@ def warming_up(
 
 
 def is_current(marker: Path) -> bool:
-    """Return whether the marker is there, and all cache files of kernels that it lists are there and undamaged."""
+    """Return whether the completion marker exists and all compiled kernels that it lists are undamaged."""
     from activestructure_gym.compiling.files import is_whole
 
     try:
@@ -73,10 +73,10 @@ def is_current(marker: Path) -> bool:
 
 
 def completion_marker(job: Job, features: Sequence[str] = ()) -> Path | None:
-    """Return the file that says that this warm-up has succeeded; None if it is always made.
+    """Return the path of the marker file of a successful warm-up, None if this warm-up is always repeated.
 
-    Its name depends on the job, the features, all source files, the versions and the settings of the compiler. There is
-    none where no cache file can be kept or code of the user takes part.
+    The file name depends on the job, the features, all source files, and the versions and settings of the compiler.
+    There is no marker if compiled kernels cannot be stored, or if plug-in code is used.
     """
     from llvmlite import binding
 
@@ -101,9 +101,10 @@ def completion_marker(job: Job, features: Sequence[str] = ()) -> Path | None:
 
 
 class Tally:
-    """Count the kernels that several processes compile, each once, and report the progress.
+    """Count the kernels that several processes compile, each name once, and report the progress.
 
-    ``expected`` names the kernels to compile. Others, of a feature of the user for example, are added to the total.
+    ``expected`` holds the names of the kernels to compile. Others, for example of a plug-in feature, are added to the
+    total.
     """
 
     def __init__(self, notify: Callable[[str], None], expected: Collection[str] = ()) -> None:
@@ -114,6 +115,7 @@ class Tally:
         self._lock = threading.Lock()
 
     def __call__(self, name: str) -> None:
+        """Count one compiled kernel and report the progress."""
         from activestructure_gym.compiling.progress import begin, describe
 
         with self._lock:
@@ -132,7 +134,7 @@ class Tally:
 
 
 def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
-    """Return a few frames in the box room with small images, for the policy that needs the most features."""
+    """Return a job of a few frames and small images in the box room, with the policy that needs the most features."""
     from activestructure_gym.policies import make_policy
 
     return Job(
@@ -149,14 +151,14 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
 
 
 def all_features(policies: Sequence[str]) -> list[str]:
-    """Return the features that any of the policies needs."""
+    """Return the features that at least one of the policies needs, sorted."""
     from activestructure_gym.policies import make_policy
 
     return sorted({feature for name in policies for feature in make_policy(name).required_features})
 
 
 def compile_map() -> None:
-    """Call the kernels of the map, and those of the protocol that does not measure the smallest job."""
+    """Call the kernels of the map, and those of the protocol `ActiveGamerProtocol`, which the smallest job lacks."""
     from activestructure_gym.evaluation.protocols.activegamer import masked
     from activestructure_gym.first_use import map_making
 
@@ -166,7 +168,7 @@ def compile_map() -> None:
 
 
 def play(work: Mapping[str, Any]) -> None:
-    """Run the job of ``work``, then evaluate its features at two decisions under the job's configuration."""
+    """Run the job of ``work``, then evaluate its features at two decisions with the job's configuration."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.running.episode import run_job
 

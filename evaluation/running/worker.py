@@ -1,8 +1,9 @@
-"""The process behind engines ``local`` and ``ray``: ``python -m`` this module, with a run directory to write.
+"""Run one job as a worker process of an engine: ``python -m`` this module with the run directory.
 
-Reads the job as one line of JSON from standard input, writes progress as JSON lines to standard output and everything
-else to standard error. Ends when its standard input does: no worker outlives its supervisor, nor does what it started
-in its session. Further arguments are descriptors that the worker keeps open and no process that it forks.
+The worker reads the job as one line of JSON from standard input. It writes its progress as JSON lines to standard
+output and all other text to standard error. It ends when its standard input is closed, so it never outlives its
+supervisor; then it also ends the processes of its session. Further arguments are file descriptors that the worker keeps
+open and closes in the processes that it forks.
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.processes import end_session
 from activestructure_gym.evaluation.machine.threads import thread_cap
 
-_GRACE_SECONDS = 5.0  # between asking the main thread to clean up and ending without it
-_PATIENCE_SECONDS = 30.0  # with threads and exit handlers of others, after the run
+_GRACE_SECONDS = 5.0  # time for the main thread to clean up before the process is ended
+_PATIENCE_SECONDS = 30.0  # time for threads and exit handlers of other code to end after the run
 
 
 class _Terminated(SystemExit):
-    """A signal asked this process to end."""
+    """Signal that this process was asked to end."""
 
 
 def main() -> int:
-    """Run the one job; 0 when its directory is written."""
+    """Run the job from standard input; return 0 if its directory is written."""
     faulthandler.enable()
     signal.signal(signal.SIGTERM, _unwind)
     job_line = sys.stdin.readline()
     if not job_line:
         print("no job on standard input", file=sys.stderr)
         return 2
-    # Progress keeps the real standard output; what policies print must not get in between.
+    # Progress uses the original standard output; output of policies is redirected to standard error.
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     _keep_from_children([channel.fileno(), *map(int, sys.argv[2:])])
@@ -61,14 +62,14 @@ def main() -> int:
         return 2
     except _Terminated:
         raise
-    except SystemExit:  # of a policy, a feature or a scene
+    except SystemExit:  # raised by a policy, a feature or a scene
         traceback.print_exc()
         raise
     return 0
 
 
 def end_after(work: Callable[[], int]) -> NoReturn:
-    """End this process with the exit code of ``work``, even where threads or exit handlers of others never end."""
+    """End this process with the exit code of ``work``, even if threads or exit handlers of other code never end."""
     code = 1
     try:
         code = work()
@@ -89,14 +90,14 @@ def _end_late(code: int) -> None:
 
 
 def _keep_from_children(descriptors: Sequence[int]) -> None:
-    """Let no process that a policy starts hold these descriptors: the progress, and the lock of the directory."""
+    """Close these descriptors in processes that a policy starts: the progress, and the lock of the directory."""
     for descriptor in descriptors:
         os.set_inheritable(descriptor, False)
 
     def replace() -> None:
         null = os.open(os.devnull, os.O_RDWR)
         for descriptor in descriptors:
-            os.dup2(null, descriptor, inheritable=False)  # a free number would be somebody else's next file
+            os.dup2(null, descriptor, inheritable=False)  # a closed number would be reused by the next open file
         os.close(null)
 
     if hasattr(os, "register_at_fork"):
@@ -109,14 +110,15 @@ def _send(channel: IO[str], content: dict[str, object]) -> None:
 
 
 def _follow_supervisor() -> None:
-    # Below Python's buffered reader, whose lock a daemon thread would hold when the interpreter ends.
+    """Wait until standard input is closed, then end this process and its session."""
+    # os.read instead of sys.stdin: a daemon thread would hold the lock of the buffered reader at interpreter exit.
     while os.read(0, 4096):
         pass
     if os.name == "posix" and os.getsid(0) == os.getpid():
         end_session(os.getpid())
     os.kill(os.getpid(), signal.SIGTERM)  # handled in the main thread, which cleans up
     time.sleep(_GRACE_SECONDS)
-    os._exit(128 + signal.SIGTERM)  # it is busy elsewhere; nobody waits for its result
+    os._exit(128 + signal.SIGTERM)  # the main thread did not react in time
 
 
 def _unwind(signum: int, frame: FrameType | None) -> NoReturn:

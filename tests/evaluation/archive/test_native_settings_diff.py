@@ -74,11 +74,11 @@ def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back
     with monkeypatch.context() as patch:
         patch.setattr(POLICIES.get("activegamer"), "native_settings", NativeSettings(mapper="splatam", iterations=2))
         assert go_on(()) == [
-            f"1 run with the schedule of activegamer ({FIELDS}) stays, though its code has changed since"
+            f"1 run with the native settings of activegamer ({FIELDS}) stays, though its code has changed since"
         ]
         assert store.is_done(place, JOB)
         assert go_on() == [
-            f"1 run with the schedule of activegamer ({FIELDS}) is played again: its code has changed since"
+            f"1 run with the native settings of activegamer ({FIELDS}) is played again: its code has changed since"
         ]
         assert store.is_withdrawn(place)
         assert go_on() == [] and store.is_withdrawn(place)

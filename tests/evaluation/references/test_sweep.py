@@ -30,7 +30,7 @@ START = look_along(np.array([0.55, 0.55, 0.15]), np.array([0.0, 1.0, 0.0]))
 def test_it_goes_round_the_wall_and_covers_both_rooms() -> None:
     space = two_rooms()
     layer = Layer(space, START[:3, 3], 0.3)
-    way = layer.way(START[:3, 3], int(layer._index[55, 5]))  # straight across the wall
+    way = layer.path(START[:3, 3], int(layer._index[55, 5]))  # straight across the wall
     np.testing.assert_allclose(way[-1], [5.55, 0.55, 0.15])
     length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
     through_the_door = 2 * np.hypot(2.5, 2.1 - 0.55)  # to the wall's end and back

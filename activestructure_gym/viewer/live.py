@@ -82,7 +82,7 @@ class LiveView:
         self._version = 0  # increases with every visible change
         self._episode = 0
         self._recorder: Recorder | None = None
-        self._told: dict[str, Any] = {}
+        self._header: dict[str, Any] = {}
         self._state = "exploring"
         self._paused, self._ended, self._closed = paused, False, False
         self._steps = 0  # decisions allowed while paused
@@ -108,13 +108,13 @@ class LiveView:
         serve = partial(self._server.serve_forever, poll_interval=0.02)
         threading.Thread(target=serve, name="live view", daemon=True).start()
 
-    def begin(self, episode: Reconstruction, worth: str = "") -> None:
-        """Start showing an episode; ``worth`` names the feature that colours the candidates."""
+    def begin(self, episode: Reconstruction, feature: str = "") -> None:
+        """Start showing an episode; ``feature`` names the feature that colours the candidates."""
         recorder = Recorder(episode)
         with self._news:
             self._recorder, self._episode, self._ended = recorder, self._episode + 1, False
             self._open, self._row = False, None
-            self._told = {"worth": worth, "budget": episode.frame_budget, "curve": [], "steps": []}
+            self._header = {"feature": feature, "budget": episode.frame_budget, "curve": [], "steps": []}
         self._reconstruction = episode
 
     def show(self, phase: str | None = None) -> None:
@@ -125,8 +125,8 @@ class LiveView:
         with self._news:
             self._recorder.note()
             self._open, self._row = True, None
-            self._told["curve"].append(point)
-            self._told["steps"].append({"phase": phase, "metres": round(episode.metres, 2)})
+            self._header["curve"].append(point)
+            self._header["steps"].append({"phase": phase, "metres": round(episode.metres, 2)})
             self._changed("exploring")
 
     def chosen(self, row: int) -> None:
@@ -227,12 +227,12 @@ class LiveView:
                 "chooses": self.chooses and not self._ended,
                 "pace": self._pace,
                 "chosen": [moment.row for moment in recorder.moments],
-                **{name: self._told[name][first:] for name in ("curve", "steps")},
-                **{name: self._told[name] for name in ("worth", "budget")},
-                "differs": "",
+                **{name: self._header[name][first:] for name in ("curve", "steps")},
+                **{name: self._header[name] for name in ("feature", "budget")},
+                "warning": "",
             }
-        arrays, told = film_parts(film)
-        return zlib.compress(packed(arrays, head | told), _ZLIB_LEVEL)
+        arrays, decoding = film_parts(film)
+        return zlib.compress(packed(arrays, head | decoding), _ZLIB_LEVEL)
 
     def _is_news(self, version: int) -> bool:
         return self._version != version and self._recorder is not None and bool(self._recorder.moments)

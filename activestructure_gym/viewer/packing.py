@@ -21,8 +21,8 @@ _MAX_GAUSSIANS = 4_000_000  # maximum per page; larger maps are subsampled evenl
 _MIN_LOG, _LOG_STEP = -9.0, 0.05  # log standard deviation: 0.1 mm to 40 m in steps of 5 %
 
 
-def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
-    """Pack named arrays and other data in the layout of this module."""
+def packed(parts: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> bytes:
+    """Pack named arrays, and other data for the JSON header, in the layout of this module."""
     places: dict[str, Any] = {}
     body = bytearray()
     for name, array in parts.items():
@@ -30,21 +30,21 @@ def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
         data = np.ascontiguousarray(array)
         places[name] = {"type": _TYPES[data.dtype.name], "shape": list(data.shape), "at": len(body)}
         body += data.tobytes()
-    head = json.dumps({**told, "arrays": places}, allow_nan=False).encode()
+    head = json.dumps({**header, "arrays": places}, allow_nan=False).encode()
     head += b" " * (-(4 + len(head)) % 4)
     return len(head).to_bytes(4, "little") + head + bytes(body)
 
 
 def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays of a film, and the data that the page needs to decode them."""
-    arrays, told = _gaussians(film)
-    told |= {"bounds": film.bounds.tolist(), "camera": list(film.camera)}
-    return {**arrays, **_moments(film.moments, film.poses)}, told
+    arrays, header = _gaussians(film)
+    header |= {"bounds": film.bounds.tolist(), "camera": list(film.camera)}
+    return {**arrays, **_moments(film.moments, film.poses)}, header
 
 
 def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     every = -(-film.gaussians.shape[1] // _MAX_GAUSSIANS) or 1
-    live, born, died = film.gaussians[:, ::every], film.born[::every], film.died[::every]
+    live, added, removed = film.gaussians[:, ::every], film.added[::every], film.removed[::every]
     means = live[MEAN].T.astype(np.float64)
     low = means.min(axis=0) if len(means) else np.zeros(3)
     side = np.maximum(means.max(axis=0) - low if len(means) else np.ones(3), 1e-3)
@@ -58,11 +58,11 @@ def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         "rotations": np.round(live[QUATERNION].T / length[:, None] * 127).astype(np.int8),
         "colours": np.clip(np.round(live[COLOR].T * 255), 0, 255).astype(np.uint8),
         "opacities": np.round(255 / (1 + np.exp(-live[OPACITY_LOGIT].astype(np.float64)))).astype(np.uint8),
-        "born": np.minimum(born, last).astype(frames),
-        "died": np.minimum(died, last).astype(frames),
+        "added": np.minimum(added, last).astype(frames),
+        "removed": np.minimum(removed, last).astype(frames),
     }
-    told = {"low": low.tolist(), "side": side.tolist(), "log": [_MIN_LOG, _LOG_STEP]}
-    return arrays, told | {"stayed": int(last), "every": every}
+    header = {"low": low.tolist(), "side": side.tolist(), "log": [_MIN_LOG, _LOG_STEP]}
+    return arrays, header | {"never_removed": int(last), "every": every}
 
 
 def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarray]:
@@ -81,7 +81,7 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
         "rows": np.array([m.row for m in moments], np.int32),
         "poses": np.concatenate([poses[:, :3, 3], poses[:, :3, 0], poses[:, :3, 2]], axis=1).astype(np.float32),
         "candidates": np.concatenate([none, *(m.candidates for m in moments)]).astype(np.float32),
-        "worth": np.concatenate([np.zeros(0, np.uint8), *(_shade(m.worth) for m in moments)]),
+        "scores": np.concatenate([np.zeros(0, np.uint8), *(_shade(m.scores) for m in moments)]),
         "planes": np.concatenate([np.zeros((0, 12)), *(m.planes.reshape(-1, 12) for m in moments)]).astype(np.float32),
         "structural": np.concatenate([np.zeros(0, np.uint8), *(m.structural for m in moments)]).astype(np.uint8),
         "centroids": np.concatenate([three, *(m.centroids.reshape(-1, 3) for m in moments)]).astype(np.float32),
@@ -90,9 +90,9 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
     }
 
 
-def _shade(worth: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
-    """Return utilities relative to the decision's best in 254 steps; 255 if unknown."""
-    if not len(worth) or np.isnan(worth).any():
-        return np.full(len(worth), 255, np.uint8)
-    low, high = min(float(worth.min()), 0.0), float(worth.max())
-    return np.round((worth - low) / max(high - low, 1e-12) * 254).astype(np.uint8)
+def _shade(scores: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
+    """Return scores relative to the decision's best in 254 steps; 255 if unknown."""
+    if not len(scores) or np.isnan(scores).any():
+        return np.full(len(scores), 255, np.uint8)
+    low, high = min(float(scores.min()), 0.0), float(scores.max())
+    return np.round((scores - low) / max(high - low, 1e-12) * 254).astype(np.uint8)

@@ -31,7 +31,7 @@ class Moment:
     poses: int  # number of poses; fewer than frames if some frames were spent in place
     row: int  # the chosen candidate, -1 at the end or before the choice
     candidates: np.ndarray  # [K, 6] position in metres and unit view direction
-    worth: np.ndarray  # [K] first feature of the configuration; NaN if there is none
+    scores: np.ndarray  # [K] values of the configuration's first feature; NaN if it has none
     planes: np.ndarray  # [P, 4, 3] metres, corners of the observed part of each plane
     structural: np.ndarray  # [P] bool
     tree: np.ndarray  # [E, 2] plane rows joined by the spanning forest
@@ -54,14 +54,14 @@ class Film:
     moments: list[Moment]
     poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame
     gaussians: np.ndarray  # [14, N] float32 last parameters of all Gaussians that ever existed
-    born: np.ndarray  # [N] int32 frame at which each was added
-    died: np.ndarray  # [N] int32 frame at which it was removed; above the last frame if never
+    added: np.ndarray  # [N] int32 frame at which each was added
+    removed: np.ndarray  # [N] int32 frame at which it was removed; above the last frame if never
     bounds: np.ndarray  # [2, 3] metres, the workspace
     camera: tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
 
 
 @dataclass
-class _Lives:
+class _GaussianHistory:
     """Record when Gaussians are added and removed, by their ids."""
 
     frame_of: list[tuple[int, int]] = field(default_factory=list)  # (number of ids assigned so far, frame)
@@ -93,22 +93,22 @@ class _Lives:
         self.cells = np.concatenate([self.cells, new])
         self.cell_frames = np.concatenate([self.cell_frames, np.full(len(new), frame)])
 
-    def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] added, [N] removed
+    def gaussians(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] added, [N] removed
         """Return all Gaussians and their frames of addition and removal, sorted by addition."""
         last = np.iinfo(np.int32).max
         parameters = np.concatenate([self.parameters, *(block for block, _, _ in self.gone)], axis=1)
         ids = np.concatenate([self.ids, *(ids for _, ids, _ in self.gone)])
-        died = np.concatenate(
+        removed = np.concatenate(
             [np.full(len(self.ids), last), *(np.full(len(ids), frame) for _, ids, frame in self.gone)]
         )
         below, frames = np.array(self.frame_of).reshape(-1, 2).T
-        born = frames[np.searchsorted(below, ids, side="right")]
+        added = frames[np.searchsorted(below, ids, side="right")]
         if self.cells is not None:
             order = np.argsort(self.cells)
             now = np.searchsorted(self.cells[order], _cells_of(self.parameters))
-            born[: len(self.ids)] = self.cell_frames[order][now]
-        order = np.argsort(born, kind="stable")
-        return parameters[:, order], born[order].astype(np.int32), died[order].astype(np.int32)
+            added[: len(self.ids)] = self.cell_frames[order][now]
+        order = np.argsort(added, kind="stable")
+        return parameters[:, order], added[order].astype(np.int32), removed[order].astype(np.int32)
 
 
 def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
@@ -130,20 +130,20 @@ class Recorder:
         self.moments: list[Moment] = []
         self._most_bytes, self._bytes = most_bytes, 0
         self._noted, self.every = 0, 1  # number of moments so far, and the interval at which they are kept
-        self._episode, self._lives = episode, _Lives()
+        self._episode, self._history = episode, _GaussianHistory()
         self._poses = episode.trajectory  # of this episode, even if the environment starts another one
         self._lock = threading.Lock()  # films are requested while the episode is played
-        self._lives.note(episode.mapper.map, episode.frames)
+        self._history.note(episode.mapper.map, episode.frames)
         after_keyframes(episode, self._keep)
 
     def _keep(self) -> None:
         with self._lock:
-            self._lives.note(self._episode.mapper.map, self._episode.frames)
+            self._history.note(self._episode.mapper.map, self._episode.frames)
 
     def note(self, row: int = -1, *, end: bool = False) -> None:
         """Record the current state, and the row chosen next if known; the end is always kept."""
         with self._lock:
-            self._lives.note(self._episode.mapper.map, self._episode.frames)
+            self._history.note(self._episode.mapper.map, self._episode.frames)
             number, self._noted = self._noted, self._noted + 1
             if end or number % self.every == 0:
                 self.moments.append(replace(moment_of(self._episode, row), decision=number))
@@ -162,14 +162,14 @@ class Recorder:
         """Return the recording: all Gaussians, the moments from ``first`` on, and the poses since the moment before."""
         episode, camera = self._episode, self._episode.config.sensor.camera
         with self._lock:
-            gaussians, born, died = self._lives.all()
+            gaussians, added, removed = self._history.gaussians()
         begun, end = (self.moments[n].poses if n >= 0 else 0 for n in (first - 1, len(self.moments) - 1))
         return Film(
             moments=self.moments[first:],
             poses=np.array(self._poses[begun:end]).reshape(-1, 4, 4),
             gaussians=gaussians,
-            born=born,
-            died=died,
+            added=added,
+            removed=removed,
             bounds=np.asarray(episode.scene.bounds, float),
             camera=(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
         )
@@ -192,16 +192,16 @@ def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
     """Return the moment that shows an episode's current state."""
     graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
     poses = episode.candidates.world_from_camera[: episode.candidates.views]
-    worth = np.full(len(poses), np.nan)
+    scores = np.full(len(poses), np.nan)
     if episode.config.features:
-        worth = np.clip(episode.features[: len(poses), 0], -1e6, 1e6)
+        scores = np.clip(episode.features[: len(poses), 0], -1e6, 1e6)
     rendered = episode.mapper.render(frame.camera, frame.world_from_camera).color
     return Moment(
         frame=episode.frames,
         poses=len(episode.trajectory),
         row=row,
         candidates=np.concatenate([poses[:, :3, 3], poses[:, :3, 2]], axis=1),
-        worth=worth.astype(float),
+        scores=scores.astype(float),
         planes=plane_rectangles(graph),
         structural=graph["structural"],
         tree=graph["edges"][graph["edge_in_tree"]],

@@ -89,8 +89,8 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
         with _progress(console, run) as update:
             recordings.append(play_again(run, update, trusted=trusted))
     for recording in recordings:
-        if recording.differs:
-            console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.differs)}[/]")
+        if recording.divergence:
+            console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.divergence)}[/]")
     with writing(out):
         size = write_replay(recordings, out)
     seconds = time.monotonic() - began

@@ -1,4 +1,4 @@
-"""A finished run to be watched: played again, as one page that needs nothing else, or as a video."""
+"""Replay a finished run: simulate it again, then write one self-contained page or a video."""
 
 from activestructure_gym.evaluation.replay.page import replay_page, write_replay
 from activestructure_gym.evaluation.replay.recording import Recording, play_again

@@ -1,4 +1,4 @@
-"""A recording as text in a page: its film and its run's facts, deflated, in base64."""
+"""Pack a recording for its page: the film and facts about the run, deflated, in base64."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from activestructure_gym.viewer import film_parts, packed
 
 
 def pack(recording: Recording) -> str:
-    """Base64 of the deflated bytes of `activestructure_gym.viewer.packing`."""
-    arrays, told = film_parts(recording)
-    return base64.b64encode(zlib.compress(packed(arrays, told | _facts(recording, told["every"])), 9)).decode("ascii")
+    """Return a recording in the layout of `activestructure_gym.viewer.packing`, deflated, in base64."""
+    arrays, header = film_parts(recording)
+    data = packed(arrays, header | _facts(recording, header["every"]))
+    return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
 
 
 def _facts(recording: Recording, every: int) -> dict[str, Any]:
@@ -27,7 +28,7 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
         {
             "number": first + 1,
             "phase": (run.steps[first].get("trace") or {}).get("phase"),
-            "metres": round(run.steps[following - 1]["metres"], 2),  # until the next one that is shown
+            "metres": round(run.steps[following - 1]["metres"], 2),  # before the next decision that is shown
         }
         for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
@@ -35,16 +36,17 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
     return {
         "title": f"{run.policy} · {run.scene} · seed {run.job.seed}",
         "budget": run.config["configuration"]["frame_budget"],
-        "worth": features[0] if features else "",
+        "feature": features[0] if features else "",
         "curve": curve,
         "steps": steps,
         "decisions": len(run.steps),
-        "differs": "; ".join(filter(None, [recording.differs, *_left_out(recording, len(shown), every)])),
+        "warning": "; ".join(filter(None, [recording.divergence, *_left_out(recording, len(shown), every)])),
     }
 
 
 def _left_out(recording: Recording, shown: int, every: int) -> list[str]:
-    """What a page of tolerable size does not show, in words."""
+    """Describe the decisions and Gaussians left out to limit the page's size."""
     decisions, gaussians = len(recording.run.steps), recording.gaussians.shape[1]
-    texts = [f"{shown:,} of {decisions:,} decisions are shown"] if shown < decisions and not recording.differs else []
+    left_out = shown < decisions and not recording.divergence
+    texts = [f"{shown:,} of {decisions:,} decisions are shown"] if left_out else []
     return texts + [f"one of {every} of the {gaussians:,} Gaussians is shown"] * (every > 1)

@@ -1,4 +1,4 @@
-"""The page of a replay: one HTML file with the recordings, the script that draws them, and nothing from elsewhere."""
+"""Write a replay as one HTML file that contains the recordings and the viewer, and loads nothing."""
 
 from __future__ import annotations
 
@@ -12,13 +12,37 @@ from activestructure_gym.viewer import viewer_page
 
 
 def replay_page(recordings: Sequence[Recording]) -> str:
-    """The whole page: one recording, or two side by side on one clock."""
+    """Return the page of one recording, or of two side by side on one clock.
+
+    Parameters
+    ----------
+    recordings
+        One or two recordings.
+
+    Returns
+    -------
+    str
+        HTML of the page.
+    """
     names = [f"{one.run.policy} · {one.run.scene} · seed {one.run.job.seed}" for one in recordings]
-    return viewer_page(" against ".join(names), [pack(one) for one in recordings])
+    return viewer_page(" and ".join(names), [pack(one) for one in recordings])
 
 
 def write_replay(recordings: Sequence[Recording], path: Path) -> int:
-    """Write the page, whole or not at all; returns its bytes."""
+    """Write the page atomically.
+
+    Parameters
+    ----------
+    recordings
+        One or two recordings.
+    path
+        The HTML file; an existing one is replaced.
+
+    Returns
+    -------
+    int
+        Size of the file in bytes.
+    """
     page = replay_page(recordings).encode()
     with replaced(path) as file:
         file.write(page)

@@ -1,7 +1,7 @@
-"""Play a stored run again, action by action, and keep what can be watched of it.
+"""Replay a stored run action by action, and record it for the viewer.
 
-The actions stand in ``steps.jsonl`` and everything else in ``config.json``, so the same code on the same machine plays
-the same episode: the map of every moment need not be stored with every run.
+``steps.jsonl`` holds the actions and ``config.json`` all settings. The same code on the same machine
+plays the same episode, so a run directory does not contain the map over time.
 """
 
 from __future__ import annotations
@@ -19,36 +19,65 @@ from activestructure_gym.viewer import Film, Recorder
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
 
-_MAX_BYTES = 150 << 20  # of the moments of a replay: browsers read texts of up to 500 MB
+_MAX_BYTES = 150 << 20  # of a recording's moments; browsers read texts of up to 500 MB
 
 
 @dataclass(frozen=True)
 class Recording(Film):
-    """A finished run as it can be watched."""
+    """Hold a finished run for the viewer.
+
+    Parameters
+    ----------
+    run
+        The stored run.
+    divergence
+        Sentence on the first decision after which this replay differs from the stored run; empty if none.
+
+    The other fields are those of `activestructure_gym.viewer.Film`.
+    """
 
     run: Run
-    differs: str = ""  # where this code plays another episode than the stored one, in words
+    divergence: str = ""
 
 
 def play_again(
-    run: Run, tell: Callable[[int, int], None] = lambda frames, budget: None, *, trusted: bool = False
+    run: Run, report_progress: Callable[[int, int], None] = lambda frames, budget: None, *, trusted: bool = False
 ) -> Recording:
-    """The episode of ``run``, played again; ``tell`` hears how many frames of how many are done.
+    """Replay a stored run and record it.
 
-    Raises `InputError` where the scene is not there any more or has changed, for a mapper without Gaussians, and where
-    the run's files name code and are not ``trusted``; see `registry.refuse_code`.
+    Parameters
+    ----------
+    run
+        The stored run.
+    report_progress
+        Called after each decision with the frames used so far and the frame budget.
+    trusted
+        Whether code that the run's files name may be executed.
+
+    Returns
+    -------
+    Recording
+        The recorded episode.
+
+    Raises
+    ------
+    InputError
+        If the scene is missing or has changed, if the mapper has no Gaussians, or if the run's files name code and the
+        run is not ``trusted`` (see `archive.jobs.refuse_code`).
     """
-    with playing(run, trusted=trusted) as env:
+    with replay_env(run, trusted=trusted) as env:
         recorder = Recorder(env.reconstruction, most_bytes=_MAX_BYTES)
-        differs = follow(run, env, recorder.note, tell)
+        divergence = replay_actions(run, env, recorder.note, report_progress)
         recorder.note(end=True)
         film = recorder.film()
-    return Recording(**{field.name: getattr(film, field.name) for field in fields(film)}, run=run, differs=differs)
+    return Recording(
+        **{field.name: getattr(film, field.name) for field in fields(film)}, run=run, divergence=divergence
+    )
 
 
 @contextmanager
-def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
-    """The environment of ``run`` at its start; raises what `play_again` does."""
+def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
+    """Yield the environment of a stored run after its reset; raises as `play_again`."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
@@ -56,8 +85,8 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
 
     job, stored = run.job, run.config["configuration"]
     if "features" not in stored or "max_candidates" not in stored.get("views", {}):
-        raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates: no replay without")
-    if not trusted:  # a policy is made in the native setup alone, to learn what it brings
+        raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates, which a replay needs")
+    if not trusted:  # the policy's code is executed in the native setup only, to read its settings
         refuse_code(
             [job if job.conditions.setup == "native" else replace(job, policy="random")], run.directory / CONFIG
         )
@@ -66,9 +95,9 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     if is_trajectory(job.policy):
         env = trajectory_policy_and_env(job, truth)[1]
     else:
-        changes = {**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]}
+        changes = {**_overrides(run), "views.max_candidates": stored["views"]["max_candidates"]}
         options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
-        features = () if is_reference(job.policy) else _at_hand(stored["features"])
+        features = () if is_reference(job.policy) else _first_known_feature(stored["features"])
         env = ReconstructionEnv(scene=truth, features=features, **options)
     try:
         env.reset(seed=job.seed)
@@ -77,30 +106,40 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
         env.close()
 
 
-def follow(run: Run, env: ReconstructionEnv, before: Callable[[int], object], tell: Callable[[int, int], None]) -> str:
-    """Take the stored actions, each after ``before`` has heard it; from where on it is another episode, in words."""
-    episode, differs = env.reconstruction, ""
-    for number, step in enumerate(run.steps, start=1):  # a report does without, of whoever wrote them
+def replay_actions(
+    run: Run,
+    env: ReconstructionEnv,
+    before: Callable[[int], object],
+    report_progress: Callable[[int, int], None],
+) -> str:
+    """Take the stored actions, and call ``before`` with each action before it is taken.
+
+    Return a sentence on the first difference from the stored run; empty if there is none.
+    """
+    episode, divergence = env.reconstruction, ""
+    for number, step in enumerate(run.steps, start=1):  # only a replay needs these fields, so `read_run` accepts less
         if lacks := [name for name in ("decision", "action", "gaussians", "metres") if step.get(name) is None]:
-            raise InputError(f"line {number} of '{run.directory / STEPS}' lacks {', '.join(lacks)}: no replay without")
+            raise InputError(
+                f"line {number} of '{run.directory / STEPS}' lacks {', '.join(lacks)}, which a replay needs"
+            )
     for step in run.steps:
         before(int(step["action"]))
         _, _, terminated, truncated, info = env.step(int(step["action"]))
-        if not differs and (info["frames"] != step["frames"] or info["gaussians"] != step["gaussians"]):
-            differs = (
-                f"from decision {step['decision']} on this machine plays another episode: {info['frames']} frames and "
-                f"{info['gaussians']} Gaussians, and in the run {step['frames']} and {step['gaussians']}"
+        if not divergence and (info["frames"] != step["frames"] or info["gaussians"] != step["gaussians"]):
+            divergence = (
+                f"the replay differs from the stored run from decision {step['decision']} on: {info['frames']} frames "
+                f"and {info['gaussians']} Gaussians instead of {step['frames']} and {step['gaussians']}"
             )
-        tell(info["frames"], episode.frame_budget)
+        report_progress(info["frames"], episode.frame_budget)
         if terminated or truncated:
-            if not differs and step is not run.steps[-1]:
-                differs = f"after decision {step['decision']} the episode ends on this machine, and goes on in the run"
+            if not divergence and step is not run.steps[-1]:
+                divergence = f"the replay ends after decision {step['decision']}, but the stored run continues"
             break
-    return differs
+    return divergence
 
 
-def _changes(run: Run) -> dict[str, Any]:
-    """What the configuration differs in from the preset's: what was asked for, and what the policy brought."""
+def _overrides(run: Run) -> dict[str, Any]:
+    """Return the run's changes to its preset: the user's overrides and, in the native setup, the policy's settings."""
     from activestructure_gym.policies import make_policy
 
     if run.job.conditions.setup == "shared":
@@ -108,8 +147,8 @@ def _changes(run: Run) -> dict[str, Any]:
     return run.job.conditions.changes(make_policy(run.job.policy))
 
 
-def _at_hand(features: list[str]) -> tuple[str, ...]:
-    """The features that can be evaluated here and run no code of others: only colours depend on them."""
+def _first_known_feature(features: list[str]) -> tuple[str, ...]:
+    """Return the first built-in feature, without features from plug-ins; it only colours the candidates."""
     from activestructure_gym.features import FEATURES
 
     return tuple(name for name in features if ":" not in name and any(name.startswith(known) for known in FEATURES))[:1]

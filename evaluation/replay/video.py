@@ -1,4 +1,4 @@
-"""A finished run as a video: what ``render()`` shows, after every keyframe."""
+"""Write a finished run as a video: the image of ``render()`` after each keyframe."""
 
 from __future__ import annotations
 
@@ -10,45 +10,86 @@ import cv2
 
 from activestructure_gym.errors import FullDisk, InputError, InputWarning
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.replay.recording import follow, playing
+from activestructure_gym.evaluation.replay.recording import replay_actions, replay_env
 from activestructure_gym.viewer.recorder import after_keyframes
 
-# By the file's ending. MPEG-4 opens in players and editors; VP9, which takes longer to write, in browsers too.
+# By file extension. Players and editors read MPEG-4; browsers also read VP9, which takes longer to write.
 CODECS = {".mp4": "mp4v", ".webm": "VP90"}
 FRAMES_PER_SECOND = 10.0
-_LAST = 20  # times that the end is shown
+_LAST_REPEATS = 20  # the last image is shown 2 s longer
 
 
 def check_video(path: Path) -> str:
-    """What a video is written with; raises `InputError` for an ending that is none of a video's."""
+    """Return the codec of a video file.
+
+    Parameters
+    ----------
+    path
+        The video file; its extension selects the codec.
+
+    Returns
+    -------
+    str
+        Four letters of the codec, as OpenCV names it.
+
+    Raises
+    ------
+    InputError
+        If the extension is not one of `CODECS`.
+    """
     if path.suffix.lower() not in CODECS:
         raise InputError(f"a video ends in {' or '.join(CODECS)}, got '{path.name}'")
     return CODECS[path.suffix.lower()]
 
 
-def is_whole(path: Path, pictures: int) -> bool:
-    """Return whether a file is a video of so many pictures; one that a full disk cut off is not."""
-    film = cv2.VideoCapture(str(path))
+def is_complete(path: Path, images: int) -> bool:
+    """Return whether a video file contains the given number of images."""
+    video = cv2.VideoCapture(str(path))
     try:
-        return sum(1 for _ in iter(film.grab, False)) == pictures  # its head may promise more than there is
+        return sum(1 for _ in iter(video.grab, False)) == images  # the header's count includes images never written
     finally:
-        film.release()
+        video.release()
 
 
 def write_video(
-    run: Run, path: Path, tell: Callable[[int, int], None] = lambda frames, budget: None, *, trusted: bool = False
+    run: Run,
+    path: Path,
+    report_progress: Callable[[int, int], None] = lambda frames, budget: None,
+    *,
+    trusted: bool = False,
 ) -> float:
-    """Play ``run`` again into a video at ``path``, ten keyframes a second, whole or not at all; returns its seconds.
+    """Replay a stored run into a video of ten keyframes per second, written atomically.
 
-    Warns where this code plays another episode than the stored one.
+    Warns if the replay differs from the stored run.
 
-    Raises `InputError` for another ending, where the run cannot be played again, and where OpenCV cannot write it.
+    Parameters
+    ----------
+    run
+        The stored run.
+    path
+        The video file; see `check_video`.
+    report_progress
+        Called after each decision with the frames used so far and the frame budget.
+    trusted
+        Whether code that the run's files name may be executed.
+
+    Returns
+    -------
+    float
+        Length of the video in seconds.
+
+    Raises
+    ------
+    InputError
+        For another file extension, if the run cannot be replayed, or if OpenCV cannot write the file.
+    FullDisk
+        If the file is incomplete after writing.
     """
     from activestructure_gym.envs.panel import draw_panel
 
-    codec, pictures = check_video(path), 0
+    codec, images = check_video(path), 0
     part = path.with_name(f".{path.stem}.part{path.suffix}")
-    with playing(run, trusted=trusted) as env:
+    with replay_env(run, trusted=trusted) as env:
         episode = env.reconstruction
         first = draw_panel(episode, episode.mapper.keyframes[-1])
         size = first.shape[1], first.shape[0]
@@ -57,23 +98,23 @@ def write_video(
             raise InputError(f"this OpenCV cannot write '{path}': try another ending of {', '.join(CODECS)}")
 
         def add(times: int = 1) -> None:
-            nonlocal pictures
-            picture = cv2.cvtColor(draw_panel(episode, episode.mapper.keyframes[-1]), cv2.COLOR_RGB2BGR)
+            nonlocal images
+            image = cv2.cvtColor(draw_panel(episode, episode.mapper.keyframes[-1]), cv2.COLOR_RGB2BGR)
             for _ in range(times):
-                writer.write(picture)
-            pictures += times
+                writer.write(image)
+            images += times
 
         try:
             add()
             after_keyframes(episode, add)
-            if differs := follow(run, env, lambda row: None, tell):
-                warnings.warn(f"the video of {run.job.title}: {differs}", InputWarning, stacklevel=2)
-            add(_LAST)
+            if divergence := replay_actions(run, env, lambda row: None, report_progress):
+                warnings.warn(f"the video of {run.job.title}: {divergence}", InputWarning, stacklevel=2)
+            add(_LAST_REPEATS)
             writer.release()
-            if not is_whole(part, pictures):  # OpenCV reports no error
+            if not is_complete(part, images):  # OpenCV raises no error on a full disk
                 raise FullDisk(f"'{path}' cannot be written whole: is there room on its disk?")
             part.replace(path)
         finally:
             writer.release()
             part.unlink(missing_ok=True)
-    return pictures / FRAMES_PER_SECOND
+    return images / FRAMES_PER_SECOND

@@ -61,11 +61,11 @@ def news(view: LiveView, episode: int = -1, moments: int = 0, version: int = -1)
     assert status == 200
     whole = zlib.decompress(body)
     length = int.from_bytes(whole[:4], "little")
-    told = dict(json.loads(whole[4 : 4 + length]))
-    for name, place in told["arrays"].items():
+    header = dict(json.loads(whole[4 : 4 + length]))
+    for name, place in header["arrays"].items():
         count = int(np.prod(place["shape"]))
-        told["arrays"][name] = np.frombuffer(whole, place["type"], count, 4 + length + place["at"])
-    return told
+        header["arrays"][name] = np.frombuffer(whole, place["type"], count, 4 + length + place["at"])
+    return header
 
 
 def test_only_who_knows_the_link_is_answered(view: LiveView) -> None:
@@ -98,8 +98,8 @@ def test_a_page_gets_all_and_then_what_is_new(view: LiveView, episode: Reconstru
     view.begin(episode, "pixel")
     view.show()
     first = news(view)
-    assert (first["episode"], first["first"], first["worth"], first["budget"]) == (1, 0, "pixel", 80)
-    assert len(first["arrays"]["born"]) == episode.mapper.map.count
+    assert (first["episode"], first["first"], first["feature"], first["budget"]) == (1, 0, "pixel", 80)
+    assert len(first["arrays"]["added"]) == episode.mapper.map.count
     assert len(first["arrays"]["poses"]) == 9 and first["chosen"] == [-1] and len(first["steps"]) == 1
     row = 2
     goal = episode.candidates.world_from_camera[row]
@@ -305,7 +305,7 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         view.show()
         page.until(f"player.clock === {episode.frames} && player.dirty === false")
         np.testing.assert_allclose(page.value("player.runs[0].pose(player.clock).position"), goal, atol=1e-5)
-        assert page.value("player.runs[0].scene.drawn") == len(view._recorder.film().born)  # type: ignore[union-attr]
+        assert page.value("player.runs[0].scene.drawn") == len(view._recorder.film().added)  # type: ignore[union-attr]
         last = page.picture()
         assert (np.abs(first.astype(int) - last) > 20).mean() > 0.01
         page.value("player.scrub(1)")
@@ -322,10 +322,10 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         episode.start(ground_truth_of(load_scene("box")), 1)
         view.begin(episode)
         assert view._recorder is not None
-        lives = view._recorder._lives
-        lives.gone.append((lives.parameters[:, :7], lives.ids[:7], 1))  # seven were there and have gone
+        history = view._recorder._history
+        history.gone.append((history.parameters[:, :7], history.ids[:7], 1))  # seven were there and have gone
         view.show()
-        page.until("player.runs[0].told.episode === 2 && player.dirty === false")
+        page.until("player.runs[0].film.episode === 2 && player.dirty === false")
         facts = page.value("player.runs[0].facts.textContent")
         assert f"Gaussians{episode.mapper.map.count:,}planes" in facts
         page.until("document.getElementById('state').textContent === 'exploring'")

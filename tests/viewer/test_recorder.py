@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.viewer.recorder import Moment, Recorder, _Lives, plane_rectangles
+from activestructure_gym.viewer.recorder import Moment, Recorder, _GaussianHistory, plane_rectangles
 
 
 def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
@@ -32,33 +32,33 @@ def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
 
 
 def test_who_is_removed_is_kept_as_it_was_last() -> None:
-    gaussians, lives = GaussianMap(), _Lives()
+    gaussians, history = GaussianMap(), _GaussianHistory()
     block = np.arange(14 * 5, dtype=np.float32).reshape(14, 5)
     gaussians.append(block[:, :3])
-    lives.note(gaussians, 1)
+    history.note(gaussians, 1)
     gaussians.append(block[:, 3:])
     gaussians.parameters[0, :5] += 100.0
-    lives.note(gaussians, 6)
+    history.note(gaussians, 6)
     gaussians.keep(np.array([True, False, True, True, True]))
-    lives.note(gaussians, 11)
-    parameters, born, died = lives.all()
-    assert born.tolist() == [1, 1, 1, 6, 6] and sorted(died.tolist())[0] == 11
-    (gone,) = np.nonzero(died == 11)[0]
+    history.note(gaussians, 11)
+    parameters, added, removed = history.gaussians()
+    assert added.tolist() == [1, 1, 1, 6, 6] and sorted(removed.tolist())[0] == 11
+    (gone,) = np.nonzero(removed == 11)[0]
     np.testing.assert_array_equal(parameters[1:, gone], block[1:, 1])
     assert parameters[0, gone] == block[0, 1] + 100.0
 
 
 def test_a_map_that_is_made_anew_as_a_whole_is_kept_once_and_grows_by_place() -> None:
-    gaussians, lives = GaussianMap(), _Lives()
+    gaussians, history = GaussianMap(), _GaussianHistory()
     for frame in range(1, 60):
         gaussians.keep(np.zeros(gaussians.count, bool))
         block = np.ones((14, frame), np.float32)
         block[:3] = [np.arange(frame), np.full(frame, 0.01), np.full(frame, -2.0)]
         gaussians.append(block)
-        lives.note(gaussians, frame)
-    parameters, born, died = lives.all()
-    assert parameters.shape == (14, 59) and not lives.gone
-    assert born.tolist() == list(range(1, 60)) and (died > 59).all()
+        history.note(gaussians, frame)
+    parameters, added, removed = history.gaussians()
+    assert parameters.shape == (14, 59) and not history.gone
+    assert added.tolist() == list(range(1, 60)) and (removed > 59).all()
     np.testing.assert_array_equal(parameters[0], np.arange(59))
 
 

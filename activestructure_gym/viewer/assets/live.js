@@ -1,9 +1,9 @@
 "use strict";
-// A live episode: asks who serves the page for news, and sends commands back.
+// Show a live episode: request new data from the server and send commands.
 
 const KEY = new URLSearchParams(location.search).get("key") || "";
-const FOLLOWS = 3; // times a second the clock comes so much nearer to the newest frame
-const CLICK = 4; // pixels a pointer may move and still have clicked
+const FOLLOWS = 3; // per second: rate at which the clock approaches the newest frame
+const CLICK = 4; // pixels that the pointer may move during a click
 
 class LivePlayer extends Player {
   constructor(runs) {
@@ -13,10 +13,10 @@ class LivePlayer extends Player {
     find("pace").addEventListener("input", (event) => send({ do: "pace", seconds: Number(event.target.value) }));
   }
 
-  get live() { return this.runs[0].told; }
+  get live() { return this.runs[0].film; }
 
   follow() { this.following = true; this.dirty = true; }
-  // Going back in time looks; the episode itself goes on, and is paused by its button alone.
+  // Going back in time does not pause the episode; only the pause button does.
   scrub(frame) { this.following = frame >= this.end; this.to(frame); }
   toggle() { this.follow(); send({ do: this.live.paused ? "go" : "pause" }); }
   step(by) {
@@ -27,7 +27,7 @@ class LivePlayer extends Player {
   }
 
   open(runs) {
-    const state = find("state"); // which stands in the run that goes
+    const state = find("state"); // inside the run that is replaced
     for (const run of this.runs || []) run.close();
     super.open(runs);
     runs[0].element.querySelector(".stage").append(state);
@@ -67,18 +67,18 @@ class LivePlayer extends Player {
     find("play").textContent = this.live.paused ? "▶ go on" : "❚❚ pause";
   }
 
-  tell(told) {
+  update(film) {
     const run = this.runs[0];
-    if (told) {
-      run.extend(told);
+    if (film) {
+      run.extend(film);
       this.grown();
     }
     const rows = run.arrays.rows;
-    run.told.chosen.forEach((row, number) => { rows[number] = row; });
-    find("state").textContent = run.told.state;
-    find("state").className = run.told.state.replace(/\W.*/, "");
-    find("play").disabled = run.told.ended;
-    find("pace").value = String(run.told.pace);
+    run.film.chosen.forEach((row, number) => { rows[number] = row; });
+    find("state").textContent = run.film.state;
+    find("state").className = run.film.state.replace(/\W.*/, "");
+    find("play").disabled = run.film.ended;
+    find("pace").value = String(run.film.pace);
     this.pointed = -1;
     this.dirty = true;
   }
@@ -92,30 +92,30 @@ async function send(command) {
 }
 
 async function watch() {
-  let told = null, waited = 250;
+  let film = null, waited = 250;
   for (;;) {
-    const known = told ? { episode: told.episode, moments: told.first + told.arrays.frames.length, version: told.version } : { episode: -1, moments: 0, version: -1 };
+    const known = film ? { episode: film.episode, moments: film.first + film.arrays.frames.length, version: film.version } : { episode: -1, moments: 0, version: -1 };
     try {
       const answer = await fetch(`/news?key=${KEY}&${new URLSearchParams(known)}`);
       if (answer.status === 403) { find("state").textContent = await answer.text(); return; }
       waited = 250;
       if (answer.status !== 200) continue;
       const news = await unpack(new Uint8Array(await answer.arrayBuffer()));
-      if (!told || news.episode !== told.episode) {
+      if (!film || news.episode !== film.episode) {
         if (window.player) window.player.open([new Run(news, 0)]);
         else window.player = new LivePlayer([new Run(news, 0)]);
         window.player.follow();
-        window.player.tell(null);
+        window.player.update(null);
       } else {
-        window.player.tell(news);
+        window.player.update(news);
       }
-      told = news;
+      film = news;
     } catch (error) {
-      if (!(error instanceof TypeError)) { // not the network: this page's own
+      if (!(error instanceof TypeError)) { // not a network error
         find("runs").append(element("p", { className: "warning" }, `This episode cannot be shown: ${error.message}`));
         throw error;
       }
-      find("state").textContent = "the program that played has ended";
+      find("state").textContent = "the program that serves this page has ended";
       await new Promise((resolve) => { setTimeout(resolve, waited); });
       waited = Math.min(2 * waited, 5000);
     }

@@ -1,10 +1,10 @@
 "use strict";
-// One or two episodes on one clock, which counts frames paid. A live one grows while it is watched.
+// Play one or two episodes on one clock, which counts frames used. A live episode grows while it is shown.
 
 const COLOURS = { path: [0.84, 0.37, 0.0], structural: [0.0, 0.45, 0.7], object: [0.8, 0.47, 0.65], tree: [0.0, 0.62, 0.45],
   unknown: [0.5, 0.5, 0.5] };
-const RUN_CLASSES = ["first", "second"]; // the colours of their curves
-const MANY = 20000; // Gaussians, more than which are drawn coarsely while the view turns
+const RUN_CLASSES = ["first", "second"]; // classes of the curves' colours
+const MANY = 20000; // maps with more Gaussians are drawn coarsely while the view is dragged
 const find = (id) => document.getElementById(id);
 
 function viridis(share) {
@@ -21,28 +21,28 @@ function element(kind, options = {}, ...inside) {
 }
 
 class Run {
-  constructor(told, number) {
-    this.told = told;
-    this.arrays = told.arrays;
+  constructor(film, number) {
+    this.film = film;
+    this.arrays = film.arrays;
     this.measure();
-    this.canvas = element("canvas", { ariaLabel: `the map of ${told.title}` });
-    this.true = element("img", { alt: "what the camera saw" });
-    this.rendered = element("img", { alt: "the map from the same place" });
+    this.canvas = element("canvas", { ariaLabel: `the map of ${film.title}` });
+    this.true = element("img", { alt: "camera image" });
+    this.rendered = element("img", { alt: "map rendered at the same pose" });
     this.facts = element("dl");
     const side = element("div", { className: "side" },
-      element("figure", {}, this.true, element("figcaption", {}, "the camera's last keyframe")),
-      element("figure", {}, this.rendered, element("figcaption", {}, "the map from the same pose, as it was then")),
+      element("figure", {}, this.true, element("figcaption", {}, "last keyframe of the camera")),
+      element("figure", {}, this.rendered, element("figcaption", {}, "map rendered at the same pose, at that time")),
       this.facts);
-    const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: `name ${RUN_CLASSES[number]}` }, told.title),
-      element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: nearer"));
+    const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: `name ${RUN_CLASSES[number]}` }, film.title),
+      element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: zoom"));
     this.element = element("section", { className: "run" }, stage, side);
-    if (told.differs) side.prepend(element("p", { className: "warning" }, told.differs));
-    this.orbit = new Orbit(told.bounds);
+    if (film.warning) side.prepend(element("p", { className: "warning" }, film.warning));
+    this.orbit = new Orbit(film.bounds);
     this.images = new Map();
   }
 
-  start() { this.scene = new SceneView(this.canvas, this.told); }
-  close() { // give back what a browser keeps for as long as the page is open
+  start() { this.scene = new SceneView(this.canvas, this.film); }
+  close() { // release resources that the browser would keep until the page is closed
     for (const link of this.images.values()) URL.revokeObjectURL(link);
     const lose = this.scene.gl.getExtension("WEBGL_lose_context");
     if (lose) lose.loseContext();
@@ -53,30 +53,30 @@ class Run {
     this.end = this.arrays.frames[this.arrays.frames.length - 1];
   }
 
-  extend(told) { // what came since: the map as it is now, and further moments and poses
-    const mine = this.arrays, news = told.arrays, joined = { ...news };
+  extend(film) { // add new data: the current map, and further moments and poses
+    const mine = this.arrays, news = film.arrays, joined = { ...news };
     for (const [name, array] of Object.entries(mine)) {
-      if (["means", "scales", "rotations", "colours", "opacities", "born", "died"].includes(name)) continue;
+      if (["means", "scales", "rotations", "colours", "opacities", "added", "removed"].includes(name)) continue;
       const starts = name.endsWith("_starts"), more = starts ? news[name].subarray(1) : news[name];
       joined[name] = new array.constructor(array.length + more.length);
       joined[name].set(array);
       joined[name].set(starts ? more.map((place) => place + array[array.length - 1]) : more, array.length);
     }
-    const curve = this.told.curve.concat(told.curve), steps = this.told.steps.concat(told.steps);
-    Object.assign(this.told, told, { curve, steps, arrays: joined });
+    const curve = this.film.curve.concat(film.curve), steps = this.film.steps.concat(film.steps);
+    Object.assign(this.film, film, { curve, steps, arrays: joined });
     this.arrays = joined;
     this.measure();
     this.scene.load();
   }
 
-  moment(frame) { // the decision under way: the last one made with no more frames than these
+  moment(frame) { // index of the current decision: the last one at or before this frame
     const frames = this.arrays.frames;
     let found = 0;
     while (found + 1 < frames.length && frames[found + 1] <= frame) found++;
     return found;
   }
 
-  walked(frame) { // the pose with so many frames paid; some are paid without one
+  walked(frame) { // index of the pose at a frame; frames spent in place have no pose of their own
     const now = this.moment(frame), { frames, walked } = this.arrays;
     const most = now + 1 < walked.length ? walked[now + 1] - 1 : this.last;
     return Math.max(Math.min(walked[now] - 1 + Math.round(frame) - frames[now], most, this.last), 0);
@@ -84,17 +84,17 @@ class Run {
 
   pose(frame) {
     const at = 9 * this.walked(frame), p = this.arrays.poses;
-    const position = [p[at], p[at + 1], p[at + 2]], right = [p[at + 3], p[at + 4], p[at + 5]], look = [p[at + 6], p[at + 7], p[at + 8]];
-    const up = [right[1] * look[2] - right[2] * look[1], right[2] * look[0] - right[0] * look[2], right[0] * look[1] - right[1] * look[0]];
-    return { position, right, up, look };
+    const position = [p[at], p[at + 1], p[at + 2]], right = [p[at + 3], p[at + 4], p[at + 5]], forward = [p[at + 6], p[at + 7], p[at + 8]];
+    const up = [right[1] * forward[2] - right[2] * forward[1], right[2] * forward[0] - right[0] * forward[2], right[0] * forward[1] - right[1] * forward[0]];
+    return { position, right, up, forward };
   }
 
   camera(eye, frame) {
     const aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
     if (eye === "orbit") return this.orbit.camera(aspect);
-    const { position, right, up, look } = this.pose(frame);
-    const focal = this.told.camera[1] / this.told.camera[5];
-    return { view: lookFrom(position, right, up, look.map((v) => -v)), projection: perspective(focal, aspect, 0.05, 400), focal, key: `agent ${Math.round(frame)}` };
+    const { position, right, up, forward } = this.pose(frame);
+    const focal = this.film.camera[1] / this.film.camera[5];
+    return { view: viewMatrix(position, right, up, forward.map((v) => -v)), projection: perspective(focal, aspect, 0.05, 400), focal, key: `agent ${Math.round(frame)}` };
   }
 
   overlay(frame, shown) {
@@ -118,17 +118,17 @@ class Run {
         for (const end of ends) points.push(...end, ...COLOURS.tree, 0.9);
       }
     }
-    if (shown.candidates && (a.rows[now] >= 0 || this.told.chooses)) { // at the end there is nothing left to decide
+    if (shown.candidates && (a.rows[now] >= 0 || this.film.chooses)) { // none after the last decision
       const first = a.candidate_starts[now], chosen = first + a.rows[now];
       for (let k = first; k < a.candidate_starts[now + 1]; k++) {
-        const p = a.candidates.subarray(6 * k, 6 * k + 6), worth = a.worth[k];
+        const p = a.candidates.subarray(6 * k, 6 * k + 6), score = a.scores[k];
         if (p[2] > cut) continue;
-        const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : worth === 255 ? COLOURS.unknown : viridis(worth / 254);
+        const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : score === 255 ? COLOURS.unknown : viridis(score / 254);
         const reach = k === chosen || k - first === shown.pointed ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
         const tip = [p[0] + reach * p[3], p[1] + reach * p[4], p[2] + reach * p[5]];
         line([p[0], p[1], p[2]], tip, tint, alpha);
         if (k === chosen) points.push(p[0], p[1], p[2], ...tint, 1);
-        if (this.told.chooses && now === a.frames.length - 1) points.push(...tip, ...(k - first === shown.pointed ? COLOURS.path : tint), 1);
+        if (this.film.chooses && now === a.frames.length - 1) points.push(...tip, ...(k - first === shown.pointed ? COLOURS.path : tint), 1);
       }
     }
     if (shown.path && shown.eye === "orbit") {
@@ -137,9 +137,9 @@ class Run {
         const fade = 0.35 + 0.65 * Math.exp((i - until) / 120);
         line(a.poses.subarray(9 * i - 9, 9 * i - 6), a.poses.subarray(9 * i, 9 * i + 3), COLOURS.path, fade);
       }
-      const { position, right, up, look } = this.pose(frame), [fx, fy, , , width, height] = this.told.camera, reach = 0.55;
+      const { position, right, up, forward } = this.pose(frame), [fx, fy, , , width, height] = this.film.camera, reach = 0.55;
       const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) => position.map((v, i) =>
-        v + reach * (look[i] + x * 0.5 * width / fx * right[i] + y * 0.5 * height / fy * up[i])));
+        v + reach * (forward[i] + x * 0.5 * width / fx * right[i] + y * 0.5 * height / fy * up[i])));
       corners.forEach((corner, i) => { line(position, corner, COLOURS.path); line(corner, corners[(i + 1) % 4], COLOURS.path); });
       for (const i of [0, 1, 2, 0, 2, 3]) faces.push(...corners[i], ...COLOURS.path, 0.25);
       points.push(...position, ...COLOURS.path, 1);
@@ -147,7 +147,7 @@ class Run {
     return { lines, points, faces };
   }
 
-  under(x, y, camera, cut) { // the candidate of the last moment that is drawn nearest to a place of the canvas, or -1
+  under(x, y, camera, cut) { // row of the current candidate drawn nearest to a canvas position, or -1
     const a = this.arrays, now = a.frames.length - 1, first = a.candidate_starts[now], m = camera.view, q = camera.projection;
     let best = -1, least = 18; // CSS pixels
     for (let k = first; k < a.candidate_starts[now + 1]; k++) {
@@ -171,17 +171,17 @@ class Run {
     return this.images.get(number);
   }
 
-  tell(frame) {
-    const now = this.moment(frame), step = this.told.steps[now], before = this.told.steps[now - 1];
+  update(frame) {
+    const now = this.moment(frame), step = this.film.steps[now], before = this.film.steps[now - 1];
     for (const [place, number] of [[this.true, 2 * now], [this.rendered, 2 * now + 1]]) {
       const link = this.image(number);
       if (place.src !== link) place.src = link;
     }
-    const rows = [["frame", `${Math.min(Math.round(frame), this.end)} of ${this.told.budget}`],
-      ["decision", this.told.episode ? now + 1 : step ? `${step.number} of ${this.told.decisions}` : "ended"]];
+    const rows = [["frame", `${Math.min(Math.round(frame), this.end)} of ${this.film.budget}`],
+      ["decision", this.film.episode ? now + 1 : step ? `${step.number} of ${this.film.decisions}` : "ended"]];
     if (step && step.phase) rows.push(["phase", step.phase]);
-    rows.push(["Gaussians", this.scene.aliveAt(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
-      ["candidates", this.arrays.rows[now] < 0 && !this.told.chooses ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["way so far", `${this.told.episode ? step.metres : before ? before.metres : 0} m`]);
+    rows.push(["Gaussians", this.scene.countAt(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
+      ["candidates", this.arrays.rows[now] < 0 && !this.film.chooses ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["path length", `${this.film.episode ? step.metres : before ? before.metres : 0} m`]);
     this.facts.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, String(value))]));
   }
 }
@@ -192,7 +192,7 @@ class Chart {
     this.svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     this.svg.setAttribute("viewBox", "0 0 300 84");
     this.svg.setAttribute("preserveAspectRatio", "none");
-    const points = runs.map((run) => run.told.curve.filter((point) => typeof point[key] === "number").map((point) => [point.frames, point[key]]));
+    const points = runs.map((run) => run.film.curve.filter((point) => typeof point[key] === "number").map((point) => [point.frames, point[key]]));
     const values = points.flat().map(([, value]) => value);
     this.points = points;
     if (!values.length) return;
@@ -212,7 +212,7 @@ class Chart {
     for (const [x, y] of line) if (x <= frame) value = y;
     return value;
   }
-  tell(frame) {
+  update(frame) {
     if (!this.element) return;
     this.cursor.setAttribute("x1", this.x(frame));
     this.cursor.setAttribute("x2", this.x(frame));
@@ -226,8 +226,8 @@ class Player {
     this.clock = 1;
     this.playing = false;
     this.dirty = true;
-    this.moved = -1e9; // when the view was turned last
-    this.drawn = 0; // pictures drawn, for whoever measures
+    this.moved = -1e9; // time at which the view was last changed
+    this.drawn = 0; // number of images drawn
     this.pointed = -1; // the candidate under the pointer
     this.open(runs);
     find("clock").addEventListener("input", (event) => this.scrub(Number(event.target.value)));
@@ -251,14 +251,14 @@ class Player {
   open(runs) {
     this.runs = runs;
     this.end = Math.max(...runs.map((run) => run.end));
-    this.usual = this.end / 20; // frames per second at which the whole takes 20 s
-    const low = Math.min(...runs.map((run) => run.told.bounds[0][2])), high = Math.max(...runs.map((run) => run.told.bounds[1][2]));
+    this.usual = this.end / 20; // frames per second for a playback of 20 s
+    const low = Math.min(...runs.map((run) => run.film.bounds[0][2])), high = Math.max(...runs.map((run) => run.film.bounds[1][2]));
     this.heights = [low, high];
     find("runs").replaceChildren(...runs.map((run) => run.element));
     for (const run of runs) { run.start(); this.listen(run); }
     this.plot();
-    const worth = runs[0].told.worth;
-    find("worth").textContent = worth ? `candidates, by ${worth}, least to most` : "candidates";
+    const feature = runs[0].film.feature;
+    find("scores").textContent = feature ? `candidates by ${feature}, lowest to highest` : "candidates";
     find("clock").max = this.end;
     this.to(1);
   }
@@ -270,14 +270,14 @@ class Player {
     find("charts").replaceChildren(...this.charts.map((chart) => chart.element));
   }
 
-  grown() { // a live episode has gone on
+  grown() { // adjust the page to new data
     this.end = Math.max(...this.runs.map((run) => run.end));
     find("clock").max = this.end;
     this.plot();
     this.dirty = true;
   }
 
-  shown() { // what of all is drawn
+  shown() { // which layers are drawn
     const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
     return { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
       path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye,
@@ -285,7 +285,7 @@ class Player {
   }
 
   listen(run) {
-    // Both views turn together: the same place is looked at from the same side.
+    // Both views share one camera.
     const all = (act) => {
       for (const one of this.runs) act(one.orbit);
       this.moved = performance.now();
@@ -322,7 +322,7 @@ class Player {
       this.before = time;
       if (this.clock >= this.end) this.pause();
     }
-    // A map of many Gaussians is drawn coarsely while it is turned, and whole when the hand rests.
+    // A large map is drawn coarsely while the view changes, then in full.
     const coarse = time - this.moved < 180 && this.runs.some((run) => run.scene.count > MANY);
     if (this.coarse && !coarse) this.dirty = true;
     if (!this.dirty) return;
@@ -333,11 +333,11 @@ class Player {
     for (const run of this.runs) {
       const frame = Math.min(this.clock, run.end);
       run.scene.draw(run.camera(shown.eye, frame), Math.round(frame), shown, run.overlay(frame, shown), dark ? [0.05, 0.065, 0.085] : [0.93, 0.94, 0.955]);
-      run.tell(frame);
+      run.update(frame);
     }
-    for (const chart of this.charts) chart.tell(this.clock);
+    for (const chart of this.charts) chart.update(this.clock);
     find("clock").value = Math.round(this.clock);
-    find("told").textContent = `frame ${Math.round(this.clock)} of ${this.end}`;
+    find("position").textContent = `frame ${Math.round(this.clock)} of ${this.end}`;
     this.drawn++;
   }
 }

@@ -1,12 +1,12 @@
 "use strict";
-// The map and what stands in it, drawn with WebGL2. Positions are metres, z is up.
+// Draw the map, lines and points with WebGL2. Positions are in metres, z is up.
 
 const MAP_VERTEX = `#version 300 es
 layout(location = 0) in vec3 mean;      // 0..1 of the box around all Gaussians
 layout(location = 1) in vec3 scale;     // steps of the logarithm
 layout(location = 2) in vec4 rotation;  // wxyz
 layout(location = 3) in vec3 colour;
-layout(location = 4) in vec2 life;      // frames: born, died
+layout(location = 4) in vec2 span;      // frames: added, removed
 uniform mat4 view, projection;
 uniform vec3 low, side;
 uniform vec2 logs;
@@ -21,7 +21,7 @@ void main() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = 1.0;
   conic = vec3(1.0, 0.0, 1.0); shade = colour; size = 1.0;
-  if (life.x > now || life.y <= now || place.z > cut || seen.z > -0.05) return;
+  if (span.x > now || span.y <= now || place.z > cut || seen.z > -0.05) return;
   vec3 s = exp(logs.x + logs.y * scale) * widen;
   vec4 q = normalize(rotation);
   float w = q.x, x = q.y, y = q.z, z = q.w;
@@ -82,17 +82,17 @@ uniform highp sampler2D depths;
 out vec4 result;
 void main() { result = texture(colours, at * part); gl_FragDepth = texture(depths, at * part).r; }`;
 
-const SKIPPED = 4; // of so many Gaussians one is drawn, as large as all, while a hand moves
-const COARSE = 0.5; // of the sides of a picture that changes while a hand moves
+const SKIPPED = 4; // while the view is dragged, one of this many Gaussians is drawn, enlarged
+const COARSE = 0.5; // scale of the image while the view is dragged
 
-const LATE_MS = 500; // after which Gaussians that are gone disappear while it plays: for them all others are drawn again
+const LATE_MS = 500; // during playback, the whole map is redrawn without removed Gaussians at most this often
 
 class SceneView {
   constructor(canvas, recording) {
     this.canvas = canvas;
     this.recording = recording;
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
-    if (!gl) throw new Error("this browser has no WebGL2, which the map is drawn with");
+    if (!gl) throw new Error("this browser has no WebGL2, which the viewer needs");
     this.gl = gl;
     this.programs = {
       map: this.program(MAP_VERTEX, MAP_FRAGMENT),
@@ -111,15 +111,15 @@ class SceneView {
     gl.bindVertexArray(null);
   }
 
-  load() { // the map as the recording has it now
-    const gl = this.gl, { born, died } = this.recording.arrays;
+  load() { // upload the recording's map
+    const gl = this.gl, { added, removed } = this.recording.arrays;
     for (const vao of this.maps || []) gl.deleteVertexArray(vao);
     for (const { buffer } of this.buffers || []) gl.deleteBuffer(buffer);
-    this.count = born.length;
+    this.count = added.length;
     this.buffers = this.upload();
     this.maps = [1, SKIPPED].map((step) => this.every(step));
-    this.kept = null; // what the kept picture shows: camera and frame
-    this.deaths = Array.from(died).filter((frame) => frame < this.recording.stayed).sort((a, b) => a - b);
+    this.kept = null; // camera and frame of the stored image
+    this.removals = Array.from(removed).filter((frame) => frame < this.recording.never_removed).sort((a, b) => a - b);
   }
 
   program(vertex, fragment) {
@@ -143,11 +143,11 @@ class SceneView {
 
   upload() {
     const gl = this.gl, a = this.recording.arrays;
-    // Two bytes a frame where they suffice, else numbers that are exact up to 16 million.
-    const short = a.born instanceof Uint16Array, life = new (short ? Uint16Array : Float32Array)(2 * this.count);
-    for (let i = 0; i < this.count; i++) { life[2 * i] = a.born[i]; life[2 * i + 1] = a.died[i]; }
+    // Two bytes per frame number if they suffice; else float, exact up to 16 million.
+    const short = a.added instanceof Uint16Array, span = new (short ? Uint16Array : Float32Array)(2 * this.count);
+    for (let i = 0; i < this.count; i++) { span[2 * i] = a.added[i]; span[2 * i + 1] = a.removed[i]; }
     return [[a.means, 3, gl.UNSIGNED_SHORT, true], [a.scales, 3, gl.UNSIGNED_BYTE, false],
-      [a.rotations, 4, gl.BYTE, true], [a.colours, 3, gl.UNSIGNED_BYTE, true], [life, 2, short ? gl.UNSIGNED_SHORT : gl.FLOAT, false]].map(([data, size, kind, whole]) => {
+      [a.rotations, 4, gl.BYTE, true], [a.colours, 3, gl.UNSIGNED_BYTE, true], [span, 2, short ? gl.UNSIGNED_SHORT : gl.FLOAT, false]].map(([data, size, kind, whole]) => {
       const buffer = gl.createBuffer();
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
@@ -155,7 +155,7 @@ class SceneView {
     });
   }
 
-  // The map with every Gaussian, or with one of a few for pictures that change while a hand moves.
+  // Vertex array of every Gaussian, or of every ``step``-th one while the view is dragged.
   every(step) {
     const gl = this.gl, vao = gl.createVertexArray();
     gl.bindVertexArray(vao);
@@ -193,20 +193,20 @@ class SceneView {
     this.kept = null;
   }
 
-  // Gaussians that were there by a frame are the first ones: they are sorted by birth.
-  bornBy(frame) {
-    const born = this.recording.arrays.born;
+  // Number of Gaussians added by a frame. They are sorted by the frame of addition.
+  addedBy(frame) {
+    const added = this.recording.arrays.added;
     let low = 0, high = this.count;
-    while (low < high) { const mid = (low + high) >> 1; if (born[mid] <= frame) low = mid + 1; else high = mid; }
+    while (low < high) { const mid = (low + high) >> 1; if (added[mid] <= frame) low = mid + 1; else high = mid; }
     return low;
   }
 
-  aliveAt(frame) {
-    return this.bornBy(frame) - this.deaths.filter((death) => death <= frame).length;
+  countAt(frame) {
+    return this.addedBy(frame) - this.removals.filter((removal) => removal <= frame).length;
   }
 
-  diedBetween(first, last) {
-    return this.deaths.some((frame) => frame > first && frame <= last);
+  removedBetween(first, last) {
+    return this.removals.some((frame) => frame > first && frame <= last);
   }
 
   // camera: {view, projection, focal, key}; shown: {map, cut}; overlay: Float32Array of lines and of points
@@ -215,7 +215,7 @@ class SceneView {
     this.resize();
     const key = `${camera.key}|${shown.map}|${shown.cut}|${background.join()}|${shown.coarse}`;
     const goesOn = this.kept && this.kept.key === key && this.kept.frame <= frame;
-    const stale = goesOn && (this.kept.stale || this.diedBetween(this.kept.frame, frame));
+    const stale = goesOn && (this.kept.stale || this.removedBetween(this.kept.frame, frame));
     const grows = goesOn && (!stale || (shown.playing && performance.now() - this.whole < LATE_MS));
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     const share = shown.coarse ? COARSE : 1, wide = Math.floor(share * this.canvas.width), tall = Math.floor(share * this.canvas.height);
@@ -228,15 +228,15 @@ class SceneView {
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       this.whole = performance.now();
     }
-    const first = grows ? this.bornBy(this.kept.frame) : 0, last = this.bornBy(frame);
+    const first = grows ? this.addedBy(this.kept.frame) : 0, last = this.addedBy(frame);
     if (shown.map && last > first) {
-      const { made, places } = this.programs.map, told = this.recording;
+      const { made, places } = this.programs.map, recording = this.recording;
       gl.useProgram(made);
       gl.uniformMatrix4fv(places.view, false, camera.view);
       gl.uniformMatrix4fv(places.projection, false, camera.projection);
-      gl.uniform3fv(places.low, told.low);
-      gl.uniform3fv(places.side, told.side);
-      gl.uniform2fv(places.logs, told.log);
+      gl.uniform3fv(places.low, recording.low);
+      gl.uniform3fv(places.side, recording.side);
+      gl.uniform2fv(places.logs, recording.log);
       gl.uniform1f(places.focal, camera.focal * tall);
       gl.uniform1f(places.now, frame);
       gl.uniform1f(places.cut, shown.cut);
@@ -275,7 +275,7 @@ class SceneView {
       if (!data.length) continue;
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(data), gl.DYNAMIC_DRAW);
       gl.uniform1f(places.point, point * Math.min(window.devicePixelRatio || 1, 1.5));
-      // What stands behind the map shows faintly through it.
+      // Lines and points behind the map show faintly through it.
       for (const [test, faint] of [[gl.ALWAYS, kind === gl.TRIANGLES ? 0.25 : 0.35], [gl.LEQUAL, 1.0]]) {
         gl.depthFunc(test);
         gl.uniform1f(places.faint, faint);
@@ -288,7 +288,7 @@ class SceneView {
 
 // -- cameras: column-major 4x4 matrices ----------------------------------------------------------------------------
 
-function lookFrom(eye, right, up, back) {
+function viewMatrix(eye, right, up, back) {
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   return new Float32Array([right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0,
     -dot(right, eye), -dot(up, eye), -dot(back, eye), 1]);
@@ -314,10 +314,10 @@ class Orbit {
   }
   camera(aspect) {
     const { back, right, up } = this.axes();
-    const away = this.distance * Math.max(1, 1.3 / aspect); // so that a tall picture shows as much as a wide one
+    const away = this.distance * Math.max(1, 1.3 / aspect); // a tall image shows as much as a wide one
     const eye = this.target.map((value, axis) => value + away * back[axis]);
     const focal = 1.1;
-    return { view: lookFrom(eye, right, up, back), projection: perspective(focal, aspect, 0.05, 400),
+    return { view: viewMatrix(eye, right, up, back), projection: perspective(focal, aspect, 0.05, 400),
       focal, key: [this.yaw, this.pitch, away, ...this.target].join() };
   }
   turn(x, y) {

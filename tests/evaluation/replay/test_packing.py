@@ -18,29 +18,29 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, QUA
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
     whole = zlib.decompress(base64.b64decode(text))
     length = int.from_bytes(whole[:4], "little")
-    told = json.loads(whole[4 : 4 + length])
+    header = json.loads(whole[4 : 4 + length])
     arrays = {}
-    for name, place in told["arrays"].items():
+    for name, place in header["arrays"].items():
         begin = 4 + length + place["at"]
         assert begin % 4 == 0  # a browser's typed arrays begin at a multiple of their size
         count = int(np.prod(place["shape"]))
         arrays[name] = np.frombuffer(whole, place["type"], count, begin).reshape(place["shape"])
-    return told, arrays
+    return header, arrays
 
 
 def test_a_recording_is_kept_to_its_steps(recordings: list[Recording]) -> None:
     for recording in recordings:
-        told, arrays = unpacked(pack(recording))
+        header, arrays = unpacked(pack(recording))
         live = recording.gaussians
-        means = np.array(told["low"]) + arrays["means"] / 65535 * np.array(told["side"])
+        means = np.array(header["low"]) + arrays["means"] / 65535 * np.array(header["side"])
         assert np.abs(means - live[MEAN].T).max() < 2e-4
-        logs = told["log"][0] + told["log"][1] * arrays["scales"].astype(float)
-        assert np.abs(logs - np.clip(live[LOG_SCALE].T, -9.0, 3.75)).max() <= 0.5 * told["log"][1] + 1e-5
+        logs = header["log"][0] + header["log"][1] * arrays["scales"].astype(float)
+        assert np.abs(logs - np.clip(live[LOG_SCALE].T, -9.0, 3.75)).max() <= 0.5 * header["log"][1] + 1e-5
         turned = arrays["rotations"] / 127.0
         unit = (live[QUATERNION] / np.linalg.norm(live[QUATERNION], axis=0)).T
         assert np.abs(turned - unit).max() < 0.5 / 127 + 1e-6
         assert np.abs(arrays["colours"] / 255.0 - np.clip(live[COLOR].T, 0, 1)).max() <= 0.5 / 255 + 1e-6
-        np.testing.assert_array_equal(arrays["born"], recording.born)
+        np.testing.assert_array_equal(arrays["added"], recording.added)
         np.testing.assert_array_equal(arrays["frames"], [moment.frame for moment in recording.moments])
 
 
@@ -55,22 +55,22 @@ def test_every_moment_finds_its_own_again(recordings: list[Recording]) -> None:
         starts = arrays["image_starts"][2 * n : 2 * n + 3]
         assert arrays["images"][starts[0] : starts[1]].tobytes() == moment.true
         assert arrays["images"][starts[1] : starts[2]].tobytes() == moment.rendered
-    shades = arrays["worth"][: len(recording.moments[0].candidates)]
-    assert shades.max() == 254 and shades.argmax() == recording.moments[0].worth.argmax()
+    shades = arrays["scores"][: len(recording.moments[0].candidates)]
+    assert shades.max() == 254 and shades.argmax() == recording.moments[0].scores.argmax()
 
 
 @pytest.mark.parametrize("last", [65_534, 65_535, 70_000])
-def test_frames_of_a_long_episode_are_told_apart(recordings: list[Recording], last: int) -> None:
+def test_frames_of_a_long_episode_are_distinct(recordings: list[Recording], last: int) -> None:
     recording = recordings[0]
     moments = [*recording.moments[:-1], replace(recording.moments[-1], frame=last)]
-    born, died = recording.born.copy(), recording.died.copy()
-    born[-1], died[0] = last, last
-    told, arrays = unpacked(pack(replace(recording, moments=moments, born=born, died=died)))
-    assert arrays["frames"][-1] == arrays["born"][-1] == arrays["died"][0] == last < told["stayed"]
-    assert (arrays["died"][1:] == told["stayed"]).sum() == (died[1:] > last).sum()
+    added, removed = recording.added.copy(), recording.removed.copy()
+    added[-1], removed[0] = last, last
+    header, arrays = unpacked(pack(replace(recording, moments=moments, added=added, removed=removed)))
+    assert arrays["frames"][-1] == arrays["added"][-1] == arrays["removed"][0] == last < header["never_removed"]
+    assert (arrays["removed"][1:] == header["never_removed"]).sum() == (removed[1:] > last).sum()
 
 
-def test_rows_of_many_planes_are_told_apart(recordings: list[Recording]) -> None:
+def test_rows_of_many_planes_are_distinct(recordings: list[Recording]) -> None:
     moments = [*recordings[0].moments]
     moments[1] = replace(moments[1], tree=np.array([[3, 70_000]]))
     _, arrays = unpacked(pack(replace(recordings[0], moments=moments)))
@@ -83,18 +83,18 @@ def test_a_page_shows_an_even_choice_of_what_is_too_much(
     from activestructure_gym.viewer import packing
 
     recording = recordings[0]
-    monkeypatch.setattr(packing, "_MAX_GAUSSIANS", len(recording.born) // 3)
+    monkeypatch.setattr(packing, "_MAX_GAUSSIANS", len(recording.added) // 3)
     decisions = len(recording.run.steps)
     shown = [moment for moment in recording.moments if moment.decision % 2 == 0 or moment.decision == decisions]
-    told, arrays = unpacked(pack(replace(recording, moments=shown, differs="")))
-    np.testing.assert_array_equal(arrays["born"], recording.born[:: told["every"]])
-    assert 2 * len(arrays["born"]) <= len(recording.born) and told["decisions"] == decisions
-    assert [step["number"] for step in told["steps"]] == list(range(1, decisions + 1, 2))
+    header, arrays = unpacked(pack(replace(recording, moments=shown, divergence="")))
+    np.testing.assert_array_equal(arrays["added"], recording.added[:: header["every"]])
+    assert 2 * len(arrays["added"]) <= len(recording.added) and header["decisions"] == decisions
+    assert [step["number"] for step in header["steps"]] == list(range(1, decisions + 1, 2))
     metres = [step["metres"] for step in recording.run.steps]
-    assert [step["metres"] for step in told["steps"]] == [
+    assert [step["metres"] for step in header["steps"]] == [
         round(metres[min(n + 1, decisions - 1)], 2) for n in range(0, decisions, 2)
     ]
-    assert told["differs"] == (
-        f"{len(told['steps'])} of {decisions} decisions are shown; one of {told['every']} of the "
-        f"{len(recording.born):,} Gaussians is shown"
+    assert header["warning"] == (
+        f"{len(header['steps'])} of {decisions} decisions are shown; one of {header['every']} of the "
+        f"{len(recording.added):,} Gaussians is shown"
     )

@@ -49,7 +49,7 @@ def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list
     page.until("player.dirty === false")
     last = page.picture()
     assert (np.abs(first.astype(int) - last) > 20).mean() > 0.02
-    assert page.value("player.runs[0].scene.drawn") == len(recordings[0].born)
+    assert page.value("player.runs[0].scene.drawn") == len(recordings[0].added)
     # All at once, and decision by decision into a kept picture, look the same.
     page.value("player.to(1); 1")
     page.until("player.dirty === false")
@@ -70,8 +70,8 @@ def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list
     page.until("player.dirty === false")
     whole = page.picture()
     page.value("""(() => {
-        const run = player.runs[0], { born, died } = run.arrays;
-        for (let i = 0; i < born.length; i++) if (born[i] < player.end / 2) died[i] = player.end - 2;
+        const run = player.runs[0], { added, removed } = run.arrays;
+        for (let i = 0; i < added.length; i++) if (added[i] < player.end / 2) removed[i] = player.end - 2;
         run.scene.load(); player.usual = player.end; player.to(player.end);
     })()""")
     page.until("player.dirty === false")
@@ -91,13 +91,15 @@ def test_a_long_episode_is_drawn_as_a_short_one(page: Page, recordings: list[Rec
     """Frames of more than 16 bits: who is there at a moment does not depend on how many frames were paid before."""
     one, pictures = recordings[0], []
     moments = [replace(moment, frame=2000 * moment.frame) for moment in one.moments]
-    stayed = np.iinfo(np.int32).max
-    died = np.where(one.died == stayed, stayed, np.minimum(one.died, 10**6) * 2000).astype(np.int32)
-    died[::50] = moments[-2].frame
-    long = replace(one, moments=moments, born=2000 * one.born, died=died)
-    short_died = one.died.copy()
-    short_died[::50] = one.moments[-2].frame
-    for recording in (replace(one, died=short_died), long):
+    never_removed = np.iinfo(np.int32).max
+    removed = np.where(one.removed == never_removed, never_removed, np.minimum(one.removed, 10**6) * 2000).astype(
+        np.int32
+    )
+    removed[::50] = moments[-2].frame
+    long = replace(one, moments=moments, added=2000 * one.added, removed=removed)
+    short_removed = one.removed.copy()
+    short_removed[::50] = one.moments[-2].frame
+    for recording in (replace(one, removed=short_removed), long):
         assert (recording.moments[-1].frame > 65_535) == (recording is long)
         write_replay([recording], tmp_path / "replay.html")
         page.open((tmp_path / "replay.html").as_uri())
@@ -105,11 +107,11 @@ def test_a_long_episode_is_drawn_as_a_short_one(page: Page, recordings: list[Rec
         for moment in (recording.moments[1], recording.moments[-1]):
             page.value(f"player.to({moment.frame}); 1")
             page.until("player.dirty === false")
-            pictures.append((page.value(f"player.runs[0].scene.aliveAt({moment.frame})"), page.picture()[:, :700]))
-    for (alive, shown), (alive_long, shown_long) in zip(pictures[:2], pictures[2:]):
-        assert alive == alive_long > 0
+            pictures.append((page.value(f"player.runs[0].scene.countAt({moment.frame})"), page.picture()[:, :700]))
+    for (count, shown), (count_long, shown_long) in zip(pictures[:2], pictures[2:]):
+        assert count == count_long > 0
         assert (np.abs(shown.astype(int) - shown_long) > 20).mean() < 0.01
-    assert pictures[1][0] == len(one.born) - int((short_died <= one.moments[-1].frame).sum())
+    assert pictures[1][0] == len(one.added) - int((short_removed <= one.moments[-1].frame).sum())
     assert page.errors == []
 
 
@@ -121,7 +123,7 @@ def test_two_runs_share_a_clock_and_a_camera(page: Page, recordings: list[Record
     page.until("window.player && player.drawn > 0")
     page.value("player.to(player.end); 1")
     page.until("player.dirty === false")
-    assert page.value("player.runs.map((run) => run.scene.drawn)") == [len(one.born) for one in recordings]
+    assert page.value("player.runs.map((run) => run.scene.drawn)") == [len(one.added) for one in recordings]
     shown = page.picture()
     assert shown[100:300, 50:500].std() > 5 and shown[100:300, 650:1100].std() > 5
     assert page.errors == []

@@ -21,8 +21,8 @@ from activestructure_gym.evaluation.running.episode import run_job
 
 def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: list[Recording]) -> None:
     for run, recording in zip(finished, recordings):
-        assert recording.differs == ""
-        last = recording.gaussians[:, recording.died > 40]
+        assert recording.divergence == ""
+        last = recording.gaussians[:, recording.removed > 40]
         stored = run.gaussians.parameters[:, : run.gaussians.count]
         assert last.shape == stored.shape
         np.testing.assert_array_equal(last[:, np.lexsort(last)], stored[:, np.lexsort(stored)])
@@ -32,11 +32,11 @@ def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: l
 def test_everybody_is_born_with_a_keyframe_and_the_first_ones_come_first(recordings: list[Recording]) -> None:
     for recording in recordings:
         keyframes = recording.run.trajectory["keyframes"] + 1  # frames paid when each was taken
-        assert set(np.unique(recording.born)) <= set(keyframes.tolist())
-        assert (np.diff(recording.born) >= 0).all() and (recording.died > recording.born).all()
+        assert set(np.unique(recording.added)) <= set(keyframes.tolist())
+        assert (np.diff(recording.added) >= 0).all() and (recording.removed > recording.added).all()
         counts = {step["frames"]: step["gaussians"] for step in recording.run.steps}
         for frame, count in counts.items():
-            assert ((recording.born <= frame) & (recording.died > frame)).sum() == count
+            assert ((recording.added <= frame) & (recording.removed > frame)).sum() == count
 
 
 def test_a_moment_shows_what_there_was_to_decide_by(recordings: list[Recording]) -> None:
@@ -51,29 +51,28 @@ def test_a_moment_shows_what_there_was_to_decide_by(recordings: list[Recording])
         assert image.shape == (54, 96, 3) and image.std() > 5
     greedy = next(one for one in recordings if one.run.policy == "hole_area")
     aimless = next(one for one in recordings if one.run.policy == "random")
-    assert greedy.moments[0].worth.max() > 0 and np.isnan(aimless.moments[0].worth).all()
+    assert greedy.moments[0].scores.max() > 0 and np.isnan(aimless.moments[0].scores).all()
 
 
 def test_a_trajectory_that_was_followed_is_watched_without_choices(finished: list[Run], tmp_path: Path) -> None:
     job = replace(finished[0].job, policy=named_trajectory(f"trajectory:{finished[0].directory}"))
     run = run_job(job, tmp_path / "run")
     recording = play_again(run)
-    assert recording.differs == "" and {moment.row for moment in recording.moments} == {-1}
+    assert recording.divergence == "" and {moment.row for moment in recording.moments} == {-1}
     np.testing.assert_array_equal(recording.poses, finished[0].trajectory["world_from_camera"])
 
 
 @pytest.mark.slow
-def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_path: Path) -> None:
+def test_a_difference_from_the_stored_run_is_reported(finished: list[Run], tmp_path: Path) -> None:
     run = finished[0]
     shutil.copytree(run.directory, tmp_path / "run")
     changed = replace(run, directory=tmp_path / "run")
     changed.__dict__["steps"] = [{**step, "gaussians": step["gaussians"] + (n > 0)} for n, step in enumerate(run.steps)]
-    told = play_again(changed).differs
-    assert told.startswith("from decision 1 on this machine plays another episode")
-    with pytest.warns(InputWarning, match="the video of .* from decision 1 on this machine plays another episode"):
+    assert play_again(changed).divergence.startswith("the replay differs from the stored run from decision 1 on")
+    with pytest.warns(InputWarning, match="the video of .* differs from the stored run from decision 1 on"):
         write_video(changed, tmp_path / "run.mp4")
     changed.__dict__["steps"] = [*run.steps, {**run.steps[-1], "decision": len(run.steps)}]
-    assert play_again(changed).differs.endswith("the episode ends on this machine, and goes on in the run")
+    assert play_again(changed).divergence.endswith("but the stored run continues")
 
 
 def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run]) -> None:
@@ -83,13 +82,13 @@ def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run])
         return replace(run, job=replace(run.job, **changes))
 
     other = "tests.policies.test_native_settings:Bringer"
-    for told, what in (
+    for untrusted, what in (
         (with_job(scene="pathlib:Path"), "scene"),
         (with_job(policy=other, conditions=replace(run.job.conditions, setup="native")), "policy"),
         (with_job(conditions=Conditions(overrides={"views.stages": (("pathlib:Path",),)})), "candidate source"),
     ):
         with pytest.raises(InputError, match=f"config.json' names the {what} .* add --trust-code"):
-            play_again(told)
+            play_again(untrusted)
     # In the shared setup the actions are stored and the policy is not made: nothing of it is loaded.
     again = play_again(with_job(policy=other))
     np.testing.assert_array_equal(again.poses, run.trajectory["world_from_camera"])

@@ -25,7 +25,7 @@ def test_a_video_has_a_picture_for_every_keyframe(
     last = 20
     if ending == "webm":  # VP9 is slow to write
         last = 2
-        monkeypatch.setattr(video, "_LAST", last)
+        monkeypatch.setattr(video, "_LAST_REPEATS", last)
     assert main(["replay", str(run.directory), "--video", str(path)]) == 0
     keyframes = len(run.trajectory["keyframes"])
     assert f"run.{ending}: {(keyframes + last) / 10:.0f} s" in capsys.readouterr().out
@@ -60,15 +60,15 @@ def test_a_video_that_was_cut_off_is_found(tmp_path: Path, ending: str, codec: s
     for _ in range(30):
         writer.write(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     writer.release()
-    assert video.is_whole(path, 30) and not video.is_whole(path, 60)
+    assert video.is_complete(path, 30) and not video.is_complete(path, 60)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert not video.is_whole(path, 30)
+    assert not video.is_complete(path, 30)
 
 
 def test_a_video_without_room_takes_no_name(
     finished: list[Run], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(video, "_LAST", 1)
-    monkeypatch.setattr(video, "is_whole", lambda path, pictures: False)
+    monkeypatch.setattr(video, "_LAST_REPEATS", 1)
+    monkeypatch.setattr(video, "is_complete", lambda path, images: False)
     assert main(["replay", str(finished[0].directory), "--video", str(tmp_path / "run.mp4")]) == 1
     assert "cannot be written whole" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -36,6 +36,7 @@ READ = (
     "envs",
     "evaluation/cli",
     "evaluation/machine",
+    "evaluation/replay",
     "evaluation/reproduction",
     "policies/*.py",
 )

@@ -250,7 +250,7 @@ class TrajectoryEnv(ReconstructionEnv):
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Follow the next leg; terminates with the last one."""
-        self._turn.check_open("step")
+        self._access.check_open("step")
         legs = self.course.legs
         leg = legs[self._next] if self._next < len(legs) else PathSegment(self.course.poses[:0], ())
         self._next += 1

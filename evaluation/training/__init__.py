@@ -1,21 +1,22 @@
-"""Training learned policies: worlds that differ in every episode, an expert who knows the truth, and three methods.
+"""Train learned policies on procedural layouts, from an expert with ground truth or by reinforcement learning.
 
-Here, and not beside the policies, because training needs what a policy must never touch: environments, scenes, the
-true surface. What leaves this room is a checkpoint, which `activestructure_gym.policies.learned` turns into a policy.
+Training needs environments, scenes and the true surface, which policies must not import; therefore it is a room of its
+own. Its result is a checkpoint, which `activestructure_gym.policies.learned` loads as a policy.
 
-    config.py          what decides a training run
-    layouts.py         which procedural layouts train, validate and test; they share none
-    world.py           the env of an episode: layout, start, sensor noise drawn from the seed
-    oracle.py          the truth: newly seen surface per candidate; labels and a reference, never an observation
-    playing.py         one episode of anybody, and the area under its coverage
-    demonstrations.py  episodes of an expert with the labels of every candidate
-    targets.py         soft labels, and ordinal bins with equal mass
-    mirror.py          the same states with left and right exchanged
-    supervised.py      behaviour cloning and ranking
-    reinforcement.py   PPO
-    validation.py      scores on layouts never trained on, normalised between random and the oracle
-    runs.py            a run's directory: checkpoints, log, resuming
-    curve.py           its log as a picture
-    timing.py          how long what took
-    scoring.py         the final table, with intervals
+- ``config``: configuration of a training run
+- ``layouts``: disjoint sets of procedural layouts for training, validation and test
+- ``training_env``: the environment of an episode: layout, start and sensor noise are drawn from the seed
+- ``oracle``: newly seen surface per candidate from ground truth, for labels and a reference
+- ``rollout``: one episode of any policy, and the area under its coverage curve
+- ``demonstrations``: episodes of an expert, with its scores of every candidate
+- ``targets``: soft labels, and ordinal bins of equal mass
+- ``mirror``: data augmentation by reflection
+- ``supervised``: behaviour cloning and ranking
+- ``reinforcement``: PPO
+- ``validation``: scores on validation layouts, normalised between random and the oracle
+- ``runs``: directory of a run: checkpoints, log, resuming
+- ``curve``: chart of the log
+- ``stopwatch``: seconds of each part of a run
+- ``process_pool``: spawned processes with one thread each
+- ``scoring``: table of coverage on held-out episodes, with intervals
 """

@@ -1,4 +1,4 @@
-"""Configuration of a training run; equal configurations train equal networks on one machine."""
+"""Define the configuration of a training run; equal configurations train equal networks on one machine."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 Method = Literal["bc", "rank", "ppo"]
 Reward = Literal["rate", "auc", "env"]
-ORACLE = "oracle"  # the teacher who knows the truth of a view
-ORACLE_WAY = "oracle-way"  # and of the way to it
+ORACLE = "oracle"  # expert with the true new surface of a view
+ORACLE_WAY = "oracle-way"  # expert with the true new surface along the path to a view
 WITH_TRUTH = (ORACLE, ORACLE_WAY)
 _WORLD_RANGES = {
     "layouts": "[1, 1000000]",
@@ -28,7 +28,7 @@ _WORLD_RANGES = {
     "episodes_per_layout": "[1, 100000]",
 }
 _RANGES = {
-    "seed": "[0, 4294967295]",  # what every library takes
+    "seed": "[0, 4294967295]",  # range that all libraries accept
     **dict.fromkeys(("validation_layouts", "episodes"), "[1, 1000000]"),
     **dict.fromkeys(("validate_every", "epochs", "iterations", "ppo_epochs"), "[1, 10000000]"),
     **dict.fromkeys(("batch", "ppo_batch", "steps"), "[1, 1000000]"),
@@ -45,17 +45,17 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """The episodes that are learnt from."""
+    """Hold the settings of the training episodes."""
 
-    layouts: int = 240  # procedural apartments; GenNBV's main finding is that their number matters most
-    rooms: tuple[int, ...] = (1, 2, 3)  # of the layouts, in turn
+    layouts: int = 240  # procedural apartments; by GenNBV their number matters most
+    rooms: tuple[int, ...] = (1, 2, 3)  # rooms per layout, in turn
     preset: Preset = "fast"
     frames: int | None = None  # frame budget; None = the preset's
-    overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
-    features: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told
+    overrides: tuple[tuple[str, Any], ...] = ()  # changes of the preset's fields
+    features: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the network reads
     max_planes: int = 64
-    noise: bool = True  # sensor noise, another one in every episode
-    episodes_per_layout: int = 2  # of the expert, in a row; PPO keeps a layout for one iteration of one env
+    noise: bool = True  # sensor noise, drawn anew in every episode
+    episodes_per_layout: int = 2  # consecutive episodes of the expert; in PPO an env has one layout per iteration
     reward: Reward = "rate"
 
     def __post_init__(self) -> None:
@@ -74,43 +74,43 @@ class WorldConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """A method, its world and its constants. Wrong values raise `InputError`."""
+    """Hold the method, its world and its constants; raise `InputError` for wrong values."""
 
     method: Method = "bc"
     seed: int = 0
     world: WorldConfig = field(default_factory=WorldConfig)
-    planes: int = 32  # sizes of the network, see NetworkConfig
+    planes: int = 32  # this and the next three: see NetworkConfig
     candidates: int = 48
     rounds: int = 2
     use_planes: bool = True
     validation_layouts: int = 36  # one episode on each
     validate_every: int = 10  # epochs, or PPO iterations
-    # Learning from an expert.
-    teacher: str = ORACLE  # one of WITH_TRUTH, or the feature a greedy expert goes by
-    episodes: int = 480  # of the expert
-    explore: float = 0.25  # share of the expert's steps that are drawn at random, so that its mistakes are seen too
-    # Of the soft labels, in shares of the best candidate's score. What PPO begins from draws from these probabilities:
-    # at .04 a view with 9/10 of the best one's score is drawn a twelfth as often.
+    # Methods that learn from an expert:
+    teacher: str = ORACLE  # one of WITH_TRUTH, or the feature that a greedy expert maximises
+    episodes: int = 480  # episodes of the expert
+    explore: float = 0.25  # share of steps with a random action, so that states off the expert's path are in the data
+    # Temperature of the soft labels, relative to the best candidate's score. At 0.04 a view with 9/10 of the best score
+    # has a twelfth of its probability. PPO that starts from such a checkpoint draws its actions so.
     temperature: float = 0.04
-    mirror: bool = True  # half of the states, drawn anew in every epoch, are shown as in a mirror
+    mirror: bool = True  # reflect half of the states, drawn anew in every epoch
     weight_decay: float = 1e-4
-    bins: int = 15  # of the ordinal targets (VIN-NBV)
+    bins: int = 15  # bins of the ordinal targets (VIN-NBV)
     epochs: int = 60
     batch: int = 64  # states
-    # PPO; constants of docs/notebook/groundwork.md, "Networks over candidates", where nothing else is said.
+    # PPO; constants without a comment are from docs/notebook/groundwork.md, "Networks over candidates":
     iterations: int = 40
-    envs: int = 8  # as many layouts per iteration; none waits long while another builds its own
+    envs: int = 8  # environments, each with one layout per iteration
     steps: int = 128  # per env and iteration
     ppo_epochs: int = 4
-    ppo_batch: int = 256  # small ones are mostly noise
-    gamma: float = 0.3  # close-greedy (Hestia): far rewards are credited to the wrong view
+    ppo_batch: int = 256  # steps; gradients of small batches are mostly noise
+    gamma: float = 0.3  # nearly greedy, after Hestia: with more, later rewards are credited to the wrong view
     gae_lambda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003
     target_kl: float = 0.05
-    critic_first: int = 2  # iterations in which only the critic learns, where a checkpoint is begun from
-    learning_rate: float | None = None  # None: 1e-3; 5e-5 for PPO from a checkpoint, 3e-4 from nothing
-    start: str | None = None  # checkpoint to begin from, with its content: FILE@1a2b3c4d
+    critic_first: int = 2  # first iterations, in which only the critic learns if PPO starts from a checkpoint
+    learning_rate: float | None = None  # None: 1e-3; for PPO 5e-5 from a checkpoint, else 3e-4
+    start: str | None = None  # checkpoint to start PPO from, with its checksum: FILE@1a2b3c4d
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -124,7 +124,7 @@ class TrainingConfig:
         self._network(self.world.features)
 
     def network(self) -> NetworkConfig:
-        """The shape of the network, with an input for every column of the features it is told."""
+        """Return the shape of the network, with an input for every column of its features."""
         return self._network(feature_columns(*self.world.features))
 
     def _network(self, features: tuple[str, ...]) -> NetworkConfig:
@@ -132,25 +132,25 @@ class TrainingConfig:
 
     @property
     def rate(self) -> float:
-        """The learning rate in use."""
+        """Return the learning rate in use."""
         if self.learning_rate is not None:
             return self.learning_rate
         return 1e-3 if self.method != "ppo" else 5e-5 if self.start else 3e-4
 
     @property
     def units(self) -> int:
-        """Epochs, or PPO iterations."""
+        """Return the number of epochs, or of PPO iterations."""
         return self.iterations if self.method == "ppo" else self.epochs
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values for JSON."""
         content = dataclasses.asdict(self)
         content["world"]["overrides"] = dict(self.world.overrides)
         return content
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> TrainingConfig:
-        """The configuration that `as_dict` described; raises `InputError` for anything else."""
+        """Return the configuration that `as_dict` described; raise `InputError` for other content."""
         values = dict(content)
         world = values.pop("world", None)
         for part, kind, given in (("run", cls, values), ("world", WorldConfig, world)):
@@ -174,5 +174,5 @@ def _check_kinds(config: Any, *, texts: Sequence[str], flags: Sequence[str]) -> 
 
 
 def _fixed(value: Any) -> Any:
-    """Lists as tuples, as JSON does not tell them apart."""
+    """Return lists as tuples, since JSON has no tuples."""
     return tuple(map(_fixed, value)) if isinstance(value, list | tuple) else value

@@ -1,4 +1,4 @@
-"""The picture of a run's log: what it learns from, and how good it is on layouts it was never trained on."""
+"""Draw the log of a training run: training loss or reward, and validation score."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _VALIDATION = ("validation/normalised", "validation: 0 = random, 1 = oracle")
 
 
 def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | None:
-    """A run's log as an SVG file with two charts, or None where nothing can be drawn yet."""
+    """Return an SVG file with two charts of a run's log, or None if no row has a number to draw."""
     unit = "iteration" if method == "ppo" else "epoch"
     charts, names = [], []
     for index, (key, label) in enumerate((_TRAINING.get(method, _LOSS), _VALIDATION)):
@@ -26,7 +26,7 @@ def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | N
             continue
         x, y = np.array(points, np.float64).T
         name = "validation" if key.startswith("validation/") else "training"
-        holds = (0.0, 1.0) if name == "validation" else ()  # or a hundredth looks like a cliff
+        holds = (0.0, 1.0) if name == "validation" else ()  # a fixed range, or small changes look large
         line = Line(name, index, x, y)
         charts.append(line_chart([line], title=f"{method}: {label}", x_label=unit, y_label=label, holds=holds))
         names.append(name)

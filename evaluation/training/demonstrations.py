@@ -1,7 +1,7 @@
-"""Episodes of an expert, with the expert's gain of every candidate in every state: what bc and rank learn from.
+"""Collect and load demonstrations: episodes of an expert with its scores of every candidate in every state.
 
-One file per layout, written at once, so that collecting goes on where it was stopped. What a file holds depends on the
-configuration and its number alone, not on how many processes collect.
+The methods bc and rank learn from them. There is one file per layout, written atomically, so that collecting can be
+resumed. The content of a file depends only on the configuration and the file's number.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ _DESCRIPTION = "demonstrations.json"
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """States in the order they were visited, episode after episode."""
+    """Hold states in the order of their visit, episode after episode."""
 
     observations: dict[str, np.ndarray]  # every entry of USED_KEYS, [N, ...]
-    scores: np.ndarray  # [N, K] the expert's, 0 or more; 0 in rows without a candidate
-    rewards: np.ndarray  # [N] of the step that was taken
+    scores: np.ndarray  # [N, K] scores of the expert, at least 0; 0 in rows without a candidate
+    rewards: np.ndarray  # [N] reward of the step from this state
     ends: np.ndarray  # [N] bool: the last state of its episode
 
     def __len__(self) -> int:
         return len(self.scores)
 
     def returns(self, gamma: float) -> np.ndarray:  # [N]
-        """Discounted sums of rewards to the end of each episode."""
+        """Return the discounted sums of rewards to the end of each episode."""
         result, following = np.zeros(len(self.rewards)), 0.0
         for n in range(len(self.rewards) - 1, -1, -1):
             following = self.rewards[n] + gamma * (0.0 if self.ends[n] else following)
@@ -62,7 +62,7 @@ class Demonstrations:
 
 
 def description(config: TrainingConfig) -> dict[str, Any]:
-    """The settings that the demonstrations depend on."""
+    """Return the settings that the demonstrations depend on."""
     whole = config.as_dict()
     return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
 
@@ -70,11 +70,10 @@ def description(config: TrainingConfig) -> dict[str, Any]:
 def collect(
     config: TrainingConfig, directory: Path, *, workers: int = 1, tell: Callable[[int, int], None] = lambda *_: None
 ) -> int:
-    """Fill ``directory``; files that are there already are kept. ``tell`` hears how many of how many files there are.
+    """Write the missing files of ``directory`` and return their number.
 
-    Returns how many were missing.
-
-    Raises `InputError` if the directory holds demonstrations made otherwise.
+    ``tell`` is called with the numbers of existing files and of all files. Raises `InputError` if the directory holds
+    demonstrations of other settings.
     """
     directory.mkdir(parents=True, exist_ok=True)
     check_description(config, directory)
@@ -88,7 +87,7 @@ def collect(
 
 
 def check_description(config: TrainingConfig, directory: Path) -> None:
-    """Raise `InputError` if ``directory`` holds demonstrations made otherwise."""
+    """Raise `InputError` if ``directory`` holds demonstrations of other settings."""
     if not (directory / _DESCRIPTION).is_file():
         return
     file = directory / _DESCRIPTION
@@ -102,7 +101,7 @@ def check_description(config: TrainingConfig, directory: Path) -> None:
 
 
 def load(config: TrainingConfig, directory: Path) -> Demonstrations:
-    """All of them; raises `InputError` if some are missing or others are there."""
+    """Load all files; raise `InputError` if a file is missing or made with other settings."""
     check_description(config, directory)
     numbers = range(-(-config.episodes // config.world.episodes_per_layout))
     missing = [number for number in numbers if not _file(directory, number).is_file()]
@@ -117,7 +116,7 @@ def load(config: TrainingConfig, directory: Path) -> Demonstrations:
 
 
 def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
-    """The content of a file; raises `InputError` where it cannot be what `record` gave."""
+    """Return the arrays of a file; raise `InputError` if `record` cannot have written them."""
     try:
         arrays = read_npz(file)
         check_arrays(arrays, _layout(config))
@@ -129,7 +128,7 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
-    """Every array of a file: N states, K rows of candidates, of planes as many as the world has."""
+    """Return the schema of a file's arrays: N states, K rows of candidates, and ``max_planes`` planes."""
     planes, features, columns = config.world.max_planes, len(config.network().features), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
         "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_COLUMNS)),
@@ -143,7 +142,7 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
-    """The content of file ``number``: the episodes of the expert on one layout."""
+    """Play the expert's episodes on one layout and return the arrays of file ``number``."""
     world = config.world
     extra = () if config.teacher in WITH_TRUTH else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.features, *extra))
@@ -167,7 +166,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    told = config.network().features
+    columns = config.network().features
     for _ in range(STARTS):
         if observation["action_mask"].any():
             break
@@ -180,7 +179,7 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         action = drawn if explores else expert_choice(scores, observation)
         state = {key: observation[key] for key in USED_KEYS}
         candidates = Candidates(observation, env.config.features)
-        state["candidate_features"] = np.stack([candidates[name] for name in told], axis=1)
+        state["candidate_features"] = np.stack([candidates[name] for name in columns], axis=1)
         before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated

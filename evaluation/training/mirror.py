@@ -1,4 +1,4 @@
-"""Data augmentation by mirroring: an observation and its mirror image have the same values of views."""
+"""Augment data by reflection: views have the same values in an observation and in its mirror image."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 
 
 def mirrored(observation: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
-    """The states [B] that ``which`` [B] bool names, reflected in the plane y = 0 of the world; the others as they are.
+    """Reflect the states selected by ``which`` [B] bool in the plane y = 0 of the world; return all B states.
 
-    A reflected camera is one again if its image's x axis is reflected too: S R diag(-1, 1, 1) with S = diag(1, -1, 1),
-    whose quaternion is (z, y, x, w) of R's (w, x, y, z). In the camera's heading frame every y changes its sign, and
-    nothing else does: who sees what, for how many frames and which gain, is the same.
+    The image's x axis is reflected too, so that the camera keeps a proper rotation: S R diag(-1, 1, 1) with
+    S = diag(1, -1, 1), whose quaternion is (z, y, x, w) of R's (w, x, y, z). In the camera's heading frame every y
+    changes its sign. Features, costs and visibility do not change.
     """
     result, flip = dict(observation), which[:, None]
     pose = observation["pose"]

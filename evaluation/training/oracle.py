@@ -1,7 +1,7 @@
-"""The one-step oracle: how much unseen surface every candidate would show, from ground truth.
+"""Compute the one-step oracle: the unseen surface that every candidate would show, from ground truth.
 
-For labels to learn from, and for a reference beyond which no one-step planner can go. It looks at the scene, so it is
-no policy: nothing here is registered, and nothing of it reaches an observation.
+It gives labels for training, and an upper bound for one-step planners. Since it reads ground truth, it is not
+registered as a policy, and no observation contains its results.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from activestructure_gym.policies import travel_discount
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.candidates import Candidates
 
-_SAMPLES = 4000  # of the observable surface, spread evenly: a thousandth of it still shows as 4
-_SIGHT_MARGIN = 2e-3  # metres before a sample that a line of sight spares, as for the observable surface itself
-_NOTHING = 1e-6  # gains below are equal: then the nearest is chosen
+_SAMPLES = 4000  # evenly spread samples of the observable surface; 4 samples are a thousandth of it
+_SIGHT_MARGIN = 2e-3  # metres before a sample at which a ray ends, as for the observable surface itself
+_NOTHING = 1e-6  # below this score the nearest candidate is chosen
 
 
 def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observable surface, 0 in empty rows
-    """The share of the observable surface that no keyframe has seen yet and that a view from the candidate shows.
+    """Return the share of the observable surface that a view from each candidate would show for the first time.
 
-    From the candidate's pose alone, without what is seen on the way there, by exact lines of sight and without noise.
-    Changes no state.
+    Views on the path to the candidate are not counted. Visibility is exact and has no sensor noise. Changes no state.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     poses = reconstruction.candidates.world_from_camera
@@ -51,26 +50,26 @@ def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observ
     return found
 
 
-def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per frame paid, 0 in empty rows
-    """The same share that the keyframes of the way to each candidate would show, its end among them, per frame paid.
+def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per frame, 0 in empty rows
+    """Return the share of the observable surface that the keyframes on the path to each candidate add, per frame.
 
-    The way as it would be planned now. Changes no state.
+    The path is planned in the current volume, and its last keyframe is the candidate. Changes no state.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     sensor, found = reconstruction.config.sensor, np.zeros(env.action_space.n)
     if not len(unseen):
         return found
-    ways = reconstruction.agent.paths(reconstruction.volume, reconstruction.candidates.world_from_camera)
-    for row, way in enumerate(ways):
-        if way is not None:
-            path = CameraPath(sensor.camera, way.keyframes[0], way.keyframes, sensor.max_range)
-            seen = seen_by_keyframes(unseen, path, reconstruction.scene, _SIGHT_MARGIN)
-            found[row] = seen.sum() / of_all / max(way.frames, 1)
+    paths = reconstruction.agent.paths(reconstruction.volume, reconstruction.candidates.world_from_camera)
+    for row, path in enumerate(paths):
+        if path is not None:
+            cameras = CameraPath(sensor.camera, path.keyframes[0], path.keyframes, sensor.max_range)
+            seen = seen_by_keyframes(unseen, cameras, reconstruction.scene, _SIGHT_MARGIN)
+            found[row] = seen.sum() / of_all / max(path.frames, 1)
     return found
 
 
 def _unseen(env: ReconstructionEnv) -> tuple[np.ndarray, int]:  # [U, 3]
-    """Samples of the observable surface that no keyframe has seen yet, and of how many."""
+    """Return the samples of the observable surface that no keyframe has seen, and the number of all samples."""
     coverage = env.coverage
     step = max(1, len(coverage.points) // _SAMPLES)
     sampled = np.asarray(coverage.points[::step], np.float64)
@@ -78,10 +77,10 @@ def _unseen(env: ReconstructionEnv) -> tuple[np.ndarray, int]:  # [U, 3]
 
 
 def expert_scores(teacher: str, env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K] >= 0
-    """What an expert goes by; 0 in rows without a candidate.
+    """Return an expert's scores of all candidates; 0 in rows without a candidate.
 
-    The true new surface of the way per frame for "oracle-way"; else the gain times the travel discount that all greedy
-    planners share, with the true new surface of the view as the gain of "oracle" and the feature of that name else.
+    For "oracle-way" the score is the true new surface along the path, per frame. For "oracle" it is the true new
+    surface of the view, and for the name of a feature that feature, times the travel discount of all greedy planners.
     """
     if teacher == ORACLE_WAY:
         return newly_seen_per_frame(env)
@@ -92,15 +91,15 @@ def expert_scores(teacher: str, env: ReconstructionEnv, observation: dict[str, n
 
 
 def discounted(gain: np.ndarray, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K] >= 0
-    """Gain times the travel discount; 0 in rows without a candidate."""
+    """Return the gain times the travel discount; 0 in rows without a candidate."""
     return np.maximum(gain, 0.0) * travel_discount(observation) * Candidates(observation).valid
 
 
 def expert_choice(scores: np.ndarray, observation: dict[str, np.ndarray]) -> int:
-    """The row with the highest score; the nearest where there is nothing to gain."""
+    """Return the row with the highest score, or the nearest candidate if no score is above 0."""
     return best_valid(np.maximum(scores, _NOTHING * travel_discount(observation)), observation)
 
 
 def oracle_greedy(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
-    """The reference: the expert who goes by the true new surface of a view."""
+    """Return the choice of the reference policy: the "oracle" expert's best candidate."""
     return expert_choice(expert_scores(ORACLE, env, observation), observation)

@@ -1,4 +1,4 @@
-"""Calls spread over spawned processes of one thread each, which end when this process does."""
+"""Spread calls over spawned processes of one thread each, which end with this process."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 
 def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
-    """Make all calls, here for one worker, else in as many processes; yields how many are made. Errors are raised.
+    """Make all calls in ``workers`` processes, or in this one if ``workers`` is 1; yield the number of finished calls.
 
-    After an error, Ctrl-C included, no call is played to its end: what they write are whole files or none.
+    The first error, or Ctrl-C, ends all processes at once and is raised; calls must write their files atomically.
     """
     if workers <= 1 or len(calls) <= 1:
         for done, call in enumerate(calls, start=1):
@@ -27,7 +27,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             yield done
         return
     with single_threaded_children():
-        # Never forked: a child forked from a process that used numba's or torch's threads hangs.
+        # A child forked from a process that used threads of numba or torch would hang, so processes are spawned.
         pool = ProcessPoolExecutor(min(workers, len(calls)), get_context("spawn"), initializer=follow_parent)
         try:
             waiting = [pool.submit(function, *call) for call in calls]
@@ -39,8 +39,8 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
                 "a worker process was killed, perhaps because memory ran out: use fewer --workers"
             ) from error
         except BaseException:
-            # Those that wait in the pool's own queue cannot be cancelled, and would be made, too.
-            for process in list(pool._processes.values()):  # which has no other name before Python 3.14
+            # Calls in the pool's queue cannot be cancelled, so its processes are ended.
+            for process in list(pool._processes.values()):  # public only from Python 3.14 on
                 process.terminate()
             raise
         finally:
@@ -49,7 +49,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
 
 @contextmanager
 def single_threaded_children() -> Iterator[None]:
-    """Processes that are started in the block use one thread each; libraries read that from their environment."""
+    """Set the environment so that processes started in the block use one thread each."""
     before = dict(os.environ)
     os.environ.update(capped_environment(1))
     try:
@@ -60,16 +60,16 @@ def single_threaded_children() -> Iterator[None]:
 
 
 def one_thread() -> None:
-    """OpenCV reads no environment variable: it is told, in every process."""
+    """Limit OpenCV to one thread in this process; it reads no environment variable."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def follow_parent() -> None:
-    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers.
+    """End this process when its parent ends, and leave Ctrl-C to the parent.
 
-    Ctrl-C, which every process of a terminal gets, is the parent's.
+    The pool itself does not notice a killed parent, since its workers keep its pipes open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
@@ -80,4 +80,4 @@ def follow_parent() -> None:
 
 def _end_with(parent: Any) -> None:
     parent.join()
-    os._exit(1)  # nobody waits for the result
+    os._exit(1)  # without cleaning up

@@ -1,8 +1,8 @@
-"""PPO of stable-baselines3 in iterations that each depend on the seed, their number and the weights alone.
+"""Train with PPO of stable-baselines3, in iterations that depend only on the seed, their number and the weights.
 
-Every iteration begins with fresh episodes, each env on a layout of its own; all layouts come once before any comes
-again. An episode that is under way cannot be kept in a file, and this way none has to be: what a killed run loses is
-one iteration, which is done again exactly. The price is the rest of one episode per env and iteration.
+Every iteration begins with new episodes, each env on a layout of its own; every layout is used once before any is used
+again. A running episode cannot be saved, and with new episodes it need not be: a killed run loses one iteration, which
+is repeated exactly. The cost is one unfinished episode per env and iteration.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 
 
 def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
-    """The envs in this process, or each in a spawned one of its own; which of both changes no result."""
-    # Never forked: a child forked from a process that used numba's or torch's threads hangs.
+    """Return the envs in this process, or each in its own spawned process; both give equal results."""
+    # A child forked from a process that used threads of numba or torch would hang, so processes are spawned.
     if processes:
         return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method="spawn")
     return DummyVecEnv(list(makers))
 
 
 def in_its_own_process(make: MakeEnv) -> gym.Env[Any, Any]:
-    """The env, in a process that leaves Ctrl-C, which all of a terminal get, to its parent."""
+    """Return the env, in a process that ignores Ctrl-C, which its parent handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return on_one_thread(make)
 
 
 def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
-    """The env, in a process that uses one thread."""
+    """Return the env, after limiting this process to one thread."""
     one_thread()
     return make()
 
@@ -60,7 +60,7 @@ def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
 def train_ppo(
     config: TrainingConfig, envs: VecEnv, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
 ) -> CandidateNetwork:
-    """Train to the last iteration, from wherever the run is; returns the network as it is then."""
+    """Train from the run's position to the last iteration; return the network."""
     torch.manual_seed(config.seed)
     model = PPO(
         CandidatePolicy,
@@ -86,7 +86,7 @@ def train_ppo(
         from activestructure_gym.policies.learned import learned_from
 
         policy.begin_from(learned_from(config.start).checkpoint)
-        # What it begins from counts: fine-tuning that only makes it worse must not replace it.
+        # The start checkpoint is validated too: fine-tuning replaces it only by a better one.
         run.timing.switch("validating")
         row = dict(validate(policy.network))
         run.begin_with(row, policy.network)
@@ -100,7 +100,7 @@ def train_ppo(
         envs.set_options([{"layout": int(number)} for number in numbers])
         model.num_timesteps = iteration * config.envs * config.steps
         model._n_updates = iteration * config.ppo_epochs
-        model._last_obs = None  # makes stable-baselines3 reset the envs, with the seeds just given
+        model._last_obs = None  # makes stable-baselines3 reset the envs with the seeds above
         _let_learn(policy.network, critic_only=config.start is not None and iteration < config.critic_first)
         steps, watch = config.envs * config.steps, _Watch(run.timing)
         run.timing.switch("collecting")
@@ -116,7 +116,7 @@ def train_ppo(
 
 
 class _Watch(BaseCallback):
-    """Tells apart how long collecting and updating take."""
+    """Switch the stopwatch from collecting to updating at the end of a rollout."""
 
     def __init__(self, timing: Timing) -> None:
         super().__init__()
@@ -130,7 +130,7 @@ class _Watch(BaseCallback):
 
 
 def _seed_everything(seed: int, iteration: int, envs: VecEnv) -> None:
-    """Stable-baselines3 draws actions from torch's global generator and batches from numpy's."""
+    """Seed the envs and the global generators: stable-baselines3 draws actions by torch and batches by numpy."""
     one, two, three, four = (int(n) for n in np.random.SeedSequence([seed, iteration]).generate_state(4))
     random.seed(one)
     np.random.seed(two)  # noqa: NPY002
@@ -144,7 +144,7 @@ def _let_learn(network: CandidateNetwork, *, critic_only: bool) -> None:
 
 
 def _row(model: PPO) -> dict[str, float]:
-    """Stable-baselines3's own numbers, and the rewards of the iteration."""
+    """Return the numbers that stable-baselines3 logs, and the rewards of the iteration."""
     row = {name: float(value) for name, value in model.logger.name_to_value.items() if name.startswith("train/")}
     model.logger.name_to_value.clear()
     rewards, starts = model.rollout_buffer.rewards, model.rollout_buffer.episode_starts
@@ -156,7 +156,7 @@ def _row(model: PPO) -> dict[str, float]:
 
 
 def whole_episodes(rewards: np.ndarray, starts: np.ndarray) -> tuple[float, float] | None:  # both [steps, envs]
-    """Mean reward and steps of the episodes that ended before the iteration did, or None if none has."""
+    """Return mean reward and steps of the episodes that ended in the iteration, or None if none ended."""
     totals, lengths = list[float](), list[int]()
     for earned, begins in zip(rewards.T, starts.T):
         bounds = np.flatnonzero(begins)

@@ -1,4 +1,4 @@
-"""One episode of anybody who chooses, and the area under its coverage. Quick: no map is measured."""
+"""Play one episode of a policy or the oracle and compute the area under its coverage curve; no map is measured."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Choose = Callable[[ReconstructionEnv, dict[str, np.ndarray]], int]
 
 @dataclass(frozen=True)
 class Played:
-    """Coverage over the frames paid."""
+    """Hold the coverage curve of an episode over the frames spent."""
 
-    frames: tuple[int, ...]  # after the start and after every step
+    frames: tuple[int, ...]  # frames spent after the start and after every step
     coverage: tuple[float, ...]  # share of the observable surface, 0..1
     budget: int
 
     @property
     def auc(self) -> float:
-        """Mean coverage over the frame budget, 0..1."""
+        """Return the mean coverage over the frame budget, 0..1."""
         return area_under(np.array(self.frames, np.float64), np.array(self.coverage), self.budget)
 
 
 def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None = None) -> Played:
-    """One whole episode, from the pose ``start`` [4, 4] or one that is drawn."""
+    """Play one whole episode from the pose ``start`` [4, 4], or from a pose drawn by ``seed``."""
     observation, info = env.reset(seed=seed, options=None if start is None else {"start_pose": start})
     frames, coverage = [int(info["frames"])], [env.coverage.share]
     ended = not observation["action_mask"].any()
@@ -48,7 +48,7 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | 
 def play_policy(
     world: WorldConfig, truth: GroundTruth, policy: Policy, seed: int, start: np.ndarray | None = None
 ) -> Played:
-    """One episode of a policy, without sensor noise."""
+    """Play one episode of a policy, without sensor noise."""
     env = make_env(world, truth, features=policy.required_features)
     policy.bind(env.config.features)
     policy.reset(seed)
@@ -56,15 +56,15 @@ def play_policy(
 
 
 def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:
-    """One episode of the reference that sees the truth."""
+    """Play one episode of the one-step oracle."""
     return _closed(make_env(world, truth, features=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:
-    """(mean - mean of random) / (mean of oracle - mean of random): 0 is random, 1 is the one-step oracle.
+    """Return (mean - mean of random) / (mean of oracle - mean of random): 0 is random, 1 is the one-step oracle.
 
-    A ratio of means over the same episodes, since that of a single episode may divide by almost nothing; NaN where
-    the two references are equal.
+    It is a ratio of means over the same episodes, since the denominator of a single episode may be almost 0. It is NaN
+    if the means of the two references are equal.
     """
     floor, ceiling = float(np.mean(random)), float(np.mean(oracle))
     return (float(np.mean(values)) - floor) / (ceiling - floor) if ceiling != floor else float("nan")

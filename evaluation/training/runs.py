@@ -1,18 +1,18 @@
-"""The directory of a training run::
+"""Read and write the directory of a training run.
 
-    config.json              what was asked for, with versions and machine
-    state.safetensors        weights, optimiser and how far the run is, in one file that is replaced at once
-    best.safetensors, .json  the checkpoint with the best validation so far: `learned:DIRECTORY` is this one
-    last.safetensors, .json  the checkpoint of the last unit, written when the run has ended
-    log.jsonl                one line per unit (epoch or PPO iteration), unit 0 is what PPO began from; no clock in it
-    curve.svg                the log as a picture
-    timing.json              how long what took, and on which machine
-    tensorboard/             the same for TensorBoard, where it is installed
-    demonstrations/          what bc and rank learn from
-    references.json          random and oracle on the validation layouts
+- ``config.json``: configuration, versions and machine
+- ``state.safetensors``: weights, optimiser and position; replaced atomically
+- ``best.safetensors``, ``best.json``: checkpoint with the best validation score, loaded by `learned:DIRECTORY`
+- ``last.safetensors``, ``last.json``: checkpoint of the last unit, written at the end
+- ``log.jsonl``: one line per unit (epoch or PPO iteration), without times; unit 0 is the start of PPO
+- ``curve.svg``: chart of the log
+- ``timing.json``: seconds of each part of the run, and the machine
+- ``tensorboard/``: the log for TensorBoard, if it is installed
+- ``demonstrations/``: training data of bc and rank
+- ``references.json``: scores of random and the oracle on the validation layouts
 
-A unit's random numbers depend on the seed and its number alone, and its log line is written before its state. So a run
-that was killed at any moment and resumed ends with the same weights and the same log as one that was not.
+The random numbers of a unit depend only on the seed and the unit's number. Its log line is written before its state.
+Therefore a run that was killed and resumed ends with the same weights and the same log as an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ LOG = "log.jsonl"
 CURVE = "curve.svg"
 TIMING = "timing.json"
 BEST, LAST = "best.safetensors", "last.safetensors"
-SCORE = "validation/auc"  # what decides which checkpoint is the best
+SCORE = "validation/auc"  # number that selects the best checkpoint
 _META = "training"
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of Adam and of AdamW
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # state of Adam and AdamW per parameter
 _MAX_STATE_BYTES = 3 * MAX_WEIGHT_BYTES  # bytes: the weights and two moments of each
 _BEGIN_AGAIN = "begin the run again in another --out"
 _ROW = table({"unit": number(0, whole=True)}, others=maybe(number()))
@@ -59,7 +59,7 @@ _STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number())
 
 
 def read_config(directory: Path) -> TrainingConfig:
-    """The configuration a run was begun with; raises `InputError` where there is none, or none that runs no code."""
+    """Return the configuration of a run; raise `InputError` if it is missing, damaged, or names code without trust."""
     file = directory / CONFIG
     if not file.exists():
         raise InputError(f"'{directory}' holds no training run to go on with: it has no {CONFIG}")
@@ -76,13 +76,13 @@ def read_config(directory: Path) -> TrainingConfig:
 
 
 class TrainingRun:
-    """A run's directory, opened at its beginning or where it was stopped. Hold the directory while it is open."""
+    """Open the directory of a new or a stopped run. The caller must hold the lock of the directory meanwhile."""
 
     def __init__(self, directory: Path, config: TrainingConfig) -> None:
         directory.mkdir(parents=True, exist_ok=True)
         refuse_links(directory, _TENSORBOARD)
         self.directory, self.config = directory, config
-        self.position = 0  # units done
+        self.position = 0  # finished units
         self.best: float | None = None
         self.facts: dict[str, Any] = {}  # further counters of the method
         self._tensors: dict[str, torch.Tensor] = {}
@@ -99,11 +99,11 @@ class TrainingRun:
 
     @property
     def tensors(self) -> dict[str, torch.Tensor]:
-        """The tensors of the last `save`; empty at the beginning."""
+        """Return the tensors of the last saved state; empty in a new run."""
         return self._tensors
 
     def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
-        """Bring both to where the run was left; raises `InputError` where the state is not theirs."""
+        """Load the saved state into module and optimiser; raise `InputError` if it does not fit them."""
         weights = {name.removeprefix("module."): v for name, v in self._tensors.items() if name.startswith("module.")}
         expected = {name: value.shape for name, value in module.state_dict().items()}
         if {name: value.shape for name, value in weights.items()} != expected:
@@ -119,7 +119,7 @@ class TrainingRun:
             known = number.isdecimal() and len(number) < 10 and int(number) < len(parameters) and key in _MOMENTS
             if not known or value.shape != (() if key == "step" else parameters[int(number)].shape):
                 raise self._damaged_state(Mismatch(f"it holds '{name[:80]}' of the shape {tuple(value.shape)}"))
-            if key != "exp_avg" and bool((value < 0).any()):  # a count, and a mean of squares
+            if key != "exp_avg" and bool((value < 0).any()):  # "step" is a count, "exp_avg_sq" a mean of squares
                 raise self._damaged_state(Mismatch(f"it holds '{name[:80]}' below 0"))
             moments.setdefault(int(number), {})[key] = value
         if any(len(own) != len(_MOMENTS) for own in moments.values()):
@@ -128,35 +128,35 @@ class TrainingRun:
 
     @property
     def ended(self) -> bool:
-        """Whether all units are done."""
+        """Return whether all units are finished."""
         return self.position >= self.config.units
 
     def finish_unit(
         self, row: Mapping[str, float], network: CandidateNetwork, tensors: Mapping[str, torch.Tensor], **facts: Any
     ) -> None:
-        """Log a unit, keep the checkpoint if it is the best, and make the unit one that is done."""
+        """Log a unit, keep its checkpoint if it is the best, and save the state."""
         self.keep_if_best(row, network, self.position + 1)
         self.position += 1
         self._log(row)
-        if self.ended:  # before the state, which says that there is nothing left to do
+        if self.ended:  # before the state: a run whose state is saved as ended has this checkpoint
             self._checkpoint(LAST, row, network, self.position)
         self._save(tensors, facts)
         self.timing.save()
 
     def begin_with(self, row: Mapping[str, float], network: CandidateNetwork) -> None:
-        """Log and keep what the first unit begins from."""
+        """Log the network that the first unit starts from, and keep it as a checkpoint."""
         self.keep_if_best(row, network, 0)
         self._log(row)
 
     def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
-        """Keep the network if it was validated and is the best so far."""
+        """Write the best checkpoint if ``row`` has a validation score above the best so far."""
         score = row.get(SCORE)
         if score is not None and (self.best is None or score > self.best):
             self.best = score
             self._checkpoint(BEST, row, network, position)
 
     def rows(self) -> list[dict[str, Any]]:
-        """The log so far."""
+        """Return the rows of the log."""
         file = self.directory / LOG
         if not file.is_file():
             return []
@@ -167,7 +167,7 @@ class TrainingRun:
             raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
 
     def close(self) -> None:
-        """Stop the watch and let go of the log for TensorBoard."""
+        """Stop the stopwatch and close the TensorBoard log."""
         self.timing.switch(None)
         self.timing.save()
         if self._tensorboard is not None:
@@ -200,7 +200,7 @@ class TrainingRun:
         self._replace(STATE, save(self._tensors, {_META: json.dumps(meta)}))
 
     def _replace(self, name: str, content: bytes) -> None:
-        """Write a file at once."""
+        """Write a file atomically."""
         with replaced(self.directory / name, durable=True) as file:
             file.write(content)
 
@@ -225,7 +225,7 @@ class TrainingRun:
         return InputError(f"'{self.directory / STATE}' is damaged: {reason}; {_BEGIN_AGAIN}")
 
     def _cut_log(self) -> None:
-        """Forget lines of units whose state was not written any more: they are done again."""
+        """Remove the lines of units whose state was not saved; these units are repeated."""
         if not (self.directory / LOG).is_file():
             return
         kept = [row for row in self.rows() if row["unit"] <= self.position] if self.position else []
@@ -233,20 +233,20 @@ class TrainingRun:
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """An optimiser's moments and counters under flat names, for a safetensors file."""
+    """Return the moments and counters of an optimiser under flat names, for a safetensors file."""
     state = optimizer.state_dict()["state"]
     return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
 
 
 def module_tensors(module: torch.nn.Module) -> dict[str, torch.Tensor]:
-    """A module's weights under flat names, copied."""
+    """Return copies of a module's weights under flat names."""
     return {f"module.{name}": value.detach().clone() for name, value in module.state_dict().items()}
 
 
 def _tensorboard_writer(directory: Path, done: int) -> Any:
-    """TensorBoard's writer, or None where it is not installed: the same numbers stand in the log.
+    """Return TensorBoard's writer, or None if it is not installed; the log has the same numbers.
 
-    It is told how many units are ``done``, so that those which are done again do not show twice.
+    Rows after the first ``done`` units are purged, since these units are repeated.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter

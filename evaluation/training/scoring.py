@@ -1,7 +1,7 @@
-"""The final table: anybody's coverage on layouts nobody has seen and on any scene, between random and the oracle.
+"""Score policies by coverage on test layouts and on any scenes, normalised between random and the oracle.
 
-Quick episodes, without the measuring of maps that `asg compare` does. Every policy plays the same episodes, so
-intervals are over pairs.
+Maps are not measured, in contrast to `asg compare`. Every policy plays the same episodes, so intervals are of paired
+differences.
 """
 
 from __future__ import annotations
@@ -43,36 +43,36 @@ _AGAIN, _ELSEWHERE = "delete it, and the episode is played again", "choose anoth
 
 @dataclass(frozen=True)
 class Cell:
-    """One episode that everybody plays."""
+    """Define one episode, which every policy plays."""
 
     scene: str
     seed: int
-    group: str  # whose mean it belongs to
-    start: int | None = None  # number of the start, see `start_pose`; None = drawn by the seed
+    group: str  # group of episodes with a common mean
+    start: int | None = None  # number of the start, see `start_pose`; None: drawn by the seed
 
     @property
     def file(self) -> str:
-        """Name of the file with its results."""
-        mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # two files may have one label
+        """Return the name of the file with the results."""
+        mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # different scene files may have the same label
         start = "" if self.start is None else f"--start{self.start}"
         return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}{start}.json"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A policy in a group of episodes."""
+    """Hold the scores of a policy in a group of episodes."""
 
     policy: str
     group: str
     episodes: int
-    auc: float  # mean coverage over the budget, %
+    auc: float  # mean coverage over the frame budget, %
     normalised: Estimate
-    leads: tuple[Estimate | None, ...] = ()  # normalised, minus each baseline's; None for itself
-    starts: int = 0  # different scenes and start poses among the episodes
+    leads: tuple[Estimate | None, ...] = ()  # normalised, difference from each baseline; None for the baseline itself
+    starts: int = 0  # number of different pairs of scene and start pose
 
 
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
-    """One episode on each test layout, and one per seed in each of the scenes, the n-th from its n-th start."""
+    """Return one episode per test layout, and one per scene and seed; the n-th seed has the scene's n-th start."""
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
     labels = scene_labels(dict.fromkeys(scenes, ""))
     for spec in scenes:
@@ -84,14 +84,14 @@ def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequ
 
 def play_cells(
     world: WorldConfig,
-    policies: Sequence[str],  # as `canonical_policy` names them
+    policies: Sequence[str],  # names by `canonical_policy`
     todo: Sequence[Cell],
     directory: Path,
     *,
     workers: int = 1,
     tell: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
-    """Play what is not in ``directory`` yet; each episode is kept as soon as all have played it."""
+    """Play the episodes that ``directory`` lacks; an episode is written after all policies have played it."""
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
     conditions |= {"starts": "in turn", "version": __version__}
@@ -110,20 +110,20 @@ def play_cells(
 
 
 def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_from_camera
-    """The scene's start poses in turn; after the last all of them again, turned by a quarter to the left, and so on.
+    """Return a scene's start poses in turn; each further round is turned left by 90 degrees.
 
-    Drawn by seed, 20 episodes would begin at about 12 of a scene's 16 start poses.
+    Poses drawn by seed would repeat: 20 episodes would begin at about 12 of a scene's 16 start poses.
     """
     poses = space.start_poses
-    rounds, index = divmod(number, len(poses))
-    cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[rounds % 4]
+    turns, index = divmod(number, len(poses))
+    cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[turns % 4]
     pose = np.array(poses[index], np.float64)
     pose[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ pose[:3, :3]
     return pose
 
 
 def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], baselines: Sequence[str] = ()) -> list[Row]:
-    """One row per policy and group, the references among them."""
+    """Return one row per group and policy, including the references."""
     rows = []
     for group in dict.fromkeys(cell.group for cell in played):
         own = [cell for cell in played if cell.group == group]
@@ -150,14 +150,14 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
 
 
 def headings(rows: Sequence[Row], baselines: Sequence[str] = ()) -> list[str]:
-    """Headings of the table's columns."""
+    """Return the headings of the table's columns."""
     short = short_policies([row.policy for row in rows])
     names = [short.get(baseline, baseline) for baseline in baselines]
     return ["episodes on", "policy", "n", "starts", "AUC (%)", "normalised", *(f"minus {name}" for name in names)]
 
 
 def entries(rows: Sequence[Row]) -> list[list[str]]:
-    """The rows of the table as texts."""
+    """Return the rows of the table as texts."""
     short = short_policies([row.policy for row in rows])
     lines = []
     for row in rows:
@@ -167,7 +167,7 @@ def entries(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
-    """The table for a page."""
+    """Return the table as Markdown."""
     head = [escaped(heading) for heading in headings(rows, baselines)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for group, policy, *others in entries(rows):
@@ -177,7 +177,7 @@ def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
 
 
 def words(estimate: Estimate | None) -> str:
-    """An estimate with its interval, as text."""
+    """Format an estimate with its interval."""
     if estimate is None:
         return ""
     if not estimate.has_interval:
@@ -186,7 +186,7 @@ def words(estimate: Estimate | None) -> str:
 
 
 def short_policy(spec: str) -> str:
-    """A checkpoint by the last two parts of its place; everything else as it is."""
+    """Shorten the path of a checkpoint to its last two parts; return other names unchanged."""
     family, colon, place = spec.partition(":")
     if family != "learned" or not colon:
         return spec
@@ -194,7 +194,7 @@ def short_policy(spec: str) -> str:
 
 
 def short_policies(specs: Sequence[str]) -> dict[str, str]:
-    """Short names that differ for different policies: with the digits of the content where places are alike."""
+    """Return distinct short names of policies; equal short paths get the checksum of the checkpoint appended."""
     short = {spec: short_policy(spec) for spec in specs}
     names = list(short.values())
     return {
@@ -217,11 +217,11 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     return Estimate(value, float(low), float(high), runs)
 
 
-_loaded: dict[str, GroundTruth] = {}  # the last scene of this process
+_loaded: dict[str, GroundTruth] = {}  # cache of the last scene in this process
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
-    """Let everybody play one episode who has not yet."""
+    """Play one episode by every policy whose result is missing, and write the results."""
     from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -238,7 +238,7 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
     truth = _loaded[cell.scene]
     scene = truth.scene
     if content.setdefault("scene_hash", scene.content_hash) != scene.content_hash:
-        raise InputError(f"'{file}' was played in another scene than '{cell.scene}' is today: choose another --out")
+        raise InputError(f"'{file}' was played in an earlier version of '{cell.scene}': choose another --out")
     start = None if cell.start is None else start_pose(truth.free_space, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:

@@ -1,4 +1,4 @@
-"""Seconds of a training run: ``timing.json``, beside the files that are equal after resuming, never in one of them."""
+"""Measure the seconds of a training run and write ``timing.json``; no other file of a run holds times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CHECK = table({
 
 
 class Timing:
-    """A stopwatch for the parts of a run; goes on adding where an earlier sitting has written the file.
+    """Add up the seconds of the parts of a run, over all its sittings.
 
     Processor seconds are those of this process and all its descendants.
     """
@@ -31,14 +31,14 @@ class Timing:
         try:
             found = read_json(file, _CHECK)
             self._parts = {name: dict(values) for name, values in found["parts"].items()}
-        except InputError:  # none yet, or damaged: times are no result
+        except InputError:  # missing or damaged; times are not results
             found, self._parts = {}, {}
         self._sittings = int(found.get("sittings", 0)) + 1
         self._part: str | None = None
         self._began = (0.0, 0.0)
 
     def switch(self, part: str | None) -> None:
-        """From here on time counts for ``part``: collecting, updating, validating; None stops the watch."""
+        """Count the time from now on for ``part``: collecting, updating or validating; None stops the watch."""
         at = time.monotonic(), processor_seconds()
         if self._part is not None:
             values = self._parts.setdefault(self._part, {"wall_s": 0.0, "processor_s": 0.0})
@@ -47,12 +47,12 @@ class Timing:
         self._part, self._began = part, at
 
     def count(self, part: str, steps: int) -> None:
-        """``steps`` of an environment were made, or states were learnt from, in ``part``."""
+        """Add environment steps, or states that were learnt from, to the count of ``part``."""
         values = self._parts.setdefault(part, {"wall_s": 0.0, "processor_s": 0.0})
         values["steps"] = int(values.get("steps", 0)) + steps
 
     def save(self) -> None:
-        """Write the file; the watch goes on."""
+        """Write the file, without stopping the watch."""
         self.switch(self._part)
         parts = {}
         for name, values in self._parts.items():

@@ -1,4 +1,4 @@
-"""Learning from an expert: behaviour cloning by soft labels, and ranking by ordinal targets."""
+"""Learn from an expert: behaviour cloning with soft labels, and ranking with ordinal targets."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from activestructure_gym.policies.learned.network import CandidateNetwork, as_te
 Validate = Callable[[CandidateNetwork], Mapping[str, float]]
 Tell = Callable[[int, Mapping[str, float]], None]
 
-_CRITIC_WEIGHT = 0.5  # of the squared error of the value; it reaches the critic alone
+_CRITIC_WEIGHT = 0.5  # weight of the squared value error, whose gradients reach only the critic
 
 
 class OrdinalRanks(nn.Module):
-    """CORAL: one score, and a falling threshold for each border between ranks, P(rank > k) = sigmoid(score + b_k).
+    """Compute CORAL's loss: one score and a threshold b_k per border of ranks, P(rank > k) = sigmoid(score + b_k).
 
-    One score for all borders keeps the probabilities in order ([cao2020]).
+    The probabilities are in the order of the ranks, since all borders share one score ([cao2020]).
     """
 
     def __init__(self, bins: int) -> None:
         super().__init__()
-        # With a score of 0, the shares of bins of equal mass.
+        # A score of 0 gives the probabilities of bins with equal mass.
         above = 1.0 - torch.arange(1, bins) / bins
         self.thresholds = nn.Parameter(torch.log(above / (1.0 - above)))  # [bins - 1]
 
     def forward(self, scores: Tensor, ranks: Tensor) -> Tensor:  # [M], [M] int64 -> scalar
-        """Mean over the scores of the summed binary cross-entropies of all borders."""
+        """Return the mean over the scores of the summed binary cross-entropies of all borders."""
         above = (ranks[:, None] > torch.arange(len(self.thresholds))).to(scores.dtype)
         logits = scores[:, None] + self.thresholds
         return functional.binary_cross_entropy_with_logits(logits, above, reduction="none").sum(1).mean()
@@ -50,7 +50,7 @@ class OrdinalRanks(nn.Module):
 def train_supervised(
     config: TrainingConfig, data: Demonstrations, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
 ) -> CandidateNetwork:
-    """Train to the last epoch, from wherever the run is; returns the network as it is then."""
+    """Train from the run's position to the last epoch; return the network."""
     torch.manual_seed(config.seed)
     model = nn.ModuleDict({"network": CandidateNetwork(config.network())})
     if config.method == "rank":

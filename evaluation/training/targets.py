@@ -1,4 +1,4 @@
-"""Targets of learning, from the scores of an expert: probabilities, or ordinal ranks. Pure functions of arrays."""
+"""Compute training targets from the scores of an expert: probabilities, or ordinal ranks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def soft_labels(scores: np.ndarray, valid: np.ndarray, temperature: float) -> np.ndarray:  # [N, K] x2 -> [N, K]
-    """softmax(score / (largest score x temperature)) over the valid candidates; equal where all are 0."""
+    """Return softmax(score / (largest score x temperature)) over the valid candidates; equal if all scores are 0."""
     scores = np.where(valid, scores, -np.inf)
     most = np.maximum(scores.max(axis=1, keepdims=True), 0.0)
     with np.errstate(invalid="ignore"):
@@ -16,9 +16,9 @@ def soft_labels(scores: np.ndarray, valid: np.ndarray, temperature: float) -> np
 
 
 def standardised(scores: np.ndarray, valid: np.ndarray) -> np.ndarray:  # [N, K] x2 -> [N, K]
-    """Scores as standard deviations from the mean of their state's valid candidates; 0 where all are equal.
+    """Return z-scores over the valid candidates of each state; 0 if all scores are equal.
 
-    Early states offer much and late ones little; within a state only the order matters (VIN-NBV).
+    Scores fall during an episode, and only their order within a state matters (VIN-NBV).
     """
     count = valid.sum(axis=1, keepdims=True)
     mean = np.where(valid, scores, 0.0).sum(axis=1, keepdims=True) / count
@@ -29,10 +29,10 @@ def standardised(scores: np.ndarray, valid: np.ndarray) -> np.ndarray:  # [N, K]
 
 
 def bin_edges(values: np.ndarray, bins: int) -> np.ndarray:  # [V] -> [bins - 1], rising
-    """Borders between bins of equal mass; fewer distinct ones where many values are equal."""
+    """Return the borders between bins of equal mass; borders coincide if many values are equal."""
     return np.quantile(values, np.arange(1, bins) / bins)
 
 
 def ordinal(values: np.ndarray, edges: np.ndarray) -> np.ndarray:  # any shape -> the same, int64 in 0 .. len(edges)
-    """The number of borders below each value."""
+    """Return the number of borders below each value."""
     return np.searchsorted(edges, values, side="left").astype(np.int64)

@@ -1,4 +1,4 @@
-"""The training environment: layout, start pose and sensor noise are drawn from the seed of an episode."""
+"""Define the training environment, which draws layout, start pose and sensor noise from the seed of an episode."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.scenes import load_scene
 
-_PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comparisons do
+_PERFECT_SHARE = 0.3  # share of episodes without sensor noise, as in comparisons
 _DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
-_NOISE_RANGE = (0.5, 2.0)  # times the noise of a Kinect
-_RATE_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-# Features that depend on no colour.
+_NOISE_RANGE = (0.5, 2.0)  # multiples of a Kinect's noise
+_RATE_FRAMES = 5.0  # frames; constant of the common travel discount 1 / (1 + frames / 5)
+# Features that do not depend on colours.
 _COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")
-_SURFACE_SAMPLES = 12_000  # of a layout's surface, a quarter of the usual: they are found in a quarter of the time
-STARTS = 16  # without a candidate, then another layout
+_SURFACE_SAMPLES = 12_000  # samples of a layout's surface, a quarter of the default, for a quarter of the time
+STARTS = 16  # start poses without a candidate before another layout is drawn
 
 
 def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> ReconstructionConfig:
-    """The configuration of its episodes without noise, with these features or the world's own."""
+    """Return the configuration of episodes without noise, with ``features`` or by default the world's."""
     changes: dict[str, Any] = {"features": tuple(world.features if features is None else features)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
     if world.noise and drawn:
@@ -45,9 +45,10 @@ def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> R
 
 
 def sees_colour(config: ReconstructionConfig) -> bool:
-    """Whether anything that a learned policy reads, or is paid for, depends on the colours of the scene.
+    """Return whether observation or reward of a learned policy depend on the colours of the scene.
 
-    Without map optimisation, revisits (chosen by how well keyframes are rendered) and tracking only features could.
+    Map optimisation, tracking and revisits, which are chosen by the rendering error of keyframes, use colours. Some
+    features do as well.
     """
     mapper = config.mapper
     optimised = mapper.iterations > 0 or mapper.tracking.iterations > 0 or config.views.max_revisits > 0
@@ -57,12 +58,12 @@ def sees_colour(config: ReconstructionConfig) -> bool:
 def learning_layouts(
     world: WorldConfig, use: str, count: int, features: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """The layouts for ``use``; without light and textures where nobody would see them."""
+    """Return the layouts for ``use``, without light and textures if nothing depends on colours."""
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, features)))
 
 
 def learning_truth(spec: str) -> GroundTruth:
-    """A layout to learn on: its surface is told by fewer samples than a comparison's."""
+    """Load a layout with fewer surface samples than in a comparison."""
     return GroundTruth(load_scene(spec), _SURFACE_SAMPLES)
 
 
@@ -73,10 +74,10 @@ def make_env(
     features: Sequence[str] | None = None,
     noise: dict[str, Any] | None = None,
 ) -> ReconstructionEnv:
-    """The full env for one scene. It never ends by how much was seen: that is ground truth.
+    """Make the environment of one scene. An episode never ends at a coverage, which is ground truth.
 
-    What was seen is told without the sensor's noise: at 6 m and twice a Kinect's noise the error of a depth is as
-    large as what the reward tolerates, and looking again would be paid as if it showed something new.
+    Coverage is computed without sensor noise. At 6 m and twice a Kinect's noise the depth error is as large as the
+    tolerance of the reward, and repeated views would be rewarded as new surface.
     """
     config = replaced(world_config(world, features), {"sensor": noise or {}})
     return ReconstructionEnv(
@@ -85,7 +86,7 @@ def make_env(
 
 
 def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
-    """Fields of the sensor's configuration for one episode."""
+    """Draw the fields of the sensor's configuration for one episode."""
     perfect, multiplier, holes = rng.random() < _PERFECT_SHARE, rng.uniform(*_NOISE_RANGE), rng.random() < 0.5
     if perfect:
         return {"depth_noise": "none"}
@@ -93,13 +94,21 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env_reward: float) -> float:
-    """The reward of a step for PPO.
+    """Return the reward of a step for PPO.
 
-    ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left on average on the
-    way (0..1).
-    "rate": 20 share / (1 + frames / 5), the gain per frame that greedy planners go by, right for a short horizon.
-    "auc": 20 share left, whose sum over an episode is 20 times the area under the coverage that was gained.
-    "env": the environment's own, which counts metres and not frames.
+    Parameters
+    ----------
+    kind
+        "rate": 20 share / (1 + frames / 5), the score of greedy planners, suited to a short horizon. "auc": 20 share
+        left, whose sum over an episode is 20 times the area under the curve of gained coverage. "env": ``env_reward``.
+    share
+        Share of the surface that the step saw for the first time, 0..1.
+    frames
+        Frames that the step took.
+    left
+        Mean share of the frame budget that was left during the step, 0..1.
+    env_reward
+        Reward of the environment, which counts metres instead of frames.
     """
     if kind == "rate":
         return 20.0 * share / (1.0 + frames / _RATE_FRAMES)
@@ -109,11 +118,11 @@ def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env
 
 
 class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
-    """Episodes on randomised layouts, with the entries of the observation that a learned policy reads.
+    """Play episodes on random layouts, with the observation entries that a learned policy reads.
 
-    A reset with a seed draws a new layout, or takes that of ``options={"layout": number}``; resets without a seed keep
-    it, since building a layout takes as long as several episodes. The end of the budget is a termination here: the
-    budget is part of the observation, and nothing follows it.
+    A reset with a seed draws a new layout, or takes the layout of ``options={"layout": number}``. Resets without a seed
+    keep the layout, since building one takes as long as several episodes. The end of the frame budget terminates an
+    episode, since the budget is part of the observation.
     """
 
     observation_space: spaces.Dict
@@ -137,7 +146,7 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         drawn, attempts = int(self.np_random.integers(len(self.layouts))), 0
         if seed is not None or self._truth is None:
             self._truth = learning_truth(self.layouts[(options or {}).get("layout", drawn)])
-        while not observation or not observation["action_mask"].any():  # nowhere to go: another start
+        while not observation or not observation["action_mask"].any():  # no candidate: another start
             if attempts and attempts % STARTS == 0:
                 self._truth = learning_truth(self.layouts[int(self.np_random.integers(len(self.layouts)))])
             attempts += 1
@@ -149,7 +158,7 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         return self._used(observation), {"action_mask": info["action_mask"]}
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Walk to row ``action`` of the candidate table."""
+        """Move to candidate ``action`` and return the training reward."""
         assert self.env is not None, "reset() comes first"
         observation, reward, terminated, truncated, info = self.env.step(action)
         frames, self._frames = info["frames"] - self._frames, info["frames"]
@@ -164,7 +173,7 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         return self._used(observation), earned, terminated or truncated, False, {"action_mask": info["action_mask"]}
 
     def close(self) -> None:
-        """Let go of the sensor."""
+        """Close the environment of the episode."""
         if self.env is not None:
             self.env.close()
 

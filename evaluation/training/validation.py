@@ -1,4 +1,4 @@
-"""Validation of a network on layouts it was never trained on, between random choice and the one-step oracle."""
+"""Validate a network on layouts that are not used for training, between random choice and the one-step oracle."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
 from activestructure_gym.policies.random import Random
 
-_SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
+_SEED = 1000  # seed of the first episode; every layout has the next one, and so a different start pose
 _FILE = "references.json"
 _PLAYED = {name: schema.each(schema.number(0, 1)) for name in ("random", "oracle")}
 
 
 def network_choice(network: CandidateNetwork) -> Choose:
-    """A policy function: the candidate with the highest score, for envs with the network's features in its order."""
+    """Return a function that chooses the network's best candidate; the env needs the network's features in order."""
 
     def choose(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
         with torch.no_grad():
@@ -39,7 +39,7 @@ def network_choice(network: CandidateNetwork) -> Choose:
 
 
 class Validation:
-    """One episode on each validation layout. The layouts stay in memory; the references are played once per run."""
+    """Play one episode on each validation layout; layouts stay in memory, and references are played once per run."""
 
     def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         self._config, self._file, self._tell = config, directory / _FILE, tell
@@ -48,7 +48,7 @@ class Validation:
         self._references: dict[str, list[float]] = {}
 
     def __call__(self, network: CandidateNetwork) -> dict[str, float]:
-        """``validation/auc``, and ``validation/normalised`` = (x - random) / (oracle - random)."""
+        """Return ``validation/auc``, and ``validation/normalised`` = (auc - random) / (oracle - random)."""
         self._prepare()
         areas = []
         for number, truth in enumerate(self._truths):

@@ -238,7 +238,7 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
     truth = _loaded[cell.scene]
     scene = truth.scene
     if content.setdefault("scene_hash", scene.content_hash) != scene.content_hash:
-        raise InputError(f"'{file}' was played in an earlier version of '{cell.scene}': choose another --out")
+        raise InputError(f"'{file}' was played in another scene than the current '{cell.scene}': choose another --out")
     start = None if cell.start is None else start_pose(truth.free_space, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:

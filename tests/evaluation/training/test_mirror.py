@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from tests.evaluation.training.test_world import SMALL, make_env
 
 from activestructure_gym.evaluation.training import oracle
 from activestructure_gym.evaluation.training.mirror import mirrored
@@ -15,6 +14,7 @@ from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import as_tensors
 from activestructure_gym.scenes import Scene, load_scene
+from tests.evaluation.training.test_training_env import SMALL, make_env
 from tests.policies.learned.toys import random_observation
 
 REFLECTED = np.diag([1.0, -1.0, 1.0, 1.0])  # of the world

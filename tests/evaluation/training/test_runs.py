@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.processes import processor_seconds
-from activestructure_gym.evaluation.training import timing
+from activestructure_gym.evaluation.training import stopwatch
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.runs import (
@@ -72,15 +72,15 @@ def test_a_picture_of_what_is_there() -> None:
 
 def test_times_go_on_adding_and_stand_in_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = {"wall": 0.0, "processor": 0.0}
-    monkeypatch.setattr(timing.time, "monotonic", lambda: clock["wall"])
-    monkeypatch.setattr(timing, "processor_seconds", lambda: clock["processor"])
+    monkeypatch.setattr(stopwatch.time, "monotonic", lambda: clock["wall"])
+    monkeypatch.setattr(stopwatch, "processor_seconds", lambda: clock["processor"])
 
     def pass_on(wall: float, processor: float) -> None:
         clock["wall"] += wall
         clock["processor"] += processor
 
     for sitting in (1, 2):
-        watch = timing.Timing(tmp_path / "timing.json")
+        watch = stopwatch.Timing(tmp_path / "timing.json")
         watch.switch("collecting")
         pass_on(10.0, 18.0)
         watch.switch("updating")
@@ -100,7 +100,7 @@ def test_times_go_on_adding_and_stand_in_no_result(tmp_path: Path, monkeypatch: 
         assert told["total"] == {"wall_s": 16.0 * sitting, "processor_s": 24.0 * sitting}
         assert {"processor", "cores"} <= set(told["hardware"])
     (tmp_path / "timing.json").write_text("{")  # damaged: begun again
-    timing.Timing(tmp_path / "timing.json").save()
+    stopwatch.Timing(tmp_path / "timing.json").save()
     assert json.loads((tmp_path / "timing.json").read_text())["sittings"] == 1
 
 

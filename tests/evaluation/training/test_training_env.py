@@ -11,8 +11,7 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.training import demonstrations, oracle, scoring
-from activestructure_gym.evaluation.training import world as world_module
+from activestructure_gym.evaluation.training import demonstrations, oracle, scoring, training_env
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
@@ -238,7 +237,7 @@ def test_the_oracle_is_ahead_of_random_choice(box: Scene) -> None:
 @pytest.fixture
 def tiny_layouts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes in place of apartments, which take seconds to build."""
-    for module in (world_module, scoring):
+    for module in (training_env, scoring):
         monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms, lit=True: BOXES[:count])
 
 

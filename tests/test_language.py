@@ -38,6 +38,7 @@ READ = (
     "evaluation/machine",
     "evaluation/replay",
     "evaluation/reproduction",
+    "evaluation/training",
     "policies/*.py",
 )
 # What to write instead is in brackets; a dash means: rewrite the sentence.

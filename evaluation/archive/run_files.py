@@ -198,12 +198,12 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     if off > _RIGID or np.abs(poses[:, 3] - [0, 0, 0, 1]).max() > _RIGID:
         raise Mismatch("world_from_camera holds matrices that are not rigid poses")
     if int(arrays["keyframes"].max()) >= sizes["T"]:
-        raise Mismatch(f"keyframes points behind the {sizes['T']} poses")
+        raise Mismatch(f"keyframes holds an index beyond the {sizes['T']} poses")
     if not (arrays["intrinsics"][:2] > 1e-3).all():
-        raise Mismatch("intrinsics: focal lengths are above 0")
+        raise Mismatch("intrinsics: focal lengths must be above 0")
     width, height = (int(side) for side in arrays["image_size"])
     if max(width, height) > MAX_ASPECT_RATIO * min(width, height):
-        raise Mismatch(f"image_size: {width} x {height} pixels are no camera's")
+        raise Mismatch(f"image_size: {width} x {height} pixels are not a plausible image size")
 
 
 def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
@@ -223,7 +223,7 @@ def check_plan(arrays: Mapping[str, np.ndarray]) -> None:
 def _check_cells(arrays: Mapping[str, np.ndarray]) -> None:
     cells = arrays["plan_extent"] / arrays["plan_state"].shape  # metres
     if abs(cells[0] - cells[1]) > 1e-6 * cells.max():
-        raise Mismatch("plan_state and plan_extent do not fit together: its cells are no squares")
+        raise Mismatch("plan_state and plan_extent do not fit together: its cells are not square")
 
 
 def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
@@ -234,7 +234,7 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
         raise Mismatch(f"it holds {planes} planes, {sizes['edges']} edges and {sizes['holes']} holes: too many to draw")
     for name in ("edges", "deficiency_planes"):
         if arrays[name].size and int(arrays[name].max()) >= planes:
-            raise Mismatch(f"{name} points behind the {planes} planes")
+            raise Mismatch(f"{name} holds an index beyond the {planes} planes")
     if planes and np.abs(np.linalg.norm(arrays["normals"], axis=1) - 1.0).max() > _UNIT:
         raise Mismatch("normals are not of length 1")
     starts, shapes = arrays["patch_starts"].astype(np.int64), arrays["patch_shapes"].astype(np.int64)
@@ -269,7 +269,7 @@ def check_steps(steps: list[Any]) -> None:
         STEP(step, f"line {number_}")
     frames = [step["frames"] for step in steps]
     if any(later < earlier for earlier, later in zip(frames, frames[1:])):
-        raise Mismatch("frames do not rise from line to line")
+        raise Mismatch("frames decrease from one line to the next")
 
 
 __all__ = [

@@ -111,7 +111,7 @@ def table(
 def read_checked_json(path: Path, check: Check = anything, *, most: int = MAX_JSON_BYTES) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be opened, `Mismatch` for any other fault."""
     if path.exists() and not path.is_file():
-        raise Mismatch("it is no regular file")
+        raise Mismatch("it is not a regular file")
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > most:
@@ -125,13 +125,13 @@ def checked_json(content: bytes, check: Check = anything) -> Any:
         value = json.loads(content.decode("utf-8"), parse_constant=_no_constant)
         check_depth(value)
     except UnicodeDecodeError:
-        raise Mismatch("it is no text in UTF-8") from None
+        raise Mismatch("it is not UTF-8 text") from None
     except RecursionError:
         raise Mismatch(f"it is nested deeper than {_MAX_DEPTH} levels") from None
     except Mismatch:
         raise
     except ValueError as error:
-        raise Mismatch(f"it is no JSON ({' '.join(str(error).split())[:120]})") from None
+        raise Mismatch(f"it is not JSON ({' '.join(str(error).split())[:120]})") from None
     check(value, "")
     return value
 
@@ -189,7 +189,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], layout: Mapping[str, Array]) 
 
 
 def _no_constant(name: str) -> Any:
-    raise Mismatch(f"it holds {name}, which is no JSON")
+    raise Mismatch(f"it holds {name}, which is not JSON")
 
 
 def _mismatch(place: str, wanted: str, value: Any) -> Mismatch:

@@ -174,12 +174,12 @@ def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None
     """Return the finished run of this job, None if there is none; raise `InputError` if it is damaged."""
     marker = marker_and_checksums(directory)[0]
     if marker != job.hash and (directory / DONE).exists():
-        raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
+        raise _damaged(directory / DONE, "it belongs to another job than the directory's name says")
     if not marker:
         return None
     run = read_run(directory, scene)
     if run.job.hash != job.hash:
-        raise _damaged(directory / CONFIG, "it is of another job than the directory is named after")
+        raise _damaged(directory / CONFIG, "it belongs to another job than the directory's name says")
     return run
 
 
@@ -212,7 +212,7 @@ def read_shown(run: Run) -> None:
         if graph is not None:
             agreement.check_planes(graph, steps)
     except schema.Mismatch as error:
-        raise _damaged(run.directory / METRICS, f"it does not fit the run's other files ({error})") from error
+        raise _damaged(run.directory / METRICS, f"it does not agree with the run's other files ({error})") from error
 
 
 def without_checksum(run: Run) -> list[str]:
@@ -308,7 +308,7 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
         _read(directory, f"{name}.json", {}, lambda path: check(content, ""))  # noqa: B023
     config = found["config"]
     if marker and config.get("hash", marker) != marker:
-        raise _damaged(directory / CONFIG, f"it is of job {config['hash']}, and {DONE} of job {marker}")
+        raise _damaged(directory / CONFIG, f"it belongs to job {config['hash']}, and {DONE} to job {marker}")
     job = _read(directory, CONFIG, {}, lambda path: Job.from_dict(config["job"]))
     return Run(directory, scene or scene_label(job.scene), job, **found, checksums=checksums)
 
@@ -360,7 +360,7 @@ def aside_of(directory: Path) -> Path:
 def _why_not_a_run(directory: Path) -> str:
     """Return the reason why a directory is not a finished run, for an error message."""
     if not directory.exists():
-        return "there is nothing of that name"
+        return "it does not exist"
     if not directory.is_dir():
         return "it is a file"
     if (directory / COMPARISON).is_file():
@@ -368,7 +368,7 @@ def _why_not_a_run(directory: Path) -> str:
         example = f"; name one of its {len(runs)}, as {runs[0].parent}" if runs else ", none of whose runs has ended"
         return f"it is a comparison{example}"
     if (directory / PLAYED).is_file():
-        return f"its episode was played and is not measured; `asg evaluate {shlex.quote(str(directory))}` measures it"
+        return f"its episode was played but not measured; `asg evaluate {shlex.quote(str(directory))}` measures it"
     return f"it has no {DONE} file, which is written last"
 
 
@@ -456,7 +456,7 @@ def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict
 def checksum_of(path: Path) -> str:
     """Return the SHA-256 of a file; raise `Mismatch` if it is not a regular file."""
     if path.exists() and not path.is_file():
-        raise schema.Mismatch("it is no regular file")
+        raise schema.Mismatch("it is not a regular file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

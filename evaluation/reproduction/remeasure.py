@@ -93,10 +93,10 @@ def measure_file(
 def _refuse_turned(map_file: str | Path) -> None:
     """Raise `InputError` for a PLY with a comment by ``asg export --up`` that another axis is up."""
     with suppress(OSError), open(map_file, "rb") as file:
-        said = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
-        if said:
+        comment = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
+        if comment:
             raise InputError(
-                f"'{map_file}' says that {said[1].decode()} is up in it, and a map is measured z up, as its scene: "
+                f"'{map_file}' has {comment[1].decode()} up, but a map is measured with z up, as its scene: "
                 "export it with --up z, or give the run itself"
             )
 
@@ -119,7 +119,7 @@ def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
         run_files.check_trajectory(arrays)
     except Mismatch as error:
         raise InputError(
-            f"'{file}' holds no camera's path: {error}; expected are the arrays world_from_camera [T, 4, 4], "
+            f"'{file}' is not a camera trajectory: {error}; expected are the arrays world_from_camera [T, 4, 4], "
             "keyframes [K], intrinsics [4] and image_size [2]"
         ) from error
     return CameraPath.from_arrays(arrays)

@@ -66,7 +66,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         return Verification("damaged", (str(error),))
     if run.policy != policy_label(run.job.policy):
         raise InputError(
-            f"'{run.job.policy}' was another policy's name when it was made: that one is now '{run.policy}'"
+            f"'{run.job.policy}' named another policy when the run was made; that policy is now called '{run.policy}'"
         )
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
@@ -178,7 +178,7 @@ def environment_differences(run: Run, again: Run) -> list[str]:
     before_, now_ = (one.config.get(OWN_CODE, {}) for one in (run, again))
     found += [f"{name} has changed since" for name, total in before_.items() if now_.get(name, total) != total]
     weights = [one.metrics["metrics"].get("lpips_weights") for one in (run, again)]
-    return found + (["the weights of LPIPS are others"] if None not in weights and weights[0] != weights[1] else [])
+    return found + (["the LPIPS weights differ"] if None not in weights and weights[0] != weights[1] else [])
 
 
 def _same(run: Run, again: Run, name: str) -> bool:

@@ -46,7 +46,9 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
     for other in _moved_specs(spec):
         with suppress(InputError):
             found = scene_as_recorded(other, content_hash)
-            warnings.warn(f"scene '{spec}' is not there: '{other}' has its content", InputWarning, stacklevel=2)
+            warnings.warn(
+                f"scene '{spec}' does not exist: '{other}' has the same content and is used", InputWarning, stacklevel=2
+            )
             return found
     if _is_gone(spec):
         raise InputError(

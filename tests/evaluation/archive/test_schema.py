@@ -64,14 +64,14 @@ def test_a_table_is_a_table_and_has_what_it_needs(value):
 @pytest.mark.parametrize(
     "content, words",
     [
-        (b"\xff\xfe", "no text in UTF-8"),
-        (b"{", "no JSON"),
-        (b"", "no JSON"),
+        (b"\xff\xfe", "not UTF-8 text"),
+        (b"{", "not JSON"),
+        (b"", "not JSON"),
         (b'{"a": NaN}', "holds NaN"),
         (b'{"a": -Infinity}', "holds -Infinity"),
         (b"[" * 100_000, "nested deeper"),
         (b"[" * 40 + b"]" * 40, "nested deeper"),
-        (b'{"a": ' + b"9" * 5000 + b"}", "no JSON"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "not JSON"),
     ],
 )
 def test_what_is_no_json_of_ours(content, words):
@@ -88,7 +88,7 @@ def test_a_file_is_read_up_to_a_size(tmp_path):
         file.truncate(MAX_JSON_BYTES + 1)
     with pytest.raises(Mismatch, match="it has 67,108,865 bytes, at most 67,108,864 are read"):
         read_checked_json(path)
-    with pytest.raises(Mismatch, match="no regular file"):
+    with pytest.raises(Mismatch, match="not a regular file"):
         read_checked_json(tmp_path)
 
 

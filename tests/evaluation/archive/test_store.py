@@ -51,7 +51,7 @@ def test_what_is_no_finished_run_is_said(tmp_path):
     (tmp_path / "file").touch()
     for name, words in (
         ("all", f"it is a comparison; name one of its 1, as .*{ARCHIVED.name}"), ("half", "it has no .done file"),
-        ("file", "it is a file"), ("nowhere", "there is nothing of that name"),
+        ("file", "it is a file"), ("nowhere", "it does not exist"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"{name}' is not a finished run: {words}"):
             store.read_run(tmp_path / name)
@@ -168,7 +168,7 @@ def deep(value):
         ("config", "scene", None, "scene: expected a table"),
         ("config", "versions", {}, "versions lacks activestructure-gym"),
         ("config", "configuration.more", deep(1), "nested deeper"),
-        ("config", "hash", "0" * 12, "it is of job 000000000000"),
+        ("config", "hash", "0" * 12, "it belongs to job 000000000000"),
         ("metrics", "metrics.psnr", None, "metrics.psnr: expected a number, got None"),
         ("metrics", "metrics.psnr", float("nan"), "holds NaN"),
         ("metrics", "metrics.views", [3], r"metrics.views\[0\]: expected a table"),
@@ -203,14 +203,14 @@ def poses(**changes):
     "name, changes, words",
     [
         ("trajectory", {"world_from_camera": poses()[:0]}, "world_from_camera: expected"),
-        ("trajectory", {"world_from_camera": poses(at=3, pose=2 * np.eye(4))}, "no rigid poses"),
-        ("trajectory", {"keyframes": np.array([0, 5, 10, 20])}, "points behind the 20 poses"),
-        ("trajectory", {"image_size": np.array([16000, 9])}, "no camera's"),
+        ("trajectory", {"world_from_camera": poses(at=3, pose=2 * np.eye(4))}, "not rigid poses"),
+        ("trajectory", {"keyframes": np.array([0, 5, 10, 20])}, "holds an index beyond the 20 poses"),
+        ("trajectory", {"image_size": np.array([16000, 9])}, "not a plausible image size"),
         ("trajectory", {"intrinsics": np.zeros(4)}, "focal lengths"),
         ("pictures", {"psnr": np.zeros(3)}, "psnr: expected 4"),
         ("pictures", {"plan_state": np.full((3, 3), 7, np.uint8)}, "plan_state holds numbers outside"),
         ("pictures", {"plan_extent": np.array([0.0, 1.0])}, "plan_extent holds numbers outside"),
-        ("graph", {"edges": np.array([[0, 2]])}, "edges points behind the 2 planes"),
+        ("graph", {"edges": np.array([[0, 2]])}, "edges holds an index beyond the 2 planes"),
         ("graph", {"normals": np.zeros((2, 3))}, "not of length 1"),
         ("graph", {"patch_shapes": np.array([[40, 30], [21, 10]])}, "do not fit together"),
         ("graph", {"patch_starts": np.array([0])}, "do not fit together"),
@@ -229,8 +229,8 @@ def test_arrays_that_do_not_fit(name, changes, words, tmp_path):
 def test_decisions_that_do_not_follow_each_other(tmp_path):
     run = write_run(tmp_path / "run", checksums=False)
     lines = (run / store.STEPS).read_text().splitlines(keepends=True)
-    for text, words in (("".join(lines[::-1]), "frames do not rise"), (lines[0] + "{}\n", "line 2 lacks frames"),
-                        (lines[0] + "{\n", "line 2: it is no JSON")):  # fmt: skip
+    for text, words in (("".join(lines[::-1]), "frames decrease"), (lines[0] + "{}\n", "line 2 lacks frames"),
+                        (lines[0] + "{\n", "line 2: it is not JSON")):  # fmt: skip
         (run / store.STEPS).write_text(text)
         with pytest.raises(InputError, match=f"steps.jsonl' is damaged: {words}"):
             _ = store.read_run(run).steps
@@ -274,10 +274,10 @@ def test_no_other_number_is_filled_in_by_an_evaluation_beside_the_run(tmp_path):
         assert run.numbers["tsdf_completion_ratio"] is None and value_of(run, "lpips") == lpips
 
 
-def test_the_mark_of_another_job_is_damage(tmp_path):
+def test_the_completion_marker_of_another_job_is_damage(tmp_path):
     place = write_comparison(tmp_path / "all", [ARCHIVED])
     (place / store.JOBS / ARCHIVED.name / store.DONE).write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError, match="done' is damaged: it is not of the job .* --resume` repeats the run"):
+    with pytest.raises(InputError, match="done' is damaged: it belongs to another job .* --resume` repeats the run"):
         open_comparison(place)
     (place / store.JOBS / ARCHIVED.name / store.DONE).unlink()
     assert open_comparison(place) == []

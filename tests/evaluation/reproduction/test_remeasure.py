@@ -36,5 +36,5 @@ def test_measuring_a_run_again_asks_no_trust_for_a_policy_that_nobody_calls(tmp_
 @pytest.mark.parametrize("up", ["y", "-y"])
 def test_a_map_that_says_it_is_not_z_up_is_refused(up, tmp_path):
     write_ply(GaussianMap(), tmp_path / "map.ply", up=up)
-    with pytest.raises(InputError, match=f"says that {up} is up in it, and a map is measured z up"):
+    with pytest.raises(InputError, match=f"has {up} up, but a map is measured with z up"):
         measure_file(tmp_path / "map.ply", "box", StandardProtocol())

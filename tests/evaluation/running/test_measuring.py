@@ -84,7 +84,7 @@ def test_what_was_played_is_kept_and_is_no_finished_run(kept, job):
     names = {path.name for path in kept.iterdir()}
     assert {"config.json", "steps.jsonl", "trajectory.npz", "map.npz", "map.ply", "graph.npz"} <= names
     assert store.DONE not in names and not store.is_done(kept, job) and played.is_played(kept)
-    with pytest.raises(InputError, match="was played and is not measured; `asg evaluate .*` measures it"):
+    with pytest.raises(InputError, match="was played but not measured; `asg evaluate .*` measures it"):
         store.read_run(kept)
     assert sorted(path.name for path in kept.parent.iterdir()) == [kept.name]
 

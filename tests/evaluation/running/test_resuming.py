@@ -257,7 +257,7 @@ def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_pat
     grid = [variant(seed=seed) for seed in range(2)]
     write_comparison(tmp_path / "all", grid)
     (tmp_path / "all" / store.COMPARISON).write_bytes(b"\x00\xff")
-    with pytest.raises(InputError, match="compare.json' is damaged: it is no text in UTF-8; move it away and give"):
+    with pytest.raises(InputError, match="compare.json' is damaged: it is not UTF-8 text; move it away and give"):
         go(grid, tmp_path / "all", resume=True)
     (tmp_path / "all" / store.COMPARISON).unlink()
     with pytest.raises(InputError, match="holds other files"):

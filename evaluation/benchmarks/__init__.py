@@ -1,1 +1,1 @@
-"""Benchmarks behind `asg bench`, one file per part."""
+"""Measure speeds for `asg bench`, one module per part."""

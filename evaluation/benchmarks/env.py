@@ -1,4 +1,4 @@
-"""Environment steps per second, in one process and in two at a time, and which stages a step's time goes to."""
+"""Measure the steps per second of the environment in one and two processes, and the time of a step by stage."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
 SCENES = ("apartment?rooms=3",)
-FEATURES = ("pixel", "hole_area")  # what a learned policy is told
+FEATURES = ("pixel", "hole_area")  # default features of a learned policy
 STAGES = ("sensor", "volume", "mapping", "planes", "planning", "features")
 
 
 @dataclass(frozen=True)
 class Round:
-    """Time, frames and stages of the steps of one process in one timed round; resets are counted apart."""
+    """Hold times, frames and stages of the steps of one process in one timed round, and the times of its resets."""
 
     wall: np.ndarray  # [steps] seconds
     processor: np.ndarray  # [steps] seconds
@@ -47,11 +47,11 @@ def run_env_benchmark(
     seed: int = 0,
     notify: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of speed, and rows of stages. One process and two take turns, ``rounds`` times ``seconds`` each.
+    """Return rows of speed and rows of stages. One and two processes alternate, for ``rounds`` of ``seconds`` each.
 
-    The action is the view with the most `hole_area` per frame, every fourth one drawn from the mask. Every process has
-    one thread. Steps per second are medians over the rounds with the least and the greatest; ``per_processor_second``
-    leaves out what other programs took of the machine.
+    The action is the view with the most `hole_area` per frame, and every fourth action is random. Every process has one
+    thread. Steps per second are medians over the rounds, with minimum and maximum as ``range``. ``per_processor_s``
+    does not depend on the load by other programs.
     """
     speed, profile = [], []
     for scene in scenes:
@@ -86,7 +86,7 @@ def _per_second(parts: Sequence[Round]) -> float:
 
 
 def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
-    """Milliseconds of processor time per step and stage: the stage's share of the wall time, of the processor time."""
+    """Return processor ms per step and stage: the processor time of a step times the stage's share of wall time."""
     steps = sum(len(part.wall) for part in parts)
     wall, processor = (float(sum(getattr(part, name).sum() for part in parts)) for name in ("wall", "processor"))
     spent = {stage: sum(part.stages.get(stage, 0.0) for part in parts) / wall for stage in STAGES}
@@ -99,14 +99,14 @@ def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
 
 
 class _Player:
-    """A spawned process that plays when told to."""
+    """Hold a spawned process that plays timed rounds on request."""
 
     def __init__(self, scene: str, preset: Preset, overrides: dict[str, Any], seed: int) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, scene, preset, overrides, seed), daemon=True)
         before = dict(os.environ)
-        os.environ.update(capped_environment(1))  # libraries count their threads when they are loaded
+        os.environ.update(capped_environment(1))  # libraries read the number of threads when they are imported
         try:
             self._process.start()
         finally:
@@ -115,7 +115,7 @@ class _Player:
         theirs.close()
 
     def __enter__(self) -> _Player:
-        answer = self._pipe.recv()  # once it has played an episode: kernels and scene are loaded
+        answer = self._pipe.recv()  # sent after a first episode, which loads kernels and scene
         if isinstance(answer, InputError):
             raise answer
         return self
@@ -152,18 +152,18 @@ def _serve(pipe: Connection, scene: str, preset: Preset, overrides: dict[str, An
 
 
 class Episodes:
-    """Episodes one after the other, timed."""
+    """Play timed episodes one after the other."""
 
     def __init__(self, scene: str, preset: Preset, overrides: Mapping[str, Any], seed: int) -> None:
         from activestructure_gym.envs import ReconstructionEnv
 
         config = {"features": FEATURES, **overrides}
         self._env = ReconstructionEnv(scene, preset=preset, config=config, coverage_target=None)
-        self._gain = self._env.config.features.index("hole_area")
+        self._column = self._env.config.features.index("hole_area")
         self._seed, self._rng = seed, np.random.default_rng(seed)
 
     def episode(self, until: float = np.inf) -> Round:
-        """One episode, or as much of it as there is time for (``until`` as `time.perf_counter` counts)."""
+        """Play one episode, or its part until the time ``until`` of `time.perf_counter`."""
         from activestructure_gym.policies import travel_discount
 
         began = time.process_time()
@@ -175,7 +175,7 @@ class Episodes:
         wall, processor, ended = list[float](), list[float](), False
         while not ended and (not wall or time.perf_counter() < until):
             valid = observation["action_mask"].astype(bool)
-            scores = observation["candidate_features"][:, self._gain] * travel_discount(observation)
+            scores = observation["candidate_features"][:, self._column] * travel_discount(observation)
             if len(wall) % 4 == 3:
                 scores = self._rng.random(len(valid))
             action = int(np.argmax(np.where(valid, scores, -1.0)))
@@ -190,7 +190,7 @@ class Episodes:
         )  # fmt: skip
 
     def during(self, seconds: float) -> Round:
-        """Play episodes for ``seconds``."""
+        """Play episodes for ``seconds`` and return their sums."""
         until, parts = time.perf_counter() + seconds, list[Round]()
         while not parts or time.perf_counter() < until:
             parts.append(self.episode(until))

@@ -1,8 +1,8 @@
-"""Benchmark of the keyframes' information while their number grows: its cost per decision should not depend on it.
+"""Measure the cost per decision of the keyframes' information, which should not grow with their number.
 
-The map is that of the rasteriser's workload W4 (50k Gaussians seeded in a furnished room), the keyframes look around in
-it at the size candidates are scored at. Between two decisions some Gaussians go and as many come, as in an episode.
-Beside it stands what FisherRF does: the information of all keyframes made anew.
+The map is that of the rasteriser's workload W4: 50k Gaussians seeded in a furnished room. The keyframes look around in
+it at the image size of candidate scoring. Between two decisions some Gaussians are removed and equally many added, as
+in an episode. FisherRF's method is timed for comparison: it computes the information of all keyframes anew.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 
 CHECKPOINTS = (10, 20, 50, 100, 200)
-_CHANGED = 200  # Gaussians that go, and as many that come, between two decisions
+_CHANGED = 200  # Gaussians that are removed, and equally many added, between two decisions
 
 
 def run_information_benchmark(
@@ -29,11 +29,11 @@ def run_information_benchmark(
     repeats: int = 9,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
-    """Rows ``{keyframes, gaussians, decision_ms, low_ms, high_ms, all_ms, stored_mb}``: processor milliseconds.
+    """Return rows ``{keyframes, gaussians, decision_ms, low_ms, high_ms, all_ms, stored_mb}`` in processor ms.
 
-    ``decision_ms`` is the median of `KeyframeInformation.update` (with quartiles), ``all_ms`` one sum of all keyframes
-    made anew, ``stored_mb`` what the shares of the keyframes take. The numbers of keyframes take turns, so that a busy
-    spell of the machine hits all of them.
+    ``decision_ms`` is the median of `KeyframeInformation.update`, with quartiles ``low_ms`` and ``high_ms``.
+    ``all_ms`` is the time of all keyframes anew, ``stored_mb`` the memory of their shares. The numbers of keyframes
+    alternate, so that the load of the machine affects all of them.
     """
     work, rng = make_workload("W4"), np.random.default_rng(0)
     picture, depth = np.zeros((60, 80, 3), np.uint8), np.ones((60, 80), np.float32)

@@ -1,4 +1,4 @@
-"""Frames per second of the sensor on real views, ray casting against pyrender in the same run."""
+"""Measure the frames per second of the sensor by ray casting and by pyrender on the same views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZES = ((160, 90), (320, 180), (640, 360))
 
 
 def benchmark_views(scene: Scene, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
-    """Views as an agent has them: free positions 0.3 m off every surface, any heading, 30 deg down to 15 deg up."""
+    """Draw views of an agent: free positions 0.3 m off surfaces, any heading, pitch from 30 deg down to 15 deg up."""
     positions = ground_truth_of(scene).free_space.sample_positions(count, rng, min_clearance=0.3)
     heading, pitch = rng.uniform(-np.pi, np.pi, count), np.radians(rng.uniform(-30.0, 15.0, count))
     directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
@@ -33,9 +33,9 @@ def time_renderers(
     repeats: int,
     supersample: int,
 ) -> np.ndarray:  # [R, repeats * V] seconds per frame
-    """Draw every view ``repeats`` times with every renderer in turn, so that all meet the same load of the machine.
+    """Render every view ``repeats`` times with all renderers in turn, so that the machine's load affects all of them.
 
-    One round ahead is not counted: it holds compilation, uploads and first touches.
+    A first round is not timed, since it includes compilation and uploads.
     """
     seconds = np.empty((len(renderers), repeats + 1, len(views)))
     for repeat in range(repeats + 1):
@@ -57,11 +57,11 @@ def run_sensor_benchmark(
     supersample: int = 2,
     seed: int = 0,
 ) -> list[dict[str, Any]]:
-    """One row per scene and size: frames per second of each renderer as median, 10th and 90th percentile.
+    """Return one row per scene and size: frames per second of each renderer as median, 10th and 90th percentile.
 
     ``ratio`` is the median over frames of pyrender's time divided by ray casting's (above 1: ray casting is faster).
-    Where pyrender cannot run its numbers are None and ``note`` says why. Scenes are given as specs of
-    `load_scene`; a wrong one raises `InputError`.
+    If pyrender cannot run, its numbers are None and ``note`` gives the reason. Scenes are specs of `load_scene`; a
+    wrong one raises `InputError`.
     """
     from activestructure_gym.scenes.library import load_scene
 

@@ -1,15 +1,18 @@
-"""Benchmark of the CPU rasteriser: real seeded inputs, warm, medians with spread.
+"""Measure the speed of the CPU rasteriser on seeded maps of a room, after a warm-up.
 
-Workloads (sizes of docs/notebook/groundwork.md): Gaussians seeded as disks from the RGB-D pixels of six views
-of a furnished box room, and one of those views as the target.
-W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
-80x60 over 50k Gaussians (candidate scoring).
+Every workload (sizes of docs/notebook/groundwork.md) has Gaussians seeded as disks from the RGB-D pixels of six views
+of a furnished box room, and one of these views as the target. W1 (160x120, 20k Gaussians), W2 (320x240, 80k) and W3
+(640x480, 300k) time one fused mapping iteration. W4 times candidate scoring: alpha and depth of 64 cameras at 80x60
+over 50k Gaussians.
 
-Next to the times stand ratios, which compare machines and versions where milliseconds do not, all from the same run:
-``floor_share``, the time the needed arithmetic would take at the measured multiply-add peak over the time taken (of an
-iteration: forward and backward alone, so that losses and Adam count against it); ``vs_torch``, the time of the batched
-plain-torch renderer over the time taken; ``vs_one``, the time on the first thread count over the time taken;
-``second_pass``, what the information of a view (`fisher`) takes beyond a forward rendering, in forward renderings.
+Ratios from the same run compare machines and versions:
+
+- ``floor_share``: ideal time of the needed arithmetic at the measured multiply-add peak, divided by the time. For an
+  iteration the ideal time is of forward and backward pass, without losses and Adam.
+- ``vs_torch``: time of the plain-torch renderer, divided by the time
+- ``vs_one``: time on the first thread count, divided by the time
+- ``second_pass``: additional time of the information of a view (`fisher`) over a forward rendering, divided by the
+  time of the forward rendering
 """
 
 from __future__ import annotations
@@ -33,12 +36,12 @@ from activestructure_gym.splatting.workspace import PooledWorkspace, aligned_zer
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
-# Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
-# the first 25 again and 40.
+# Operations per needed pair, a multiply-add counted as two. Forward: offsets 2, exponent 8, exp2 13, limits 2,
+# transmittance 3, sums 8. Backward: the first 25 again, and 40 more.
 _FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
-_INFORMATION = "information"  # render and second pass
-_IN_A_ROW = 5  # runs per repetition, as a mapping event has iterations, after one that is not counted
-_RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
+_INFORMATION = "information"  # forward rendering and second pass
+_IN_A_ROW = 5  # timed runs per repetition, as a mapping event has several iterations; one run before is not timed
+_RATES = np.zeros(14, np.float32)  # learning rates of 0: equal arithmetic, and the map does not change
 _ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
 _BOXES = np.array([
     [[0.5, 0.4, 0.0], [1.5, 1.9, 0.7]], [[4.6, 0.3, 0.0], [5.6, 1.1, 1.9]], [[2.4, 4.2, 0.0], [4.0, 4.9, 0.9]],
@@ -48,7 +51,7 @@ _BOXES = np.array([
 
 @dataclass(frozen=True)
 class Workload:
-    """A Gaussian map, the cameras it is rendered from, and the target images."""
+    """Hold a Gaussian map, the cameras that render it, and the target images."""
 
     parameters: np.ndarray  # [14, capacity] float32
     count: int
@@ -59,17 +62,17 @@ class Workload:
 
 
 def make_workload(name: str, seed: int = 0) -> Workload:
-    """Build one of W1 to W4; the same for every call."""
+    """Build one of W1 to W4; equal seeds give equal workloads."""
     if name not in _SIZES:
         raise unknown_name("splatting workload", name, _SIZES)
     width, height, count = _SIZES[name]
     rng = np.random.default_rng(seed)
     camera = PinholeCamera.from_size(width, height)
-    # W1 to W3 look where neighbouring views have seeded too; W4 looks all around.
+    # The views of W1 to W3 overlap with neighbouring seeded views; those of W4 look all around.
     poses = _poses(np.radians([0, 50, -50, 100, -100, 150]) if name != "W4" else np.arange(64) / 32 * np.pi, rng)
     sources = poses if name != "W4" else poses[::11]
     per_view = -(-count // 6)
-    # W4 is seeded at a density that suits its count, not from its own small images.
+    # W4 is seeded from larger images than its own, since those have too few pixels for its Gaussians.
     seeding = camera if name != "W4" else PinholeCamera.from_size(224, 168)
     blocks = [_seed(seeding, pose, per_view, rng) for pose in sources]
     live = np.concatenate(blocks, axis=1)[:, :count]
@@ -87,21 +90,23 @@ def run_splatting_benchmark(
     baseline: bool = True,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
-    """Rows ``{workload, visible, pairs_per_pixel, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms,
-    floor_share, vs_torch, vs_one, second_pass, repeats}``; of the last but one quartiles, by processor time, for the
-    task "information" alone.
+    """Return one row per workload, task and thread count.
 
-    ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. A
-    repetition is the mean of five runs one after the other, after a sixth that is not counted: as in a mapping event,
-    where the iteration before has left its map in the caches (plain torch: one run, longer than these). Low and high
-    are the quartiles of the repetitions, ``cpu_ms`` the median processor time of all threads together (what is left to
-    look at on a machine shared with others). Ratios are of medians, nan where they are not defined. ``baseline`` runs
-    the batched plain-torch renderer (tasks ending in ", torch") and the path through torch's autograd as well; the
-    former up to 5 times, as it takes a hundred times longer. All tasks and thread counts are alternated, so that a busy
-    spell of the machine hits all of them.
+    A row holds:
 
-    Raises:
-        InputError: an unknown workload.
+    - ``workload``, ``task``, ``threads``, ``repeats``
+    - ``visible``, ``pairs_per_pixel``: visible Gaussians and needed (pixel, Gaussian) pairs, means over the views
+    - ``median_ms``, ``low_ms``, ``high_ms``, ``best_ms``: median, quartiles and minimum of the repetitions, wall time
+    - ``cpu_ms``: median processor time of all threads, which depends less on the load of the machine
+    - ``floor_share``, ``vs_torch``, ``vs_one``: ratios of medians, NaN if not defined
+    - ``second_pass``: quartiles by processor time, for the task "information", else None
+
+    A repetition is the mean of five consecutive runs after one that is not timed. So the caches hold the map, as in a
+    mapping event. For plain torch it is one run. All tasks and thread counts alternate, so that the machine's load
+    affects all of them. ``baseline`` adds the plain-torch renderer (tasks ending in ", torch"), repeated at most 5
+    times since it is a hundred times slower, and the kernels behind torch's autograd.
+
+    Raises `InputError` for an unknown workload.
     """
     names, counts = tuple(workloads), tuple(threads) if threads is not None else (1, 2)
     for name in names:
@@ -139,18 +144,18 @@ def run_splatting_benchmark(
 
 
 def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> float:
-    """Median over the repetitions: each beside the peak measured just before it, as clocks rise and fall."""
+    """Return the median over repetitions, each with the peak measured just before it, since clock rates change."""
     return statistics.median(1e3 * flops / peak / time_ms for peak, time_ms in zip(peaks, times_ms))
 
 
 def _second_pass(whole: list[float], forward: list[float]) -> tuple[float, ...]:
-    """Quartiles over the repetitions, each beside the forward rendering of the same round."""
+    """Return quartiles over repetitions, each relative to the forward rendering of the same round."""
     shares = [(own - first) / first for own, first in zip(whole, forward)]
     return tuple(statistics.quantiles(shares, n=4)) if len(shares) > 1 else tuple(shares) * 3
 
 
 def _measure(tasks, counts, few, repeats):
-    """Per (task, thread count): milliseconds of the clock, of the processor, and the peak before each repetition."""
+    """Return per (task, thread count) wall ms and processor ms of each repetition, and the peak before it."""
     keys = [(task, count) for task in tasks for count in counts]
     wall: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
     busy: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
@@ -163,7 +168,7 @@ def _measure(tasks, counts, few, repeats):
                 runs = 1
                 peak = multiply_add_peak(count, tries=2) if _flops(task) else float("nan")
                 if not task.endswith(", torch"):
-                    action(count)  # as in use, where the iteration before has left its map in the caches
+                    action(count)  # fills the caches with the map
                     runs = _IN_A_ROW
                 start, busy_start = time.perf_counter(), time.process_time()
                 for _ in range(runs):
@@ -173,11 +178,11 @@ def _measure(tasks, counts, few, repeats):
                     busy[task, count].append(1e3 / runs * (time.process_time() - busy_start))
                     peaks[task, count].append(peak)
             if task.endswith((", torch", "autograd")):
-                time.sleep(0.02)  # torch's threads spin for a while after their work, on the cores of the next task
+                time.sleep(0.02)  # torch's threads spin after their work and would slow the next task
     return wall, busy, peaks
 
 
-# Which run of plain torch a task is compared with; both do render, loss, backward and Adam, or the same pictures.
+# The plain-torch task that a task is compared with; both compute the same.
 _BASELINES = {
     "iteration, L1": "iteration, L1", "iteration, L1 + SSIM": "iteration, L1",
     "iteration, L1, through autograd": "iteration, L1", "score 64 views": "score 64 views",
@@ -185,14 +190,14 @@ _BASELINES = {
 
 
 def _flops(task: str) -> int:
-    """Floating-point operations of a task per needed (pixel, Gaussian) pair; 0 where they were not counted."""
+    """Return the floating-point operations of a task per needed (pixel, Gaussian) pair; 0 if not counted."""
     if task.endswith(", torch") or task == _INFORMATION:
         return 0
     return _FLOPS_FORWARD if task in ("forward", "score 64 views") else _FLOPS_FORWARD + _FLOPS_BACKWARD
 
 
 def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
-    """Flops per second of 16-lane multiply-adds on so many threads, the best of a few tries."""
+    """Return the flops per second of 16-lane multiply-adds on ``threads`` threads, the best of a few tries."""
     pieces, rounds = 8 * threads, 20_000
     values = aligned_zeros(LANES * (2 + pieces))
     values[: 2 * LANES] = 0.5
@@ -206,8 +211,9 @@ def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
 
 
 def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]:
-    """Visible Gaussians, and how many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at
-    least 1/255.
+    """Return the number of visible Gaussians and of needed (pixel, Gaussian) pairs.
+
+    A pair is needed if its alpha is at least 1/255 and the pixel's transmittance is not used up.
     """
     pooled = PooledWorkspace()
     workspace = pooled.workspace
@@ -278,12 +284,12 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
 
 
 def _aligned(shape: tuple[int, int]) -> np.ndarray:
-    """Zeros whose rows start on cache lines, as those of the mapper's map do."""
+    """Return zeros whose rows start on cache lines, as the rows of the mapper's map do."""
     return aligned_zeros(shape[0] * shape[1]).reshape(shape)
 
 
 def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
-    """Plain torch; and the kernels as a node of torch's graph, with loss and optimiser of torch."""
+    """Return the tasks of plain torch, and of the kernels in torch's graph with torch's loss and optimiser."""
     import torch
 
     from activestructure_gym.evaluation.benchmarks.torch_tiles import rasterize_torch_tiles
@@ -293,7 +299,7 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
     columns = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
     means, quaternions, log_scales, logits, colors = (group.contiguous().requires_grad_() for group in columns)
     optimizer = torch.optim.Adam([means, quaternions, log_scales, logits, colors], lr=0.0, fused=True)
-    # Each in the layout it is fastest with: plain torch with a row per Gaussian, the kernels with one per parameter.
+    # Both have their fastest layout: plain torch a row per Gaussian, the kernels a row per parameter.
     rows = [group.requires_grad_() for group in parameter_rows(torch.from_numpy(work.parameters.copy()))]
     of_rows = torch.optim.Adam(rows, lr=0.0, fused=True)
     poses = torch.from_numpy(invert_rigid(work.poses).astype(np.float32))
@@ -342,7 +348,7 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
 
 
 def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] radians -> [C, 4, 4]
-    """Cameras around the middle of the room."""
+    """Draw cameras around the middle of the room."""
     poses = []
     for yaw in yaws:
         position = np.array([3.0, 2.5, 1.4]) + rng.uniform(-0.6, 0.6, 3) * [1.0, 1.0, 0.4]
@@ -351,7 +357,7 @@ def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] rad
 
 
 def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour ``[H, W, 3]``, depth ``[H, W]`` and normals ``[H, W, 3]`` of the box room, by slabs."""
+    """Render colour [H, W, 3], depth [H, W] and normals [H, W, 3] of the box room by slab intersection."""
     directions = camera.rays().astype(np.float64) @ pose[:3, :3].T
     origin = pose[:3, 3]
     walls = np.where(directions > 0, _ROOM[1] - origin, _ROOM[0] - origin) / directions
@@ -369,14 +375,14 @@ def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
-    """Disks on the surface at ``count`` pixels in raster order, footprint sigma 1.0 to 1.5 px, blur included."""
+    """Seed disks on the surface at ``count`` pixels in raster order, of footprint sigma 1.0 to 1.5 px including blur."""
     rgb, depth, normals = _see(camera, pose)
     pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
     z = depth.reshape(-1)[pixels]
     points = pose[:3, 3] + (camera.rays().reshape(-1, 3)[pixels] @ pose[:3, :3].T) * z[:, None]
     normal = normals.reshape(-1, 3)[pixels]
     quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
-    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # facing down: half a turn
+    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # the quaternion of a normal that points down is a half turn
     sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - layout.BLUR_VARIANCE) * z / camera.fx
     opacity = rng.uniform(0.5, 0.95, count)
     return np.concatenate([

@@ -1,8 +1,8 @@
-"""A tile renderer in plain torch, batched over tiles: what the benchmark's ratios are measured against.
+"""Render tiles in plain torch, as the baseline of the benchmark's ratios.
 
-The best of what plain torch does on a CPU: tiles of 8 pixels, opacity-aware boxes, tiles of similar length padded and
-blended together in batches that fit the cache, transmittance as a sum of logarithms (a fifth faster than a product,
-whose derivative torch finds by division). Same picture as the other backends.
+It is optimised for a CPU: tiles of 8 pixels, opacity-aware boxes, and batches that fit the cache, of tiles with
+similar numbers of Gaussians. Transmittance is a sum of logarithms, which is a fifth faster than a product, whose
+derivative needs a division. The image equals that of the other backends.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def rasterize_torch_tiles(
 
 
 def _entries(position, inverse, depth, opacity, tiles_x, tiles_y):
-    """(tile, Gaussian) pairs whose boxes meet, ordered by tile and within a tile by depth."""
+    """Return the pairs (tile, Gaussian) whose boxes overlap, ordered by tile and within a tile by depth."""
     with torch.no_grad():
         extent = 2.0 * torch.log((opacity / MIN_ALPHA).clamp_min(1e-30))
         determinant = inverse[:, 0] * inverse[:, 2] - inverse[:, 1] ** 2

@@ -1,1 +1,1 @@
-"""Measurements for developers: ``python -m benchmarks.NAME --help``, at the top of a checkout."""
+"""Hold benchmarks for developers; run ``python -m benchmarks.NAME --help`` at the top of a checkout."""

@@ -1,7 +1,7 @@
-"""What an event costs in one place while copies of a whole mapped apartment stand around it, to millions of Gaussians.
+"""Measure a mapping event in one place while the map grows by copies of an apartment, to millions of Gaussians.
 
-"storeys": the copies stand far above each other, outside every view. "floor": they stand side by side, inside the views
-and behind the walls of the place. Copies have no keyframes of their own, so no step is spent on them.
+The copies are "storeys" far above each other, outside every view, or a "floor" of apartments side by side, inside the
+views and behind the walls of the place. Copies have no keyframes, so no optimiser step is spent on them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from activestructure_gym.scenes.scene import Scene
 from benchmarks.growth import STOREY, places, processor_ms, quartiles
 
 COUNTS = (250_000, 500_000, 1_000_000, 2_000_000)  # Gaussians
-KEYFRAMES = (6, 120)  # of the place, and of the apartment that is copied
+KEYFRAMES = (6, 120)  # keyframes of the place, and of the apartment that is copied
 _A_ROW = 5  # copies side by side on a floor before the next row begins
 _APART = 1.0  # metres between the copies of a floor
 
@@ -31,14 +31,14 @@ Where = Literal["storeys", "floor"]
 
 @dataclass(frozen=True)
 class CopiesRow:
-    """One place in a small and in a large map; the same frames in both, one right after the other."""
+    """Hold the costs of one place in a small and in a large map, by pairs of events with the same frame."""
 
-    where: Where  # the copies stand
+    where: Where  # arrangement of the copies
     gaussians: tuple[int, int]
     pairs: int
     event_ratio: tuple[float, float, float]  # lower quartile, median, upper quartile
     event_ms: tuple[float, float]  # processor time, medians
-    mb_per_million: float  # the map's own arrays by a million Gaussians of room
+    mb_per_million: float  # memory of the map's arrays per million Gaussians of capacity
 
 
 def run_copies_benchmark(
@@ -51,9 +51,9 @@ def run_copies_benchmark(
     probes: int,
     seed: int = 0,
     rounds: int = 2,
-    advance: Callable[[], None] = lambda: None,  # called as often as there are rows
+    advance: Callable[[], None] = lambda: None,  # called once per row
 ) -> list[CopiesRow]:
-    """Map a place and the whole apartment with ``mapper`` (empty), and compare the place alone with it among copies."""
+    """Map an apartment with the empty ``mapper``; compare one place of it alone and among copies of the apartment."""
     frames, probe_frames, _ = places(scene, keyframes[1], size, 1, probes, seed)
     place: Mapper | None = None
     for index, frame in enumerate(frames):
@@ -75,7 +75,7 @@ def among_copies(
     count: int,
     where: Where,
 ) -> Mapper:
-    """A copy of ``place`` with copies of the apartment appended, moved by whole apartments, ``count`` in all."""
+    """Return a copy of ``place`` with shifted copies of the apartment appended, ``count`` Gaussians in all."""
     grown, number = copy.deepcopy(place), 0
     extent = np.ptp(whole[MEAN], axis=1) + _APART
     while grown.map.count < count:
@@ -93,10 +93,10 @@ def _compared(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], round
     for _ in range(rounds):
         trials = [copy.deepcopy(mapper) for mapper in (small, large)]
         for trial in trials:
-            trial.observe(probe_frames[0])  # not counted: the copies' arrays may have to grow
+            trial.observe(probe_frames[0])  # not timed, since the copies' arrays may have to grow
         for number, frame in enumerate(probe_frames):
             taken = {}
-            for size in (0, 1) if number % 2 else (1, 0):  # nobody always comes second
+            for size in (0, 1) if number % 2 else (1, 0):  # alternating order
                 taken[size] = processor_ms(partial(trials[size].observe, frame))
             times.append((taken[0], taken[1]))
     return CopiesRow(
@@ -110,6 +110,6 @@ def _compared(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], round
 
 
 def bytes_of(gaussians: GaussianMap) -> int:
-    """Bytes of the arrays that are as long as the map's capacity."""
+    """Return the bytes of the arrays that are as long as the map's capacity."""
     arrays = (gaussians.parameters, gaussians.first_moment, gaussians.second_moment, gaussians.ids)
     return sum(array.nbytes for array in arrays)

@@ -1,4 +1,4 @@
-"""Measure which share of the best view on offer the choices of features and policies reach."""
+"""Measure the true rate of the views chosen by features and policies, as a share of the best candidate's."""
 
 from __future__ import annotations
 
@@ -52,8 +52,7 @@ class Decisions:
     quality: int = 0
     """Map this many views of each frozen decision in a copy, for their effect on held-out views; 0 maps none."""
     out: str | None = None
-    """Write decisions.json to this folder, where finished episodes of the same settings are kept; by default print
-    only."""
+    """Write decisions.json to this folder and resume with its finished episodes; by default print only."""
     quick: bool = False
     """Run a small version, which shows only that the benchmark works."""
 
@@ -78,24 +77,24 @@ class Decisions:
             task = bar.add_task("deciding", total=left * settings.frames)
             ended = 0
 
-            def tell(scene: str, seed: int, frames: int) -> None:
+            def show(scene: str, seed: int, frames: int) -> None:
                 title = short_title(console, f"{scene}, seed {seed}")
                 bar.update(task, completed=ended * settings.frames + frames, description=title)
 
-            for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, tell=tell):
+            for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, tell=show):
                 ended += 1
                 records += found
                 if folder is not None:
-                    with replaced(folder / _RECORDS) as file:  # whole episodes or none
+                    with replaced(folder / _RECORDS) as file:  # written atomically, so that it holds whole episodes
                         file.writelines(f"{json.dumps(record)}\n".encode() for record in records)
         records = [record for record in records if (record["scene"], record["seed"]) in asked]
-        rows, worth = benchmark.decision_rows(records), benchmark.quality_rows(records)
+        rows, quality = benchmark.decision_rows(records), benchmark.quality_rows(records)
         print_rows(console, rows, f"share of the best true rate, {len(records)} decisions of {escape(settings.played)}")
-        if worth:
-            print_rows(console, worth, "what the picked view changed on held-out views, per 100 frames")
+        if quality:
+            print_rows(console, quality, "change by the picked view on held-out views, per 100 frames")
         if folder is not None:
             content: dict[str, Any] = {"settings": dataclasses.asdict(settings), "hardware": machine.hardware()}
-            content |= {"rows": rows, "quality": worth, "decisions": records}
+            content |= {"rows": rows, "quality": quality, "decisions": records}
             _write(folder / _RESULT, content)
             console.print(f"written: {escape(str(folder / _RESULT))}")
         return 0
@@ -110,7 +109,7 @@ class Decisions:
             raise InputError(f"--played is one policy, got {len(played)}")
         for name in (*played, *policies):
             make_policy(name)
-        column_names(split_list(self.features))  # both refuse what there is not, before anything is written
+        column_names(split_list(self.features))  # unknown names raise InputError before anything is written
         for name in ("frames", "first", "every"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
@@ -130,7 +129,7 @@ class Decisions:
 
 
 def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
-    """Records of finished episodes in ``folder``, which is begun where it is new; `InputError` for other settings."""
+    """Return the records of finished episodes in ``folder``; begin a new one; raise `InputError` for other settings."""
     written = json.loads(json.dumps(dataclasses.asdict(settings)))
     place, records = folder / "settings.json", folder / _RECORDS
     if not place.exists():

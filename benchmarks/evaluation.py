@@ -1,4 +1,4 @@
-"""Measure what the evaluation of one episode costs by stages, the truth already in the cache."""
+"""Measure the cost of evaluating one episode by stages, with ground truth already cached."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SCENES = ("room", "apartment?rooms=3&seed=5")
 
 
 def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) -> list[dict[str, Any]]:
-    """Explore every scene once by `random`, then measure the map by the protocol ``standard`` as `run_job` does."""
+    """Explore every scene once by `random`, then time the stages of measuring its map by the protocol ``standard``."""
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
     protocol = StandardProtocol(views=4, surface_samples=20_000) if quick else StandardProtocol()
@@ -66,7 +66,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     truth, cost = _timed(lambda: protocol.truth(ground_truth_of(scene)))
     yield {**name, "stage": "truth from the cache", **cost}
     threshold = protocol.threshold_m
-    truth.surface.discs, truth.surface.samples  # noqa: B018 - the trees are built once for a scene
+    truth.surface.discs, truth.surface.samples  # noqa: B018 - builds the search trees, once for a scene
     _, cost = _timed(lambda: geometry_scores(protocol.points(gaussians), truth.surface, threshold_m=threshold))
     yield {**name, "stage": "distances of the means", **cost}
     points, cost = _timed(lambda: protocol.on_surface(protocol.surface(gaussians, path).pieces))
@@ -120,7 +120,7 @@ class Evaluation:
         """Measure and print."""
         console = make_console()
         rows = measure_evaluation(console, split_scenes(self.scenes), quick=self.quick)
-        print_rows(console, rows, "cost of an episode's evaluation, the truth in the cache")
+        print_rows(console, rows, "cost of an episode's evaluation, with cached ground truth")
         return 0
 
 

@@ -1,8 +1,8 @@
-"""A whole storey to map: apartments of seven rooms on both sides of a corridor, about 25 x 57 m with twelve of them.
+"""Build a whole storey: apartments of seven rooms on both sides of a corridor, 25 x 57 m for twelve apartments.
 
     asg compare --scenes "benchmarks.floor:make_floor" --policies hole_area
 
-Every apartment is one of `plan_layout`, with a doorway to the corridor in place of its windows there.
+Every apartment is a layout of `plan_layout` with a doorway instead of windows in the wall to the corridor.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from activestructure_gym.scenes.procedural.layout import CEILING, DOOR_HEAD, NIC
 from activestructure_gym.scenes.scene import Scene, SceneMesh
 
 _ROOMS = 7
-_WIDTH = 24  # lattice steps from wall to wall of the corridor
-_DOOR, _BESIDE = 9, 2  # lattice steps: width of a doorway, and of the wall left on either side
+_WIDTH = 24  # width of the corridor, lattice steps
+_DOOR, _BESIDE = 9, 2  # lattice steps: width of a doorway, and of the wall next to it
 _APART = 1  # lattice steps between neighbours
 
-Side = Literal[-1, 1]  # where the corridor is, along x
+Side = Literal[-1, 1]  # side of the corridor along x
 
 
 def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scene:
-    """So many furnished apartments, half of them on each side of a corridor, the same for the same arguments."""
+    """Build a floor of furnished apartments, half of them on each side of a corridor."""
     if isinstance(apartments, bool) or not isinstance(apartments, int) or apartments < 2:
         raise InputError(f"a floor has at least two apartments, got apartments={apartments!r}")
     parts: list[SceneMesh] = []
@@ -37,7 +37,7 @@ def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scen
     for number in range(apartments):
         side: Side = -1 if number % 2 else 1
         layouts.append((side, *with_doorway(_layout(seed + number), side)))
-    left = max(layout.owner.shape[0] for side, layout, _ in layouts if side == 1)  # where the corridor begins
+    left = max(layout.owner.shape[0] for side, layout, _ in layouts if side == 1)  # position of the corridor along x
     reached = {-1: 0, 1: 0}
     for number, (side, layout, door) in enumerate(layouts):
         start = left - door.upper[0] if side == 1 else left + _WIDTH - door.lower[0]
@@ -58,7 +58,7 @@ def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scen
 
 
 def with_doorway(layout: Layout, side: Side) -> tuple[Layout, Space]:
-    """The plan with a way out through the wall at low (-1) or high (1) x, which it has no windows in, and that way."""
+    """Return the layout with a doorway in the wall at low (-1) or high (1) x and no windows there, and the doorway."""
     rooms = layout.spaces[: layout.rooms]
     edge = max(room.upper[0] for room in rooms) if side == 1 else min(room.lower[0] for room in rooms)
     outer = [i for i, room in enumerate(rooms) if (room.upper[0] if side == 1 else room.lower[0]) == edge]
@@ -75,7 +75,7 @@ def _layout(seed: int) -> Layout:
 
 
 def _corridor(length: int, seed: int, lit: bool) -> Scene:
-    """A tiled passage; a lamp every 8 m or so, as each piece of it counts as a room."""
+    """Build a tiled corridor of pieces of about 8 m, each of which has a lamp like a room."""
     ends = np.linspace(NICHE, NICHE + length, 1 + max(1, round(length / 80))).astype(int).tolist()
     pieces = [
         Space("bath", (NICHE, a, 0), (NICHE + _WIDTH, b, CEILING), i) for i, (a, b) in enumerate(zip(ends, ends[1:]))
@@ -85,9 +85,9 @@ def _corridor(length: int, seed: int, lit: bool) -> Scene:
 
 
 def _without(mesh: SceneMesh, plane: float, boxes: Sequence[np.ndarray]) -> SceneMesh:
-    """The mesh without the triangles that lie in the plane x = ``plane`` metres and in one of the boxes [2, 3]."""
+    """Remove the triangles that are in the plane x = ``plane`` metres and in one of the boxes [2, 3]."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)  # [F, 3, 3]
-    near = 1e-3  # metres; float32 coordinates of a lattice of .1
+    near = 1e-3  # metres; vertices are float32 points of a lattice of 0.1 m
     gone = np.zeros(len(corners), dtype=bool)
     for box in boxes:
         gone |= ((corners >= box[0] - near) & (corners <= box[1] + near)).all(axis=(1, 2))

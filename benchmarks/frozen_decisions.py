@@ -1,7 +1,7 @@
-"""Benchmark of decisions: how much of the best on offer the picks of features and policies reach, by ground truth.
+"""Compare the choices of features and policies with the best candidate, by ground truth.
 
-An episode is played by one policy. At some of its decisions the true rate of every candidate is computed: newly
-observed area on the way and at its end, per frame. Everybody who is scored picks a row of the same table.
+One policy plays an episode. At some of its decisions the true rate of every candidate is computed: the newly observed
+area along the path and at its end, per frame. Every feature and policy picks a row of the same candidate table.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
 
 SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
 FEATURES = ("hole_area", "pixel")
-_MIN_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
-_SHORTLIST = 8  # rows of a feature's own best, of which the truly best one is told
+_MIN_RATE = 1e-3  # m^2 per frame; decisions whose best candidate has less are left out
+_SHORTLIST = 8  # best rows by a feature, of which the one with the best true rate is reported
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the numbers besides scene and seed."""
+    """Hold the settings of the benchmark, apart from scene and seed."""
 
     played: str = "hole_area"  # the policy whose episodes are frozen
     features: tuple[str, ...] = FEATURES  # columns that are scored, times the shared travel term
-    policies: tuple[str, ...] = ()  # that are scored
+    policies: tuple[str, ...] = ()  # policies that are scored
     preset: Preset = "default"
-    frames: int = 300  # of an episode
+    frames: int = 300  # frame budget of an episode
     first: int = 1  # frame from which on decisions are frozen
-    every: int = 4  # of how many decisions one is frozen
-    pool: int | None = None  # views of the pool that the best is sought among; None: all
-    quality: int = 0  # views of each frozen table that are truly mapped; 0: none
-    views: int = 8  # held-out ones that those are measured on
+    every: int = 4  # one of this many decisions is frozen
+    pool: int | None = None  # number of views of the pool among which the best is searched; None: all
+    quality: int = 0  # views of each frozen table that are mapped in a copy; 0: none
+    views: int = 8  # held-out views that measure the copies
 
 
 def frozen_decisions(
     scene: str, seed: int, settings: Settings, tell: Callable[[int], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """One record per frozen decision of an episode; ``tell`` hears the frames that were paid."""
+    """Return one record per frozen decision of an episode; ``tell`` is called with the frames spent."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -94,7 +94,7 @@ def _picks(
     policies: Mapping[str, Policy],
     features: Sequence[str],
 ) -> dict[str, np.ndarray]:
-    """Rows by falling score of everybody who is scored; a policy tells its first row alone."""
+    """Return the candidate rows by decreasing score, for every feature; for a policy only its choice."""
     from activestructure_gym.policies import Candidates, travel_discount
 
     candidates = Candidates(observation, env.config.features, "the benchmark of decisions")
@@ -111,7 +111,7 @@ def _picks(
 
 
 class _Judge:
-    """The truth of one episode."""
+    """Score candidates of one episode by ground truth."""
 
     def __init__(self, truth: Any, settings: Settings) -> None:
         self._surface, self._settings = TrueSurface(truth), settings
@@ -119,7 +119,7 @@ class _Judge:
         self._quality = TrueQuality(truth, protocol) if settings.quality else None
 
     def record(self, env: ReconstructionEnv, picks: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        """Rates of the table, of the pool and of every pick, and with ``quality`` what views are worth to the map."""
+        """Return true rates of table, pool and picks; with ``quality`` also the changes of image quality by views."""
         episode = env.reconstruction
         self._surface.follow(episode)
         taken = episode.agent.paths(episode.volume, episode.candidates.world_from_camera)
@@ -133,14 +133,14 @@ class _Judge:
             "picks": {name: _scored(rates, rows) for name, rows in picks.items()},
         }
         if self._quality is not None:
-            mapped = {row: way for row in self._mapped_rows(taken, picks) if (way := taken[row]) is not None}
+            mapped = {row: path for row in self._mapped_rows(taken, picks) if (path := taken[row]) is not None}
             found["quality"] = {str(row): change for row, change in self._quality.changes(episode, mapped).items()}
         return found
 
     def _mapped_rows(self, taken: Sequence[PlannedPath | None], picks: Mapping[str, np.ndarray]) -> list[int]:
-        """The first pick of everybody, and further rows that spread over the table.
+        """Return the first row of every pick, and further rows spread over the table.
 
-        `Settings.quality` in all or one per pick.
+        Their number is `Settings.quality`, or the number of different first rows if that is larger.
         """
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
@@ -149,7 +149,7 @@ class _Judge:
 
 
 def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
-    """The true rate of the first row, the best of the first rows, and the rank correlation of a whole order."""
+    """Return the true rate of the first row, the best among the first `_SHORTLIST`, and the rank correlation of all."""
     from scipy.stats import spearmanr
 
     known = rows[rows < len(rates)]
@@ -164,10 +164,10 @@ def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
 
 
 def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row per pick: shares of the best rate, means over scenes of means over decisions, with intervals over scenes.
+    """Return a row per pick with its rate as a share of the best rate: means over scenes of means over decisions.
 
-    Decisions at which nothing on offer shows anything new do not count. The scenes are drawn again for the interval;
-    one scene has none.
+    Decisions without a candidate above `_MIN_RATE` are left out. Intervals are by bootstrap over scenes; one scene has
+    none.
     """
     counted = [record for record in records if record["table"]["best"] > _MIN_RATE]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
@@ -188,18 +188,19 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row per pick: what its views changed per 100 frames, beside the mean and the best of those that were mapped.
+    """Return a row per pick with the change of image quality by its views per 100 frames.
 
-    Also as a share of what the best of those mapped changed, sums of each scene: 1 is the best, below 0 made it worse.
-    Scenes where not even the best mended anything have no share and are left out of that mean.
+    Two more rows are the mean and the best of the mapped views. ``..._of_best`` is the change as a share of the best
+    view's, by sums over each scene: 1 is the best, and below 0 the view made the map worse. Scenes in which even the
+    best view improved nothing are left out of that mean.
     """
     counted = [record for record in records if record.get("quality")]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
     rows: list[dict[str, Any]] = []
-    for who in (*names, "mean of those mapped", "best of those mapped"):
-        row: dict[str, Any] = {"pick": who}
+    for pick in (*names, "mean of those mapped", "best of those mapped"):
+        row: dict[str, Any] = {"pick": pick}
         for key, sign in QUALITY.items():
-            values = [(r, v) for r in counted if (v := _changed(r, who, key, sign)) is not None]
+            values = [(r, v) for r in counted if (v := _changed(r, pick, key, sign)) is not None]
             by_scene: dict[str, list[float]] = {}
             for record, value in values:
                 by_scene.setdefault(record["scene"], []).append(value)
@@ -216,7 +217,7 @@ def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _of_best(
     values: Sequence[tuple[Mapping[str, Any], float]], key: str, sign: float
 ) -> tuple[float | None, tuple[float, float] | None]:
-    """What was changed over what the best would have changed, sums per scene, and its mean over scenes."""
+    """Return the change as a share of the best view's, from sums per scene: the mean over scenes with its interval."""
     sums: dict[str, list[float]] = {}
     for record, value in values:
         best = _changed(record, "best of those mapped", key, sign)
@@ -230,15 +231,15 @@ def _of_best(
     return found.value, _interval(found.low, found.high)
 
 
-def _changed(record: Mapping[str, Any], who: str, key: str, sign: float) -> float | None:
+def _changed(record: Mapping[str, Any], pick: str, key: str, sign: float) -> float | None:
     values = {row: found[key] for row, found in record["quality"].items() if key in found}
     if not values:
         return None
-    if who == "mean of those mapped":
+    if pick == "mean of those mapped":
         return float(np.mean(list(values.values())))
-    if who == "best of those mapped":
+    if pick == "best of those mapped":
         return sign * max(sign * value for value in values.values())
-    return values.get(str(record["picks"].get(who, {}).get("row")))
+    return values.get(str(record["picks"].get(pick, {}).get("row")))
 
 
 def _of_pick(name: str, key: str) -> Callable[[Mapping[str, Any]], float]:
@@ -283,10 +284,10 @@ def run_decisions_benchmark(
     seeds: Sequence[int],
     settings: Settings,
     *,
-    done: Sequence[Mapping[str, Any]] = (),  # records of earlier sittings
+    done: Sequence[Mapping[str, Any]] = (),  # records that exist already
     tell: Callable[[str, int, int], None] = lambda scene, seed, frames: None,
 ) -> Iterator[list[dict[str, Any]]]:
-    """The records of every episode that is not ``done``, episode by episode."""
+    """Yield the records of every episode that is not in ``done``, episode by episode."""
     have = {(record["scene"], record["seed"]) for record in done}
     for scene in scenes:
         for seed in seeds:

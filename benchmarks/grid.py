@@ -1,4 +1,4 @@
-"""Benchmark of the supervisor: the same jobs through it and by hand, in turn."""
+"""Measure the overhead of the supervisor of runs against the same jobs started by `xargs`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from activestructure_gym.evaluation.running.engines.process import search_path
 from activestructure_gym.evaluation.running.live_progress import LiveProgress
 from benchmarks.command import run
 
-# One job in a fresh process, as a shell loop would start it.
+# Program that runs one job in a new process.
 BY_HAND = """
 import json, sys
 from pathlib import Path
@@ -55,29 +55,29 @@ def run_grid_benchmark(
     repeats: int = 3,
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """Seconds and processor seconds of both ways, a row per repetition and one of medians, shares included.
+    """Return wall and processor seconds of both methods, with overheads: a row per repetition and a row of medians.
 
-    ``own_cpu_%`` is the processor time of the supervisor's process alone beside that of its workers: where the wall
-    clock of a busy machine tells nothing, this still does.
+    ``own_cpu_%`` is the processor time of the supervisor's process relative to that of its workers, which does not
+    depend on the machine's load.
 
-    Two policies per scene and seed, as many jobs at a time as there are cores, the same caps on threads. The live
-    display is on. What `asg compare` does once before (checking, compiling) and after (drawing) is not in it: jobs
-    run by hand need the one and have nothing of the other. The two ways take turns in beginning.
+    There are two jobs per scene and seed, one per policy. Both methods run as many jobs at a time as there are cores,
+    with equal limits on threads; the supervisor's live display is on. The preparation and the drawing by `asg compare`
+    are not timed. The two methods alternate in order.
     """
     if shutil.which("xargs") is None:
         raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
     conditions = Conditions(frame_budget=frames, protocol=StandardProtocol(views=8))
     comparison = Comparison(scenes, ("random", "pixel_only"), seeds, conditions=conditions)
     jobs = comparison.prepare(notify)
-    ways = {"by_hand": _by_hand, "supervisor": _supervised}
+    methods = {"by_hand": _by_hand, "supervisor": _supervised}
     rows: list[dict[str, Any]] = []
     for repeat in range(repeats):
         row: dict[str, Any] = {"repetition": str(repeat + 1), "jobs": len(jobs)}
-        for name in sorted(ways, reverse=bool(repeat % 2)):
+        for name in sorted(methods, reverse=bool(repeat % 2)):
             notify(f"repetition {repeat + 1} of {repeats}: {name.replace('_', ' ')}")
             with tempfile.TemporaryDirectory(prefix="asg-bench-grid-") as directory:
                 began, spent = time.perf_counter(), _processor_seconds()
-                ways[name](jobs, Path(directory))
+                methods[name](jobs, Path(directory))
                 own, workers = (after - before for after, before in zip(_processor_seconds(), spent))
                 row |= {f"{name}_s": time.perf_counter() - began, f"{name}_cpu_s": own + workers}
                 if name == "supervisor":
@@ -92,7 +92,7 @@ def run_grid_benchmark(
 
 
 def _by_hand(jobs: Sequence[Job], directory: Path) -> None:
-    """`xargs` runs one command per job, as many at a time as there are cores."""
+    """Run one command per job by `xargs`, as many at a time as there are cores."""
     slots = count_slots(len(jobs), Limits())
     lines = []
     for number, job in enumerate(jobs):
@@ -113,8 +113,8 @@ def _supervised(jobs: Sequence[Job], directory: Path) -> None:
 
 
 def _processor_seconds() -> tuple[float, float]:
-    """Processor seconds of this process and of its children that have ended."""
-    import resource  # not on Windows, which has no xargs either
+    """Return the processor seconds of this process and of its children that have ended."""
+    import resource  # missing on Windows, which has no xargs either
 
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime

@@ -1,12 +1,12 @@
-"""Benchmark of a mapping event and a decision while the map grows elsewhere: the same place in a larger and larger map.
+"""Measure a mapping event and a decision in one place while the map grows elsewhere.
 
-20 keyframes are made around one start of an apartment, 20 around the next, and so on; every such place is put
-on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,
-copies of the map are shown the same frames of the first place, and the same 256 views of it are scored. What the camera
-meets there stays the same, Gaussian by Gaussian: whatever costs more comes from the size of the map.
+20 keyframes are taken around one start of an apartment, 20 around the next, and so on. Every such place is raised to a
+storey of its own, far enough above the last that no view of one reaches another. At certain numbers of keyframes,
+copies of the map observe the same frames of the first place and score the same 256 views of it. The Gaussians in view
+are the same at every size, so additional cost comes from the size of the map.
 
-A processor's clock moves within minutes, so the ratio between two sizes is not read off the rows: copies of both maps
-are kept and shown every frame one right after the other.
+Clock rates change within minutes, so the ratio between two sizes is not computed from the rows. Copies of both maps
+are kept, and each frame is observed by both in direct succession.
 """
 
 from __future__ import annotations
@@ -45,27 +45,27 @@ SIZE = (160, 90)  # pixels
 SCORED = 256  # candidate views at half the size, as in the default preset
 CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 thousand Gaussians
 PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
-PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
-_RADIUS = 1.8  # metres of way: how far a place reaches
-STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
+PLACE_KEYFRAMES = 20  # keyframes per place; after all 16 starts the first is used again
+_RADIUS = 1.8  # metres of path length; radius of a place
+STOREY = 30.0  # metres; no view rises by more than 44 degrees, so points 30 m above and 10 m away are outside
 
 
 @dataclass(frozen=True)
 class GrowthRow:
-    """One size of the map. Milliseconds are processor time, medians over the probes."""
+    """Hold the costs at one size of the map: processor milliseconds, medians over the probes."""
 
     keyframes: int
     gaussians: int
     in_view: int  # Gaussians whose centre projects into a probe's image, median
     event_ms: float  # `Mapper.observe` of a new frame of the first place
-    decision_ms: float  # `Mapper.keyframe_psnr`, which a decision asks for once
+    decision_ms: float  # `Mapper.keyframe_psnr`, called once per decision
     scoring_ms: float  # `render_depth_alpha` of 256 views of the first place
     memory_mb: float  # resident memory of the whole process
 
 
 @dataclass(frozen=True)
 class GrowthPair:
-    """Two sizes of the map and how much more the same frame costs in the larger one: quartiles over the pairs."""
+    """Hold the ratios of costs of the same frame at two sizes of the map: quartiles over the pairs."""
 
     keyframes: tuple[int, int]
     gaussians: tuple[int, int]
@@ -83,13 +83,13 @@ def run_growth_benchmark(
     size: tuple[int, int] = SIZE,
     scored: int = SCORED,
     probes: int = 9,
-    pair: tuple[int, int] = PAIR,  # of the checkpoints
+    pair: tuple[int, int] = PAIR,  # two of the checkpoints
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,  # called `growth_steps` times
 ) -> tuple[list[GrowthRow], GrowthPair]:
-    """Grow ``mapper`` (empty) along a seeded walk and measure it at every checkpoint, and two of them in pairs.
+    """Grow the empty ``mapper`` along a seeded walk, measure it at every checkpoint, and compare two of them in pairs.
 
-    The voxel volume and the plane graph of an episode grow along, so that the memory is an episode's.
+    A voxel volume and a plane graph are updated too, so that the memory is that of an episode.
     """
     frames, probe_frames, candidates = places(scene, max(checkpoints), size, scored, probes, seed, advance)
     volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
@@ -108,7 +108,7 @@ def run_growth_benchmark(
 
 
 def growth_steps(checkpoints: Sequence[int]) -> int:
-    """Number of times `run_growth_benchmark` calls ``advance``."""
+    """Return the number of calls of ``advance`` by `run_growth_benchmark`."""
     return 2 * max(checkpoints)
 
 
@@ -121,7 +121,7 @@ def places(
     seed: int,
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
-    """The keyframes (all on the ground floor), the frames that are timed, and the views that are scored."""
+    """Return the keyframes (not raised to storeys yet), the timed frames, and the scored views."""
     starts = ground_truth_of(scene).free_space.start_poses
     volume = true_volume(scene)
     places = -(-keyframes // PLACE_KEYFRAMES)
@@ -140,7 +140,7 @@ def places(
             )
         )
     keyframe_poses = np.concatenate([walk[::KEYFRAME_EVERY] for walk in poses])[:keyframes]
-    # The frames between the first place's keyframes: new to the map, but not new surface.
+    # The frames between keyframes of the first place are new to the map, but show no new surface.
     between = np.delete(poses[0], np.arange(0, len(poses[0]), KEYFRAME_EVERY), axis=0)
     camera = PinholeCamera.from_size(*size)
     frames = capture(scene, camera, keyframe_poses, supersample=2, advance=advance)
@@ -167,7 +167,7 @@ def _measure(
     scoring_ms = processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
     trial = copy.deepcopy(mapper)
     events, decisions = [], []
-    trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+    trial.observe(probe_frames[0])  # not timed, since the copy's arrays may have to grow
     for frame in probe_frames:
         events.append(processor_ms(partial(trial.observe, frame)))
         decisions.append(processor_ms(trial.keyframe_psnr))
@@ -183,14 +183,14 @@ def _measure(
 
 
 def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds: int = 3) -> GrowthPair:
-    """Both maps see the same frames, in turns; every round begins with fresh copies."""
+    """Compare both maps on the same frames, in direct succession; every round begins with new copies."""
     events, decisions = [], []
     for _ in range(rounds):
         trials = [copy.deepcopy(mapper) for mapper in (small, large)]
         for trial in trials:
-            trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+            trial.observe(probe_frames[0])  # not timed, since the copy's arrays may have to grow
         for number, frame in enumerate(probe_frames):
-            order = (0, 1) if number % 2 else (1, 0)  # nobody always comes second
+            order = (0, 1) if number % 2 else (1, 0)  # alternating
             event, decision = {}, {}
             for size in order:
                 event[size] = processor_ms(partial(trials[size].observe, frame))
@@ -211,6 +211,7 @@ def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return the lower quartile, the median and the upper quartile."""
     low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
     return low, middle, high
 
@@ -223,7 +224,7 @@ def gaussians_in_view(
     parameters: np.ndarray,  # [14, n] live Gaussians
     frame: Frame,
 ) -> int:
-    """Number of centres that project into the frame's image, hidden ones included."""
+    """Return the number of centres that project into the frame's image, including hidden ones."""
     camera = frame.camera
     pose = invert_rigid(frame.world_from_camera).astype(np.float32)
     x, y, z = pose[:3, :3] @ parameters[MEAN] + pose[:3, 3:]
@@ -233,7 +234,7 @@ def gaussians_in_view(
 
 
 def resident_mb() -> float:
-    """Resident memory of this process in megabytes (where the system does not tell: its largest so far)."""
+    """Return the resident memory of this process in MB, or its maximum so far on systems without ``/proc``."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -245,6 +246,7 @@ def resident_mb() -> float:
 
 
 def processor_ms(action: Callable[[], object]) -> float:
+    """Return the processor milliseconds of a call."""
     before = time.process_time()
     action()
     return 1e3 * (time.process_time() - before)
@@ -303,7 +305,7 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
             f"[{low:.2f}, {high:.2f}] times that with {row.gaussians[0]:,} ({row.pairs} pairs; "
             f"{row.event_ms[0]:.0f} and {row.event_ms[1]:.0f} ms)"
         )
-    console.print(f"the map's arrays take {among[-1].mb_per_million:.0f} MB a million Gaussians of room")
+    console.print(f"the map's arrays take {among[-1].mb_per_million:.0f} MB per million Gaussians of capacity")
     for name, (low, middle, high) in (("an event", compared.event_ratio), ("a decision", compared.decision_ratio)):
         console.print(
             f"{name} with {compared.keyframes[1]} keyframes costs {middle:.2f} [{low:.2f}, {high:.2f}] times that with "
@@ -313,7 +315,7 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
         settings = {"scene": scene.name, "size": size, "scored": scored, "pair": asdict(compared)}
         settings["copies"] = [asdict(row) for row in among]
         folder = write_rows(out, "growth.json", settings, rows)
-        plot_growth(measured, folder / "growth.jpg", title="One place, looked at again while the map grows elsewhere")
+        plot_growth(measured, folder / "growth.jpg", title="One place, observed again while the map grows elsewhere")
         console.print(f"written: {escape(str(folder / 'growth.jpg'))}, {escape(str(folder / 'growth.json'))}")
     return rows
 

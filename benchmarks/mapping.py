@@ -1,7 +1,7 @@
-"""Benchmark of mapping: quality on held-out views of a fixed walk through a scene, mapped by several recipes.
+"""Measure the quality of maps on held-out views: a fixed walk through a scene is mapped by several recipes.
 
-Frames and truth are supersampled 4 x 4 (aliasing alone would cap PSNR at about 30 dB), noise-free, 160 x 90. This
-module maps and renders; the report measures and draws.
+Frames and true views have 160 x 90 pixels, no noise, and 4 x 4 supersampling, since aliasing alone would limit PSNR to
+about 30 dB. This module maps and renders; `benchmarks.mapping_figures` measures and draws.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from benchmarks.mapping_views import (
     true_volume,
 )
 
-SIZE = (160, 90)  # pixels: what comparisons use
+SIZE = (160, 90)  # pixels, as in comparisons
 SUPERSAMPLE = 4
 PROCEDURAL_SCENES = ("apartment?seed=0", "apartment?seed=1&rooms=4")
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A mapper by name, how many iterations it takes per frame, and by SplaTAM's rule the pixels between its seeds."""
+    """Define a mapper by its name, iterations per frame, and pixels between seeds by SplaTAM's rule."""
 
     mapper: str
     iterations: int
@@ -53,15 +53,15 @@ class Recipe:
         return f"{self.mapper} at {self.iterations}" + (f", stride {self.stride}" if self.stride != 2 else "")
 
     def make(self, rng: np.random.Generator) -> Mapper:
-        """An empty mapper of this recipe."""
+        """Return an empty mapper of this recipe."""
         config = mapper_config(self.mapper)
         if not isinstance(config, MapperConfig):
             raise InputError(f"mapper '{self.mapper}' is no recipe of MapperConfig")
         return Mapper(replace(config, iterations=self.iterations, seed_stride=self.stride), rng)
 
 
-# SplaTAM seeds every pixel of its 1200 x 680 frames, and every second one in its faster setting, which the recipe
-# follows. At our size that leaves few Gaussians, so it is also given every pixel.
+# SplaTAM seeds every pixel of its 1200 x 680 frames, and every second pixel in its faster setting, the default here.
+# At 160 x 90 that gives few Gaussians, so recipes with every pixel are added.
 RECIPES = (
     Recipe("default", 5),
     Recipe("default", 15),
@@ -74,7 +74,7 @@ RECIPES = (
 
 @dataclass(frozen=True)
 class MappingCourse:
-    """Keyframes to map and held-out views to render, the same for every recipe."""
+    """Hold the keyframes to map and the held-out views to render, equal for every recipe."""
 
     keyframes: list[Frame]
     truth: list[Frame]  # held-out views
@@ -82,12 +82,12 @@ class MappingCourse:
 
 @dataclass(frozen=True)
 class MappedViews:
-    """The held-out views as one recipe's map renders them, and what mapping cost."""
+    """Hold the held-out views rendered from one recipe's map, and the cost of mapping."""
 
     scene: str
     recipe: Recipe
     color: np.ndarray  # [V, H, W, 3] float32 0..1
-    depth: np.ndarray  # [V, H, W] float32 metres: accumulated depth over alpha, 0 = nothing is there
+    depth: np.ndarray  # [V, H, W] float32 metres: accumulated depth over alpha, 0: no surface
     gaussians: int
     event_seconds: float  # processor time of a mapping event, mean
 
@@ -99,11 +99,11 @@ def make_course(
     views: int = 24,
     size: tuple[int, int] = SIZE,
     seed: int = 0,
-    advance: Callable[[], None] = lambda: None,  # called after every frame that was drawn
+    advance: Callable[[], None] = lambda: None,  # called after every rendered frame
 ) -> MappingCourse:
-    """Every fifth frame of a seeded random walk from the scene's first start pose, and held-out views of that.
+    """Render every fifth frame of a seeded random walk from the scene's first start pose, and held-out views.
 
-    See `held_out_poses` for how those are chosen; raises `InputError` where there are too few.
+    See `held_out_poses` for the choice of held-out views; raises `InputError` if there are too few.
     """
     camera = PinholeCamera.from_size(*size)
     walk, held_out = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
@@ -123,7 +123,7 @@ def map_course(
     advance: Callable[[], None] = lambda: None,  # called after every mapping event
 ) -> MappedViews:
     """Map the keyframes in order and render the held-out views."""
-    # Compiles and touches what the first event would be charged for.
+    # A first event that is not timed compiles the kernels.
     recipe.make(np.random.default_rng(seed)).observe(course.keyframes[0])
     mapper = recipe.make(np.random.default_rng(seed))
     seconds = 0.0
@@ -154,7 +154,7 @@ def run_quality_benchmark(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[MappingCourse, list[MappedViews]]]:
-    """Per scene its course and one entry per recipe. ``advance`` is called `quality_steps` times in all."""
+    """Yield per scene its course and one result per recipe; ``advance`` is called `quality_steps` times in all."""
     for scene in scenes:
         course = make_course(scene, keyframes=keyframes, views=views, size=size, seed=seed, advance=advance)
         yield (
@@ -164,7 +164,7 @@ def run_quality_benchmark(
 
 
 def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
-    """Number of times `run_quality_benchmark` calls ``advance``."""
+    """Return the number of calls of ``advance`` by `run_quality_benchmark`."""
     return scenes * (keyframes + views + recipes * keyframes)
 
 

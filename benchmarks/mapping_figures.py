@@ -1,4 +1,4 @@
-"""Tables and pictures of the mapping benchmarks: quality on held-out views, and cost against the size of the map."""
+"""Make tables and figures of the mapping benchmarks: quality on held-out views, and cost over the size of the map."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from benchmarks.growth import GrowthRow
     from benchmarks.mapping import MappedViews, MappingCourse
 
-_RECIPE = ("mapper", "iterations", "stride")  # columns that name a recipe
-MEAN = "mean"  # the scene of the rows that average over all scenes
+_RECIPE = ("mapper", "iterations", "stride")  # columns that identify a recipe
+MEAN = "mean"  # value of "scene" in rows of means over all scenes
 _ENLARGED = 2  # screen pixels per rendered pixel, without smoothing
 
 
 def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
-    """Mean image quality and depth error over the held-out views of one scene and recipe.
+    """Return mean image quality and depth error over the held-out views of one scene and recipe.
 
-    The depth error is the mean over all pixels with a surface, holes counted in full; beside it stands the median over
-    the pixels that are covered, which a few wrong edges do not decide.
+    ``depth_cm`` is the mean over all pixels with a surface, and holes count with their whole depth. ``median_depth_cm``
+    is the median over the covered pixels, which is robust against a few wrong edges.
     """
     images = [frame.rgb.astype(np.float64) / 255.0 for frame in course.truth]
     depths = [frame.depth for frame in course.truth]
@@ -49,7 +49,7 @@ def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
 
 
 def with_means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows, and behind them one per recipe: the mean over the scenes."""
+    """Return the rows, followed by one row per recipe with means over the scenes."""
     recipes = list(dict.fromkeys(tuple(row[key] for key in _RECIPE) for row in rows))
     means = []
     for recipe in recipes:
@@ -66,9 +66,9 @@ def quality_strip(
     *,
     shown: Sequence[str] = ("default at 5", "splatam at 15", "splatam at 15, stride 1"),
 ) -> Image.Image:
-    """One row per scene: a held-out view as it is, and as each recipe's map shows it.
+    """Draw one row per scene: a held-out view, and its renderings from the maps of the recipes.
 
-    The view is the one with most detail in the true image: the maps have no say in the choice.
+    The view is the one with the most detail in the true image, so the choice does not depend on the maps.
     """
     rows, labels = [], []
     for course, entries in zip(courses, mapped):
@@ -93,7 +93,7 @@ def _enlarged(image: np.ndarray) -> Image.Image:
 
 
 def plot_growth(rows: Sequence[GrowthRow], path: Path, *, title: str) -> None:
-    """Milliseconds against keyframes; above, how the map grows meanwhile."""
+    """Plot milliseconds, and the size of the map, over keyframes."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 

@@ -1,7 +1,7 @@
-"""The views behind the mapping benchmarks: a seeded walk through a scene, and held-out views of what it has seen.
+"""Make the views of the mapping benchmarks: a seeded walk through a scene, and held-out views of the observed part.
 
-The walk is one an agent could make: paths that keep their clearance, steps and turns of an episode, every fifth frame
-a keyframe. It is drawn in the true free space, so that it depends on the scene and the seed alone and not on any map.
+The walk has the clearance, steps and turns of an episode, and every fifth frame is a keyframe. It is planned in the
+true free space, so that it depends only on the scene and the seed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
 KEYFRAME_EVERY = 5  # frames, as in an episode
-_PITCH_DEG = (-30.0, 15.0)  # as agents look: mostly level, rather down than up
-_TRIES = 200  # goals drawn in a row without a way to any
-_SEEN_WITHIN = (0.03, 0.01)  # metres, and per metre of depth: a surface point is the one a keyframe measured
-_SEEN_FROM = 1.5  # times the view's own distance, at most
+_PITCH_DEG = (-30.0, 15.0)  # pitch of views
+_TRIES = 200  # successive goals without a path before an error is raised
+_SEEN_WITHIN = (0.03, 0.01)  # metres, and per metre of depth; tolerance between a point and a measured depth
+_SEEN_FROM = 1.5  # largest distance of a keyframe, as a multiple of the view's distance
 
 
 def true_volume(scene: Scene) -> VoxelVolume:
-    """The scene's free space as the volume that paths are planned in."""
+    """Return the scene's true free space as a voxel volume for path planning."""
     volume = VoxelVolume(scene.bounds)
     centers = volume.center_of(np.argwhere(np.ones(volume.shape, bool)))
     volume.state[ground_truth_of(scene).free_space.clearance_at(centers).reshape(volume.shape) > 0] = FREE
@@ -43,11 +43,11 @@ def random_walk(
     rng: np.random.Generator,
     *,
     goal_allowed: Callable[[np.ndarray], np.ndarray] | None = None,  # [N, 3] metres -> [N] bool
-) -> np.ndarray:  # [frames, 4, 4] world_from_camera, the start included
-    """Walk from random place to random place, one pose per frame, and look around at each.
+) -> np.ndarray:  # [frames, 4, 4] world_from_camera, including the start
+    """Walk between random goals, with one pose per frame and a random view direction at each goal.
 
-    Goals are uniform over the places that keep a candidate view's clearance at the start's height (0.2 m up or down)
-    and, with ``goal_allowed``, satisfy it. Raises `InputError` where no goal can be reached.
+    Goals are uniform over the voxels that have a candidate view's clearance, are within 0.2 m of the start's height,
+    and satisfy ``goal_allowed`` if it is given. Raises `InputError` if no goal can be reached.
     """
     motion = MotionConfig()
     centers = volume.center_of(np.argwhere(volume.clearance >= motion.candidate_clearance))
@@ -80,10 +80,10 @@ def capture(
     poses: np.ndarray,  # [F, 4, 4] world_from_camera
     *,
     supersample: int,
-    max_range: float = 10.0,  # metres, as the default sensor's
+    max_range: float = 10.0,  # metres, as of the default sensor
     advance: Callable[[], None] = lambda: None,
 ) -> list[Frame]:
-    """Noise-free frames; ``advance`` is called after each."""
+    """Render noise-free frames; ``advance`` is called after each."""
     renderer = make_renderer("raycast", scene)
     frames = []
     try:
@@ -98,13 +98,13 @@ def capture(
 
 def observed_share(
     points: np.ndarray,  # [N, 3] metres, world
-    depth: np.ndarray,  # [N] metres along the optical axis of the view they are looked at from
+    depth: np.ndarray,  # [N] metres along the optical axis of the view
     keyframes: Sequence[Frame],
 ) -> float:
-    """Share of the points that some keyframe has measured from nearly as close.
+    """Return the share of the points of a view that some keyframe measured from a similar distance.
 
-    It looks at the point, its depth there agrees, and it is at most 1.5 times as far away as the view is: what was only
-    seen from afar cannot be shown sharply by any mapper.
+    The point must be in the keyframe's image, the keyframe's depth must agree, and its distance must be at most 1.5
+    times the view's. No mapper can render sharply a surface that was seen only from far away.
     """
     left, farthest = np.asarray(points), _SEEN_FROM * np.asarray(depth)
     for frame in keyframes:
@@ -133,16 +133,16 @@ def held_out_poses(
     count: int,
     rng: np.random.Generator,
     *,
-    least_observed: float = 0.9,  # of the pixels
-    tries: int = 4000,  # views drawn at most
+    least_observed: float = 0.9,  # share of the pixels
+    tries: int = 4000,  # largest number of drawn views
 ) -> np.ndarray:  # [count, 4, 4] world_from_camera
-    """Views from anywhere in free space that look at what the keyframes have measured from nearly as close.
+    """Draw views from free space whose surfaces the keyframes measured from a similar distance.
 
-    Positions are uniform where a candidate view may stand, headings any, pitch as in the walk; a view is taken if at
-    least ``least_observed`` of its pixels are observed (`observed_share`). So the quality of the map is asked for, not
-    what was explored. Raises `InputError` if too few such views are found.
+    Positions are uniform where candidate views are allowed, headings are uniform, and the pitch is as in the walk. A
+    view is accepted if at least ``least_observed`` of its pixels are observed (`observed_share`), so that the views
+    measure the quality of the map and not exploration. Raises `InputError` if too few such views are found.
     """
-    thin = PinholeCamera.from_size(camera.width // 5, camera.height // 5)  # enough pixels to know the share
+    thin = PinholeCamera.from_size(camera.width // 5, camera.height // 5)  # enough pixels to estimate the share
     renderer = make_renderer("raycast", scene)
     found: list[np.ndarray] = []
     try:

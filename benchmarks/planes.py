@@ -1,15 +1,14 @@
-"""Benchmark of planes: recall and precision in scenes whose planes are known, and what detection and graph cost.
+"""Measure recall and precision of plane detection in scenes with known planes, and the cost of detection and graph.
 
-True planes come from the mesh. Every pixel knows its face; faces are joined, the one with most pixels first, when
-their normals differ by at most 3 degrees and their pixels lie within 5 mm + 1.5 sigma(z) of the common plane: nothing
-that the sensor cannot tell apart counts as two. Pixels beyond the detector's range or seen too close to edge-on count
-for nobody. A plane of 1 % of the image or more must be found (docs/notebook/groundwork.md), found meaning that a
-segment covers it with an intersection over union of one half or more; a segment of that size is right when it is a
-true plane in the same sense.
+True planes come from the mesh, which gives the face of every pixel. Faces are joined, the one with most pixels first,
+if their normals differ by at most 3 degrees and their pixels are within 5 mm + 1.5 sigma(z) of the common plane. So
+planes that the sensor cannot separate count as one. Pixels beyond the detector's range or at grazing angles are left
+out. Planes and segments of at least 1 % of the image are counted (docs/notebook/groundwork.md). A plane is found, and a
+segment is right, if their intersection over union is at least one half.
 
-*Clear* planes are faces of walls and boxes: wide enough for a circle of 1/20 of the
-image's width, and without another true plane so near that the graph would join the two (8 degrees, 5 cm). What is
-left out are frames, skirtings, slats, and panels a few centimetres before their wall.
+*Clear* planes are faces of walls and boxes. They hold a circle of 1/20 of the image's width, and no other true plane is
+so near that the graph would join both (8 degrees, 5 cm). Frames, skirtings, slats and panels before a wall are not
+clear.
 """
 
 from __future__ import annotations
@@ -42,11 +41,11 @@ SCENES = ("room?seed=3", "apartment?rooms=4&seed=2")
 SIZES = ((160, 90), (320, 180))
 NOISES: tuple[DepthNoise, ...] = ("none", "kinect")
 CANDIDATES = 256
-PLANES = 60  # of a graph, where its cost is stated
+PLANES = 60  # number of planes at which the graph's cost is reported
 _LARGE = 0.01  # share of the image
-_SMALL = 0.003  # share of the image from which a neighbour makes a plane unclear
+_SMALL = 0.003  # share of the image; a near plane of this size makes a plane unclear
 _FACE_ANGLE_DEG = 3.0
-_WIDE = 0.025  # of the image's width, radius of the largest circle inside
+_WIDE = 0.025  # least radius of the largest circle inside, as a share of the image's width
 
 Labels = np.ndarray  # [H, W] int, -1 = no plane
 Detector = Callable[[Frame], tuple[Labels, np.ndarray]]  # labels and the segments' normals [S, 3] in the world
@@ -54,19 +53,19 @@ Detector = Callable[[Frame], tuple[Labels, np.ndarray]]  # labels and the segmen
 
 @dataclass(frozen=True)
 class TruePlanes:
-    """The planes of one view, from the mesh."""
+    """Hold the true planes of one view."""
 
     depth: np.ndarray  # [H, W] float32 metres, without noise
     labels: Labels
     planes: np.ndarray  # [K, 4] unit normal towards the camera and offset, world
     large: np.ndarray  # [K] bool
-    clear: np.ndarray  # [K] bool, a part of the large ones
+    clear: np.ndarray  # [K] bool, a subset of ``large``
     structural: np.ndarray  # [K] bool: by the scene's face labels; False without labels
 
 
 @dataclass
 class Tally:
-    """Counts over views."""
+    """Count planes and segments over views."""
 
     large: int = 0
     found: int = 0
@@ -76,10 +75,10 @@ class Tally:
     structural_found: int = 0
     segments: int = 0
     right: int = 0
-    angles: tuple[float, ...] = ()  # degrees, of the planes found
+    angles: tuple[float, ...] = ()  # degrees between found planes and their segments
 
     def figures(self) -> dict[str, float]:
-        """Recall, precision and the median angle; NaN where there is nothing to count."""
+        """Return recall, precision and the median angle; NaN for counts of 0."""
         parts = {
             "recall": (self.found, self.large),
             "clear_recall": (self.clear_found, self.clear),
@@ -94,11 +93,11 @@ def true_planes(
     camera: PinholeCamera,
     pose: np.ndarray,  # [4, 4] world_from_camera
     *,
-    noise_scale: float,  # times the Kinect model, as in `PlaneDetectionConfig`
+    noise_scale: float,  # multiple of the Kinect model's noise, as in `PlaneDetectionConfig`
     config: PlaneDetectionConfig | None = None,
     matching: MatchingConfig | None = None,
 ) -> TruePlanes:
-    """The true planes of one view, joined from the mesh's faces as the module's docstring says."""
+    """Join the mesh's faces in one view to true planes, as described in the module's docstring."""
     config, matching = config or PlaneDetectionConfig(), matching or MatchingConfig()
     shape = (camera.height, camera.width)
     eye = pose[:3, 3]
@@ -128,7 +127,7 @@ def true_planes(
         offset = -normal @ corners[seed, 0]
         open_ = usable & (pixels[at] > 0)
         own = open_ & (normals[at] @ normal > parallel) & (np.abs(points @ normal + offset) < gap)
-        if own.sum() >= 3:  # the common plane of all that joined
+        if own.sum() >= 3:  # fit the common plane of all joined pixels
             centre = points[own].mean(axis=0)
             fitted = np.linalg.eigh(np.cov((points[own] - centre).T))[1][:, 0]
             fitted = fitted * (1.0 if fitted @ normal > 0 else -1.0)
@@ -167,7 +166,7 @@ def score_segments(
     truth: TruePlanes,
     tally: Tally,
 ) -> None:
-    """Add one view to the counts."""
+    """Add the segments of one view to the counts."""
     count, total = len(normals), len(truth.planes)
     both = (labels >= 0) & (truth.labels >= 0)
     shared = np.bincount(truth.labels[both] * count + labels[both], minlength=total * count).reshape(total, count)
@@ -190,14 +189,14 @@ def score_segments(
 
 
 def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
-    """OpenCV's plane finder on the same depth, or None where the wheel has none (it came with OpenCV 5).
+    """Return a detector by OpenCV's plane finder, or None if the installed OpenCV has none (it came with OpenCV 5).
 
-    With the block and the segment size that serve it best: blocks of 4 px at 160 px (docs/notebook/groundwork.md).
+    Block and segment sizes are the best ones measured: blocks of 4 px at 160 px (docs/notebook/groundwork.md).
     """
     if not hasattr(cv2, "findPlanes") or not hasattr(cv2, "RgbdNormals_create"):
         return None
     matrix = camera.matrix.astype(np.float32)
-    matrix[:2, 2] -= 0.5  # OpenCV counts from the middle of the first pixel
+    matrix[:2, 2] -= 0.5  # OpenCV's origin is the centre of the first pixel
     shape = (camera.height, camera.width)
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS  # type: ignore[attr-defined]
     finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, method)  # type: ignore[attr-defined]
@@ -227,7 +226,7 @@ def detection_rows(
     views: int = 20,
     seed: int = 3,
 ) -> list[dict[str, Any]]:
-    """One row per size and noise: planes and recall, precision, angle and processor time, ours and OpenCV's."""
+    """Return one row per size and noise: planes, recall, precision, angle and processor time, and those of OpenCV."""
     poses = benchmark_views(scene, views, np.random.default_rng(seed))
     rows = []
     for size in sizes:
@@ -263,13 +262,12 @@ def detection_rows(
 def graph_rows(
     scene: Scene, *, keyframes: int = 60, candidates: int = CANDIDATES, seed: int = 5
 ) -> list[dict[str, Any]]:
-    """One row: wall-clock time of what the planes cost a decision, on as many threads as an episode would use; median
-    over the third of the keyframes after which the graph had most nearly 60 planes.
+    """Return one row with the wall time of plane detection and graph per decision, as medians in milliseconds.
 
-    Detection stands apart. ``sum`` is the update of the graph with its quality, surprise and deficits, the visibility
-    of its planes from all candidates, and the features `structure` and `deficiency`; with its quartiles.
-
-    Views are drawn as in `detection_rows`; sensor, map and volume are those of the preset ``default``.
+    The medians are over the third of the keyframes whose graph has closest to 60 planes. ``sum_ms`` excludes detection:
+    it is the update of the graph with quality, surprise and deficits, the visibility of planes from all candidates, and
+    the features `structure` and `deficiency`. Views are drawn as in `detection_rows`; sensor, map, volume and threads
+    are those of the preset ``default``.
     """
     from activestructure_gym.config import configure
     from activestructure_gym.features import FEATURES, FeatureContext
@@ -311,7 +309,7 @@ def graph_rows(
         graph.integrate(frame, detection)
         graph.assess(space_state=volume.state_at, map_points=points)
         marks.append(time.perf_counter())
-        _ = context.visible  # kept for the features
+        _ = context.visible  # computed here, so that the features do not include it
         marks.append(time.perf_counter())
         for feature in ("structure", "deficiency"):
             FEATURES.get(feature)(context)
@@ -319,7 +317,7 @@ def graph_rows(
         for name, taken in zip(seconds, np.diff(marks)):
             seconds[name].append(1000.0 * taken)
         counts.append(len(graph.nodes))
-    # The first keyframe compiles and loads.
+    # The first keyframe is left out, since it compiles kernels.
     near = 1 + np.argsort(np.abs(np.array(counts[1:]) - PLANES), kind="stable")[: max(1, keyframes // 3)]
     row: dict[str, Any] = {"scene": scene.name, "keyframes": keyframes, "candidates": candidates}
     row["nodes"] = tuple(np.percentile([counts[k] for k in near], (0, 100)).astype(int).tolist())
@@ -340,7 +338,7 @@ def _our_detector(noise_scale: float) -> Detector:
 
 def _measured(detect: Detector, frames: Sequence[Frame], truths: Sequence[TruePlanes]) -> tuple[Tally, np.ndarray]:
     tally = Tally()
-    detect(frames[0])  # compiles, loads
+    detect(frames[0])  # compiles kernels
     taken = np.empty(len(frames))
     for k, (frame, truth) in enumerate(zip(frames, truths)):
         start = time.perf_counter()
@@ -370,7 +368,7 @@ class Planes:
             rows = [row for scene in loaded for row in detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in graph_rows(scene, keyframes=keyframes)]
         print_rows(console, costs, "milliseconds of the planes per decision, 256 candidates")
-        print_rows(console, rows, "planes found on this machine, beside those of OpenCV")
+        print_rows(console, rows, "planes found on this machine, and those of OpenCV")
         return 0
 
 

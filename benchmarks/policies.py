@@ -24,7 +24,7 @@ from benchmarks.command import run
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
-LIMIT_S = 2.0  # per decision, for every policy but
+LIMIT_S = 2.0  # seconds per decision, except for the policies of LIMITS_S
 LIMITS_S = {"activestructure": 0.12}
 SCENE = "apartment?rooms=3"
 _SEED = 0
@@ -33,20 +33,19 @@ _SEED = 0
 def run_policy_benchmark(
     scene: str = SCENE,
     *,
-    policies: Sequence[str] = (),  # all that are registered if none is given
+    policies: Sequence[str] = (),  # (): all registered policies
     preset: Preset = "default",
-    gaussians: int = 30_000,  # the state is taken when the map has as many and the candidate table is full
-    frames: int = 400,  # or after so many frames
+    gaussians: int = 30_000,  # the state is taken when the map has this many and the candidate table is full
+    frames: int = 400,  # or after this many frames
     repeats: int = 7,
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """A row per policy: seconds per decision as medians with quartiles, `features` and `policy` apart.
+    """Return a row per policy: seconds per decision as median with quartiles, and medians of its parts.
 
-    The state is that of an episode of `pixel_only`. ``offer`` (ways, candidates, revisits) is the same work for all;
-    a decision is offer, features and policy together. Each is made on a mapper as the last keyframes left it, of which
-    nobody has asked anything since: what planners measure of new keyframes is part of their cost. Policies take turns,
-    and the first round, in which kernels are compiled, is not counted. ``limit`` says whether the median
-    keeps to `LIMIT_S`.
+    The state is that of an episode of `pixel_only`. A decision is ``offer``, features and policy together; ``offer``
+    (paths, candidates, revisits) is equal for all policies. Every decision is made on a fresh copy of the mapper after
+    its last keyframes, so that the cost includes the policy's measurements of new keyframes. Policies alternate, and
+    the first round, which compiles kernels, is not timed. ``limit`` states whether the median is under the limit.
     """
     from activestructure_gym.policies import POLICIES
 
@@ -74,7 +73,7 @@ def run_policy_benchmark(
 
 
 def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
-    """An env in the middle of an episode."""
+    """Return an env in the middle of an episode."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
 
@@ -87,15 +86,15 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
     policy.reset(_SEED)
     ended = False
     while not ended and (env.reconstruction.mapper.map.count < gaussians or not observation["action_mask"].all()):
-        _ask(env)
+        _update_memory(env)
         observation, _, terminated, truncated, _ = env.step(policy.act(observation))
         ended = terminated or truncated
         notify(f"exploring: {env.reconstruction.frames} frames, {env.reconstruction.mapper.map.count} Gaussians")
     return env
 
 
-def _ask(env: Any) -> None:
-    """Update what features keep of the keyframes (`FeatureContext.episode`), without a view."""
+def _update_memory(env: Any) -> None:
+    """Update the memory of features about keyframes (`FeatureContext.episode`), without candidates."""
     from activestructure_gym.features import FEATURES
 
     context = env.reconstruction.feature_context(np.zeros((0, 4, 4)))
@@ -104,7 +103,7 @@ def _ask(env: Any) -> None:
 
 
 def _decision(env: Any, name: str) -> dict[str, float]:
-    """Seconds of one decision of policy ``name`` in the env's state, which stays as it is."""
+    """Time one decision of policy ``name`` in the env's state, which is not changed; return seconds by part."""
     from activestructure_gym.envs.observation import encode
     from activestructure_gym.policies import make_policy
 
@@ -156,7 +155,7 @@ class Policies:
     frames: int | None = None
     """Take the state after this many frames at the latest; by default 400."""
     repeats: int | None = None
-    """Time this many decisions per policy, after one that does not count; by default 7."""
+    """Time this many decisions per policy, after one that is not timed; by default 7."""
     quick: bool = False
     """Run a small version, which shows only that the benchmark works."""
 

@@ -375,7 +375,7 @@ def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
-    """Seed disks on the surface at ``count`` pixels in raster order, of footprint sigma 1.0 to 1.5 px including blur."""
+    """Seed disks on the surface at ``count`` pixels in raster order, of footprint sigma 1.0 to 1.5 px with blur."""
     rgb, depth, normals = _see(camera, pose)
     pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
     z = depth.reshape(-1)[pixels]

@@ -1,3 +1,3 @@
-"""ActiveGS ([active_gs]): unexplored space and unsure surface, less the share of the way."""
+"""Provide ActiveGS ([active_gs]): score unexplored space and uncertain surface, minus path length."""
 
 from activestructure_gym.policies.active_gs.policy import ActiveGS as ActiveGS

@@ -1,4 +1,4 @@
-"""ActiveGS's utility of a view: unexplored space, and surface of which the map is not confident."""
+"""Compute ActiveGS's utility of a view: unexplored space and surface with low confidence."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.sightings import REACH, Sightings, sightings
 from activestructure_gym.features.unexplored import unexplored
 
-EXPLORATION = 1000.0  # lambda: what the whole workspace is worth beside an image without any confidence
+EXPLORATION = 1000.0  # lambda: weight of the share of unexplored voxels against the mean doubt of the pixels
 UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
 
 
 @FEATURES.register("confidence", unit="weighted sum of shares", low=0.0)
 def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
-    """U = 1000 #unexplored visible / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS).
+    """Compute U = 1000 #visible unexplored voxels / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS).
 
-    C is the confidence blended like a colour, as a mean over what the pixel shows, and D the depth. A pixel without
-    coverage has C = 0 and D = 2.5 m; one that shows something beyond 5 m counts nothing.
-    Source: [active_gs, code].
+    C is the confidence of the Gaussians, blended like a colour and divided by alpha. D is the rendered depth. A pixel
+    without coverage has C = 0 and D = 2.5 m; a pixel deeper than 5 m counts 0. Source: [active_gs, code].
     """
     alpha, covered = context.alpha, context.alpha > context.coverage_alpha
     values = gaussian_confidence(sightings(context.mapper)).astype(np.float32)
@@ -32,5 +31,9 @@ def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
 
 
 def gaussian_confidence(seen: Sightings) -> np.ndarray:  # [N] 0..1
-    """C = min(e^(1 - |mean v|) s, 1): s sums near and frontal looks, and looks from many sides count more."""
+    """Return the confidence C = min(e^(1 - |mean v|) s, 1) of each Gaussian.
+
+    v is the unit direction to a keyframe that sees the Gaussian. s sums over these keyframes and is larger for near and
+    frontal views.
+    """
     return np.minimum(np.exp(1.0 - seen.concentration) * seen.nearness, 1.0)

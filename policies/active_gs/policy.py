@@ -1,4 +1,4 @@
-"""ActiveGS ([active_gs]): unexplored space and unsure surface, less the share of the way."""
+"""Define ActiveGS ([active_gs]): score unexplored space and uncertain surface, minus path length."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 @POLICIES.register("active_gs")
 class ActiveGS(Greedy):
-    """score = U / sum U - 0.5 L / sum L over the valid candidates.
+    """Choose the view with the highest U / sum U - 0.5 L / sum L over the valid candidates.
 
-    U is the gain, L the path length in metres. Where nothing has a gain all U count the same, and the nearest view is
-    taken; the original then draws scores by lot. Revisits are no candidates of it.
+    U is the gain, L the path length in metres. If no view has a gain, the nearest is chosen; the original then draws
+    random scores. Revisits are not candidates.
     """
 
-    criterion = "unexplored voxels in sight, surface without confidence"
+    criterion = "visible unexplored voxels, surface without confidence"
     travel_term = "share of the path length subtracted"
     source = "Jin et al., ActiveGS, RA-L 2025"
     required_features = ("confidence",)
@@ -29,10 +29,10 @@ class ActiveGS(Greedy):
         goal_keyframes=True,
         budget="300 s at 1 m/s, 512 x 512 at 60 degrees",
     )
-    way: ClassVar[float] = 0.5  # weight of the path's share
+    path_weight: ClassVar[float] = 0.5  # weight of L / sum L
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; the trace says how far it is where that is no factor."""
+        """Return the valid row with the highest score; the trace includes the path length with the native term."""
         choice = super().act(without_revisits(observation))
         if self.travel == "native":
             gain = self.required_features[0]
@@ -41,8 +41,8 @@ class ActiveGS(Greedy):
         return choice
 
     def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
-        """The difference of the two shares."""
+        """Return U / sum U - 0.5 L / sum L."""
         candidates = self.candidates(observation)
         valid, length = candidates.valid, candidates.path_length.astype(np.float64)
         sums = max(float(gain[valid].sum()), 1e-300), max(float(length[valid].sum()), 1e-12)
-        return gain.astype(np.float64) / sums[0] - self.way * length / sums[1]
+        return gain.astype(np.float64) / sums[0] - self.path_weight * length / sums[1]

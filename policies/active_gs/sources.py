@@ -1,4 +1,4 @@
-"""ActiveGS's candidates: views that face its regions of interest."""
+"""Propose ActiveGS's candidates: views that face its regions of interest."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from activestructure_gym.sources.facing import SIDE, Facing, frontier_cells
 @SOURCES.register("roi")
 @dataclass(frozen=True)
 class RegionsOfInterest(Facing):
-    """Views that face the frontier, or surface that the map is not confident of ([active_gs, code]).
+    """Propose views that face the frontier, or surface with low confidence ([active_gs, code]).
 
-    Not confident of: cells with more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The normal of a
-    region is the mean direction to its free neighbours; that a place sees its region is asked for here, not there.
+    Surface has low confidence in cells with more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The
+    normal of a region is the mean direction to its free neighbours. Unlike the original, a view must see its region.
     """
 
     def regions(self, context: SourceContext) -> np.ndarray:
-        """The frontier's cells, and those of doubtful Gaussians."""
+        """Return which cells [X, Y, Z] are frontier or hold surface with low confidence."""
         cells = frontier_cells(context.volume)
         gaussians, volume = context.mapper.map, context.volume
         doubtful = (gaussian_confidence(sightings(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)

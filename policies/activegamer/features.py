@@ -1,4 +1,4 @@
-"""ActiveGAMER's information gain."""
+"""Compute ActiveGAMER's information gain."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from activestructure_gym.features.registry import FEATURES
 
 @FEATURES.register("uncovered", unit="share of the image", low=0.0, high=1.0)
 def uncovered(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """|{p : D_c(p) <= 0}| as a share of the image, D_c the accumulated depth of the map (ActiveGAMER, CVPR 2025).
+    """Compute the share of pixels p with D_c(p) <= 0, where D_c is the map's accumulated depth (ActiveGAMER).
 
-    A pixel counts as covered as soon as any opacity reaches it, where `pixel` asks for ``coverage_alpha``. ActiveGAMER
-    also excuses pixels in which the simulator's true mesh has nothing; that is ground truth, so nobody gets it here.
+    A pixel is covered if it has any opacity; for `pixel` it must exceed ``coverage_alpha``. ActiveGAMER also leaves out
+    pixels without surface in the simulator's true mesh. That is ground truth, so it is not used here.
     Source: [activegamer, code].
     """
     return (context.depth <= 0.0).mean(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""ActiveGAMER: two stages of uncovered pixels, then the keyframes that render worst."""
+"""Define ActiveGAMER: cover uncovered pixels in two stages, then revisit the keyframes with the lowest PSNR."""
 
 from __future__ import annotations
 
@@ -13,53 +13,55 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 STAGES = ("coarse", "fine", "post-refinement")
 COARSE_STEP = 1.0  # m between the positions of the coarse lattice
-COARSE_DIRECTIONS = 5  # of the coarse lattice, on the Fibonacci sphere
-POOL_SHARE = 0.005  # of the pixels: a view with fewer uncovered leaves the pool of its stage for good
-GOOD_PSNR = 34.0  # dB, exceeded by nine tenths of the keyframes when post-refinement is done
+COARSE_DIRECTIONS = 5  # directions of the coarse lattice, on the Fibonacci sphere
+POOL_SHARE = 0.005  # share of the pixels: a view with fewer uncovered pixels leaves the pool of its stage permanently
+GOOD_PSNR = 34.0  # dB; post-refinement ends when 90 % of the keyframes exceed it
 
-# Its own candidate sources in the native setup, one per stage ([activegamer, code]); heights above the start camera.
+# Candidate sources in the native setup, one per stage ([activegamer, code]); heights are above the floor.
 SOURCES = (
     "lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&rows=512",
     "lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&rows=1024",
     "stay",
 )
 
-# Guard rails, which the original lacks.
-PATIENCE = 3  # decisions in a row without a view above POOL_SHARE: the table is a draw from a larger pool
+# Limits that the original does not have.
+PATIENCE = 3  # successive decisions without a view above POOL_SHARE; one table is a random part of a larger pool
 MAX_VISITS = 2  # choices of one view in one stage
-STAGNATION = 30  # decisions in which the best share of the pool never sank: what is left stays uncovered
+STAGNATION = 30  # decisions without a decrease of the largest share in the pool; the rest then stays uncovered
 
 
 def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]
-    """1 - softmax(d + 1e-6): of raw metres, so it only bites on views that are alone in being far away."""
-    weight = np.exp(distance - distance.max(initial=0.0))  # the 1e-6 of the original cancels, as any shift does
+    """Return 1 - softmax(d) of distances in metres. It is small only for a view much farther away than all others."""
+    weight = np.exp(distance - distance.max(initial=0.0))  # the original adds 1e-6 to d, which cancels
     return 1.0 - weight / max(float(weight.sum()), 1e-12)
 
 
-def coarse_views(offset: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n, 3] int, [n]
-    """Which view (ix, iy, direction) of the coarse lattice each view stands for, and how far it is from that one.
+def coarse_views(
+    offset: np.ndarray,  # [n, 3] metres from the start
+    direction: np.ndarray,  # [n, 3] unit
+) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] int (ix, iy, direction), [n] metres plus radians
+    """Return the nearest view of the coarse lattice for each view, and the distance to it.
 
-    The lattice has its origin at the start, one height, and the Fibonacci directions. ``offset`` is in metres from the
-    start; the distance adds metres and radians.
+    The lattice has its origin at the start, one height, and the Fibonacci directions.
     """
     index = np.arange(COARSE_DIRECTIONS)
     z = 1.0 - (2.0 * index + 1.0) / COARSE_DIRECTIONS
     azimuth = 2.0 * np.pi * index / (0.5 * (1.0 + np.sqrt(5.0)))
     lattice = np.stack([np.sqrt(1.0 - z**2) * np.cos(azimuth), np.sqrt(1.0 - z**2) * np.sin(azimuth), z], axis=1)
-    cosine = look @ lattice.T
-    direction = cosine.argmax(axis=1)
+    cosine = direction @ lattice.T
     cell = np.floor(offset[:, :2] / COARSE_STEP + 0.5 + 1e-3).astype(np.int64)
     away = np.linalg.norm(offset - np.pad(cell * COARSE_STEP, ((0, 0), (0, 1))), axis=1)
-    return np.column_stack([cell, direction]), away + np.arccos(np.clip(cosine.max(axis=1, initial=-1.0), -1.0, 1.0))
+    angle = np.arccos(np.clip(cosine.max(axis=1, initial=-1.0), -1.0, 1.0))
+    return np.column_stack([cell, cosine.argmax(axis=1)]), away + angle
 
 
 @POLICIES.register("activegamer")
 class ActiveGAMER(Planner):
-    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
+    """Choose argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty. In the native setup the pools are the lattices
-    themselves, and post-refinement stands still. Source: [activegamer, code].
+    pool after the choice. A stage ends when its pool is empty. In the native setup, the pools are the lattices
+    themselves, and post-refinement optimises in place. Source: [activegamer, code].
     """
 
     criterion = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
@@ -71,30 +73,32 @@ class ActiveGAMER(Planner):
         iterations=15,
         stages=tuple((source,) for source in SOURCES),
         candidates=1026,
-        clearance_m=0.3,  # as in Matterport3D's furnished houses; 0.5 m in Replica's rooms
+        clearance_m=0.3,  # its value for Matterport3D's furnished houses; 0.5 m for Replica's rooms
         budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)",
     )
 
     def __init__(self, travel: Travel = "native") -> None:
+        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Begin with the coarse stage."""
         super().reset(seed)
-        self._start = np.zeros(0)  # [3] metres, once it is known
+        self._start = np.zeros(0)  # [3] metres, set by the first decision
         self._stage = 0
-        self._on = 0  # the stage whose sources the environment offers
+        self._active = 0  # stage whose sources the env offers
         self._begin_stage()
 
     def _begin_stage(self) -> None:
+        """Forget the pruned views, the visits and the progress of the previous stage."""
         self._pruned: set[tuple[int, ...]] = set()
         self._visits: Counter[tuple[int, ...]] = Counter()
-        self._poor = 0  # decisions in a row without a view worth its while
+        self._poor = 0  # successive decisions without a view above POOL_SHARE
         self._lowest, self._stagnant = np.inf, 0
 
     def act(self, observation: Observation) -> int:
-        """The best view of the stage's pool; in post-refinement the keyframe that renders worst."""
+        """Return the best view of the stage's pool; in post-refinement the keyframe with the lowest PSNR."""
         candidates = self.candidates(observation)
         if candidates.offers(SOURCES[0]):
             return self._act_on_lattices(observation, candidates)
@@ -111,13 +115,14 @@ class ActiveGAMER(Planner):
         self._trace = {"stage": STAGES[self._stage], "pool": int(pool.sum()), "changed": ended}
         revisits = valid & candidates.revisit
         if STAGES[self._stage] == STAGES[-1] and revisits.any() and float(observation["fidelity"][0]) < GOOD_PSNR:
-            # The worst is offered first. The original's factor of distance is switched off here.
+            # The table lists the keyframe with the lowest PSNR first. The original uses no distance factor here.
             nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
             return best_valid(revisits * nearness, observation)
-        # The original's pool is without the poor ones, and ends the stage when it is empty; ours is a draw and waits.
+        # The original ends a stage as soon as no view exceeds POOL_SHARE. This pool is a random part of a larger one,
+        # so the stage goes on for PATIENCE decisions.
         rich = pool & (gain >= POOL_SHARE)
-        among = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
-        scores = np.where(among, self._scores(observation, gain, among), -1.0)
+        scored = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
+        scores = np.where(scored, self._scores(observation, gain, scored), -1.0)
         choice = best_valid(scores, observation)
         self._trace |= {"uncovered": float(gain[choice]), "score": float(scores[choice])}
         self._visits[keys[choice]] += 1
@@ -125,9 +130,12 @@ class ActiveGAMER(Planner):
         return choice
 
     def _act_on_lattices(self, observation: Observation, candidates: Candidates) -> int:
-        """The stages with their own candidates: a view leaves its pool by what it shows itself, and by nothing else."""
+        """Return the choice in the native setup, where each stage has its own lattice as the pool.
+
+        A view leaves the pool of its stage if its own share of uncovered pixels is below POOL_SHARE.
+        """
         gain, valid = candidates["uncovered"].astype(np.float64), candidates.valid
-        if self._stage < 2 and self._on == self._stage:
+        if self._stage < 2 and self._active == self._stage:
             pool = valid & candidates.source(SOURCES[self._stage])
             names = np.round(100.0 * np.hstack([candidates.xyz, candidates.view_direction])).astype(np.int64)
             keys = [tuple(name) for name in names.tolist()]
@@ -144,21 +152,22 @@ class ActiveGAMER(Planner):
             self._stage += 1
             self._begin_stage()
         if self._stage == 2 and float(observation["fidelity"][0]) >= GOOD_PSNR:
-            self._stage = 1  # refined well enough: discovery goes on
+            self._stage = 1  # post-refinement is done, discovery continues
             self._begin_stage()
         self._trace = {"stage": STAGES[self._stage], "pool": 0}
-        here = valid & candidates.source(SOURCES[self._on])
-        wished = [self._stage] if here.any() else [self._stage, 0, 1, 2]  # where nothing is on offer any other will do
-        for stage in wished if self._on != self._stage or not here.any() else []:
+        offered = valid & candidates.source(SOURCES[self._active])
+        stages = [self._stage] if offered.any() else [self._stage, 0, 1, 2]  # without candidates, switch to any stage
+        for stage in stages if self._active != self._stage or not offered.any() else []:
             row = candidates.stage_switch(stage)
             if row is not None and valid[row]:
-                self._on = stage
+                self._active = stage
                 return row
-        return best_valid(np.where(here, gain + candidates.stay, -1.0), observation)
+        return best_valid(np.where(offered, gain + candidates.stay, -1.0), observation)
 
     def _scores(self, observation: Observation, gain: np.ndarray, among: np.ndarray) -> np.ndarray:  # [K]
+        """Return the scores; sums over candidates are over the rows ``among`` [K] bool."""
         total = float(gain[among].sum())
-        share = gain / total if total > 0 else np.ones(len(gain))  # nothing uncovered: 0 / 0 in the original
+        share = gain / total if total > 0 else np.ones(len(gain))  # without a gain the original computes 0 / 0
         if self.travel == "shared":
             return share * travel_discount(observation)
         factor = np.zeros(len(gain))
@@ -167,17 +176,17 @@ class ActiveGAMER(Planner):
         return share * factor
 
     def _pool(self, candidates: Candidates) -> tuple[list[tuple[int, ...]], np.ndarray]:
-        """Keys that identify each row in this stage, and which rows [K] are in its pool.
+        """Return keys that identify each row in this stage, and which rows [K] are in its pool.
 
-        Coarse: of the offered views that stand for the same view of the coarse lattice, the nearest to it.
+        In the coarse stage, the candidate nearest to each view of the coarse lattice is in the pool.
         """
-        xyz, look = candidates.xyz.astype(np.float64), candidates.view_direction.astype(np.float64)
+        xyz, direction = candidates.xyz.astype(np.float64), candidates.view_direction.astype(np.float64)
         pool = candidates.valid & ~candidates.revisit
-        names = np.round(100.0 * np.hstack([xyz, look])).astype(np.int64)
+        names = np.round(100.0 * np.hstack([xyz, direction])).astype(np.int64)
         if STAGES[self._stage] == STAGES[0]:
-            names, away = coarse_views(xyz - self._start, look)
+            names, away = coarse_views(xyz - self._start, direction)
             nearest = np.full(len(pool), False)
-            order = np.lexsort((away, ~pool))  # those of the pool first, by distance
+            order = np.lexsort((away, ~pool))  # candidates of the pool first, by distance
             nearest[order[np.unique(names[order], axis=0, return_index=True)[1]]] = True
             pool &= nearest
         keys = [tuple(int(n) for n in name) for name in names]
@@ -185,7 +194,7 @@ class ActiveGAMER(Planner):
         return keys, pool & np.array(kept, dtype=bool)
 
     def _ended(self, gain: np.ndarray) -> str | None:  # [n] of the pool
-        """Why the stage is over, if it is."""
+        """Return the reason for ending the stage, or None."""
         best = float(gain.max(initial=0.0))
         self._poor = 0 if best >= POOL_SHARE else self._poor + 1
         self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1

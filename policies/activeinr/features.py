@@ -1,4 +1,4 @@
-"""ANM (ActiveINR)'s feature: which uncertain cluster each view stands for, and that cluster's target."""
+"""Compute ANM (ActiveINR)'s feature: the cluster of uncertain surface assigned to each candidate, and its target."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
 from activestructure_gym.volume import FREE
 
-KEPT = 0.8  # of the surface, the most uncertain
-CEILING = 0.8  # metres from the top of the workspace: what is higher is left out, as it joins all walls to one piece
-MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent: a target nearer than this is none
+KEPT = 0.8  # share of the surface that is clustered, the most uncertain
+CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since it connects all walls
+MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent; nearer targets are only used if all are nearer
 
 
 def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
-    """Per candidate its cluster's share of the surface below the ceiling, and that cluster's target (metres, world).
+    """Compute the surface share of the cluster assigned to each candidate, and the cluster's target (metres, world).
 
-    Only clusters whose target is free, not too near to the agent and inside the workspace count, each as far as any
-    is left (`preferred`). A cluster stands with the candidate nearest to the target that looks along -mean n: a metre
-    counts as much as a right angle. Of those without a larger cluster, that is, and no revisit. Candidates without a
-    cluster have 0 and their own position. ANM ([anm]).
+    Targets should be free, at least 1 m from the agent, and inside the workspace; a condition that no remaining target
+    satisfies is skipped (`preferred`). Each cluster, the largest first, is assigned the candidate that is nearest to
+    its target and to its view direction -mean n. One metre counts as much as a right angle. Revisits and candidates of
+    larger clusters are left out. Candidates without a cluster have 0 and their own position. Source: [anm].
     """
     poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)
@@ -35,7 +35,7 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
             np.linalg.norm(found.targets - here, axis=1) > MIN_TARGET_DISTANCE_M,
             ((found.targets >= context.bounds[0]) & (found.targets <= context.bounds[1])).all(axis=1),
         )
-    ):  # the largest first
+    ):  # clusters are sorted, the largest first
         if taken.all():
             break
         target, direction = found.targets[cluster], found.directions[cluster]
@@ -45,12 +45,12 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
     return table
 
 
-def preferred(*wishes: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
-    """Which entries satisfy the conditions in turn; a condition that no remaining entry satisfies is skipped."""
-    keep = np.ones(len(wishes[0]), dtype=bool)
-    for wish in wishes:
-        if (keep & wish).any():
-            keep &= wish
+def preferred(*conditions: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
+    """Return which entries satisfy the conditions; a condition that no remaining entry satisfies is skipped."""
+    keep = np.ones(len(conditions[0]), dtype=bool)
+    for condition in conditions:
+        if (keep & condition).any():
+            keep &= condition
     return keep
 
 
@@ -64,11 +64,17 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("activeinr", **_COLUMNS)
 def activeinr(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """`assigned` with the uncertainty of ANM: 20 perturbed renderings."""
+    """Compute the surface share and the target (m) of the candidate's cluster (`assigned`), with ANM's uncertainty.
+
+    The uncertainty comes from 20 renderings of the map with perturbed parameters. Source: [anm], [activeinr, code].
+    """
     return assigned(context, by_perturbing_all)
 
 
 @FEATURES.register("activeinr_proxy", **_COLUMNS)
 def activeinr_proxy(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """`assigned` with the first order of that uncertainty, which needs no rendering."""
+    """Compute the surface share and the target (m) of the candidate's cluster (`assigned`), with a proxy uncertainty.
+
+    The proxy is the first-order approximation of ANM's uncertainty and needs no rendering.
+    """
     return assigned(context, by_proxy)

@@ -1,4 +1,4 @@
-"""ANM (ActiveINR): go to the largest piece of uncertain surface, however far."""
+"""Define ANM (ActiveINR): move to the largest cluster of uncertain surface, at any distance."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
-ONE_HEIGHT_M = 1e-3  # candidates that differ by less are those of a robot on wheels
-PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next one is chosen anyway
+ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a wheeled robot
+PATIENCE = 0.1  # share of the frame budget after which the next target is chosen (100 of 1000 frames)
 
 
 @POLICIES.register("activeinr")
 class ActiveINR(Planner):
-    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
+    """Move to the target of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
 
-    Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; targets that
-    are free, more than 1 m away and inside the workspace come first (feature ``activeinr``). No travel term. The target
-    is kept until the agent is nearer than 0.8 m or a tenth of the frame budget has passed; meanwhile the candidate
-    nearest to it is gone to. Where all candidates have one height, targets have it, too.
+    Clusters are connected parts of the most uncertain 80 % of the surface, each at least 0.5 % of it. Targets that are
+    free, more than 1 m away and inside the workspace are preferred (feature ``activeinr``). There is no travel term.
+    The target is kept until the agent is within 0.8 m or a tenth of the frame budget has passed. Until then, the
+    candidate nearest to the target is chosen. If all candidates have one height, targets have that height too.
 
-    ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
-    Source: [activeinr, code].
+    ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
+    without rendering. Source: [activeinr, code].
     """
 
     criterion = "the largest piece of uncertain surface"
@@ -40,6 +40,7 @@ class ActiveINR(Planner):
     )
 
     def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        """Store the travel term and the kind of uncertainty; raise `InputError` for an unknown kind."""
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
@@ -51,10 +52,10 @@ class ActiveINR(Planner):
         """Begin without a target."""
         super().reset(seed)
         self._target: np.ndarray | None = None  # [3] metres
-        self._chosen_at = 1.0  # budget left then
+        self._chosen_at = 1.0  # share of the budget left when the target was chosen
 
     def act(self, observation: Observation) -> int:
-        """The candidate that stands for the largest cluster, or on the way the one nearest to the target."""
+        """Return the candidate of the largest cluster, or the one nearest to the target that is kept."""
         candidates = self.candidates(observation)
         usable = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates)
         share = np.where(usable, candidates[self._feature], 0.0)
@@ -82,7 +83,7 @@ class ActiveINR(Planner):
         return choice
 
     def _level(self, candidates: Candidates) -> None:
-        """Put the target where a robot on wheels can reach it, at the one height of all views (`agent_Y` there)."""
+        """Move the target to the height of all views if they have only one (`agent_Y` in the original)."""
         heights = candidates.xyz[candidates.valid, 2]
         if self._target is not None and len(heights) and np.ptp(heights) < ONE_HEIGHT_M:
             self._target[2] = float(heights[0])

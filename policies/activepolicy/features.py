@@ -1,4 +1,4 @@
-"""ActivePolicy's geometric gain: the share of pixels in which two readings of the map's depth disagree."""
+"""Compute ActivePolicy's geometric gain: the share of pixels in which readings of the map's depth disagree."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting import passes
 from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 
-# The digest of the paper names these constants without their values; all but the first are our choice.
-THRESHOLD = 0.25  # tau_u: a pixel with a higher U counts
-SENSITIVITY = 1.0 / 0.05**2  # eta: at a relative spread of 5 % a term is tanh(1 / 2)
-LOG_WEIGHT = 10.0  # gamma: at 10 % between the two depths the confidence is one half
-SHARE = 0.5  # omega_s, of the depths; the rest is that of their Laplacians
+# The digest of the paper names these constants without values. All values except the first are our choice.
+THRESHOLD = 0.25  # tau_u: pixels with a higher U count
+SENSITIVITY = 1.0 / 0.05**2  # eta: a term is tanh(1 / 2) if the depths vary by 5 %
+LOG_WEIGHT = 10.0  # gamma: the confidence k is 0.5 alpha if the two depths differ by 10 %
+SHARE = 0.5  # omega_s: weight of the depths; the Laplacians have the rest
 
 
 @FEATURES.register("activepolicy", unit="share of the image", low=0.0, high=1.0)
 def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """g_geo = share of the pixels with U > tau_u; a pixel that the map does not cover has U = 1.
+    """Compute g_geo, the share of pixels with U > tau_u; a pixel that the map does not cover has U = 1.
 
-    U = omega tanh(eta s_d / 2) + (1 - omega) tanh(eta s_l / 2), s_d the variance of three readings of the depth and s_l
-    that of their Laplacians, both over the squared depth. The readings: d_a = sum w d / sum w, d_c = the depth of the
-    Gaussian with which the transmittance falls to one half, and d_r = d_a^k d_c^(1 - k) with the confidence
+    U = omega tanh(eta s_d / 2) + (1 - omega) tanh(eta s_l / 2). s_d is the variance of three readings of the depth,
+    s_l that of their Laplacians, both over the squared depth. The readings are d_a = sum w d / sum w, the depth d_c of
+    the Gaussian at which the transmittance falls to one half, and d_r = d_a^k d_c^(1 - k). The confidence is
     k = alpha / (1 + gamma |log(d_a / d_c)|).
-    Source: a digest of [activepolicy]. There d_c is the depth of the largest weight, alpha's
-    place in k is taken by a count of Gaussians, and tanh(x / 2) = 2 sigmoid(x) - 1 is a sigmoid.
+
+    Source: a digest of [activepolicy]. There, d_c is the depth of the largest weight, k uses a count of Gaussians
+    instead of alpha, and the terms are sigmoids: tanh(x / 2) = 2 sigmoid(x) - 1.
     """
     alpha = context.alpha
     covered = alpha > context.coverage_alpha
@@ -38,20 +39,20 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
-    """The depth of the Gaussian with which the transmittance first falls to one half."""
+    """Return the depth of the Gaussian at which the transmittance falls to one half."""
     camera, poses = context.camera, context.world_from_camera
     parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
     parameters = fitted(parameters)
     result = np.zeros((len(poses), camera.height, camera.width), np.float32)
     pooled = PooledWorkspace()
-    for picture, pose in zip(result, invert_rigid(poses)):
-        pooled.workspace.render(parameters, count, camera, pose, keep=False)  # which sorts what the next line reads
-        picture[:] = passes.median_depth(pooled.workspace)
+    for image, pose in zip(result, invert_rigid(poses)):
+        pooled.workspace.render(parameters, count, camera, pose, keep=False)  # sorts the Gaussians for the next line
+        image[:] = passes.median_depth(pooled.workspace)
     return result
 
 
 def disagreement(mean: np.ndarray, other: np.ndarray, alpha: np.ndarray) -> np.ndarray:  # [K, h, w] each -> U in 0..1
-    """U of every pixel; not defined where one of the depths is 0."""
+    """Return U of every pixel; it is undefined if one of the depths is 0."""
     first, second = np.maximum(mean, 1e-3), np.maximum(other, 1e-3)
     confidence = alpha / (1.0 + LOG_WEIGHT * np.abs(np.log(first / second)))
     readings = np.stack([first, second, first**confidence * second ** (1.0 - confidence)])

@@ -1,4 +1,4 @@
-"""Inspired by ActivePolicy: the view in the middle of the graph of views."""
+"""Define a policy inspired by ActivePolicy: choose the most central view of a graph of views."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from activestructure_gym.policies.base import POLICIES, Observation, nearest_new
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner
 
-BEST = 16  # m: views with the largest gain that become nodes
-RELATION = 1.0  # lambda_r, of the edges between views; lambda_g is 1 for gains in units of their mean
-DECAY = 1.0  # gamma_d: of the relation per mean distance
+BEST = 16  # m: number of views with the largest gain that become nodes
+RELATION = 1.0  # lambda_r: weight of the edges between views; lambda_g is 1 for gains over their mean
+DECAY = 1.0  # gamma_d: decay of an edge per mean distance
 EPSILON = 1e-3
-SAME = 1e-9  # relative difference of two centralities that are equal but for rounding
+SAME = 1e-9  # relative difference due to rounding between equal centralities
 
 
 @POLICIES.register("activepolicy")
 class ActivePolicy(Planner):
-    """argmax_i 1 / (|v_i| + epsilon), v the Fiedler vector of a graph of views: inspired by [activepolicy].
+    """Choose argmax_i 1 / (|v_i| + epsilon), where v is the Fiedler vector of a graph of views.
 
-    Nodes: the map (0) and the 16 views with the largest gain g. Edges: A_0i = g_i / mean g and
+    Nodes are the map (0) and the 16 views with the largest gain g. Edges are A_0i = g_i / mean g and
     A_ij = lambda_r overlap_ij exp(-gamma d_ij / mean d). v is the eigenvector of the second smallest eigenvalue of
-    L = I - D^-1/2 A D^-1/2. g is the feature ``activepolicy``: pixels in which two readings of the depth disagree. The
-    overlap is what two views share of the planes they see; of two that see none, the cosine between their axes.
+    L = I - D^-1/2 A D^-1/2. g is the feature ``activepolicy``: the share of pixels in which readings of the depth
+    disagree. The overlap of two views is the share of planes that both see. If neither sees a plane, it is the cosine
+    between their view directions.
 
-    Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
-    travel term; of equals, before the filter and after it, the one with the fewest frames.
-    Source: a digest of [activepolicy].
+    The views are filtered by gain first, because the gain hardly changes the choice of the published rule. There is no
+    travel term. Of equal views, before and after the filter, the one with the fewest frames is chosen. Inspired by
+    [activepolicy], of which only a digest is known.
     """
 
     criterion = "the most central of the 16 views with most disagreeing depth"
@@ -35,11 +36,11 @@ class ActivePolicy(Planner):
     required_features = ("activepolicy",)
 
     def act(self, observation: Observation) -> int:
-        """The most central of the best views."""
+        """Return the most central of the views with the largest gain; the nearest new view if none has a gain."""
         candidates = self.candidates(observation)
         gain = candidates["activepolicy"].astype(np.float64)
         usable = candidates.valid & ~candidates.revisit & (gain > 0)
-        # Where nothing is mapped yet many gains are exactly 1.
+        # Early in an episode, many gains are exactly 1.
         order = np.lexsort((candidates.frames, np.where(usable, -gain, np.inf)))
         rows = order[: min(BEST, int(usable.sum()))]
         if not len(rows):
@@ -59,15 +60,15 @@ class ActivePolicy(Planner):
         return choice
 
     def scores_of(self, centrality: np.ndarray, observation: Observation, rows: np.ndarray) -> np.ndarray:
-        """The centrality, times the shared travel term if that is wanted."""
+        """Return the centrality times the travel factor of the nodes."""
         return centrality * self.travel_factor(observation)[rows]
 
 
 def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # [n] > 0, [n, n] -> [n]
-    """1 / (|v_i| + epsilon) of the nodes 1..n; the diagonal of ``between`` is left out.
+    """Return 1 / (|v_i| + epsilon) of the nodes 1..n; the diagonal of ``between`` is ignored.
 
-    Where several eigenvectors share the second smallest eigenvalue, |v_i| is the length of their part at node i, over
-    the root of their number: as for one, and the same for every choice of the eigenvectors.
+    If m eigenvectors share the second smallest eigenvalue, |v_i| is the norm of their m components at node i, divided
+    by sqrt(m). It then does not depend on the choice of eigenvectors.
     """
     count = len(gain)
     graph = np.zeros((count + 1, count + 1))
@@ -76,19 +77,19 @@ def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # 
     root = np.sqrt(graph.sum(axis=1))
     values, vectors = np.linalg.eigh(np.eye(count + 1) - graph / np.outer(root, root))
     same = np.abs(values - values[1]) < 1e-9
-    same[0] = False  # the constant of a connected graph
+    same[0] = False  # the constant eigenvector of a connected graph
     length = np.linalg.norm(vectors[:, same], axis=1) / np.sqrt(same.sum())
     return 1.0 / (length[1:] + EPSILON)
 
 
 def relation(observation: Observation, rows: np.ndarray) -> np.ndarray:  # [n] rows -> [n, n] in 0..1
-    """Overlap of the views times exp(-gamma distance / mean distance)."""
+    """Return the overlap of the views times exp(-gamma distance / mean distance)."""
     candidates = Candidates(observation)
-    xyz, look = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.view_direction))
+    xyz, direction = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.view_direction))
     seen = (observation["candidate_planes"][rows] * observation["plane_mask"]).astype(np.float64)
     shared = seen @ seen.T
     either = seen.sum(axis=1)[:, None] + seen.sum(axis=1) - shared
-    facing = np.clip(look @ look.T, 0.0, 1.0)
+    facing = np.clip(direction @ direction.T, 0.0, 1.0)
     overlap = np.where(either > 0, shared / np.maximum(either, 1.0), facing)
     distance = np.linalg.norm(xyz[:, None] - xyz, axis=2)
     return overlap * np.exp(-DECAY * distance / max(float(distance.mean()), 1e-9))

@@ -1,8 +1,8 @@
-"""ActiveSplat (Li et al., RA-L 2025): integer scores of Voronoi nodes, subregion by subregion, and local views at each.
+"""Provide ActiveSplat (Li et al., RA-L 2025): visit Voronoi nodes by integer scores, with local views at each.
 
 Read in this order: `policy` (the loop), `nodes` (score and choice of a node), `features` (panoramas at the nodes,
-subregions, visible gaps). It shares the features `voronoi_node`, `visited_distance` and `in_horizon` with ANM-S; the
-panorama is ``activestructure_gym/views/panorama.py``, the graph ``activestructure_gym/motion/voronoi.py``.
+subregions, visible gaps). The features `voronoi_node`, `visited_distance` and `in_horizon` are shared with ANM-S. The
+panorama is in ``activestructure_gym/views/panorama.py``, the graph in ``activestructure_gym/motion/voronoi.py``.
 """
 
 from activestructure_gym.policies.activesplat.nodes import Nodes, choose_node, node_scores

@@ -1,4 +1,4 @@
-"""ActiveSplat's features: information and volume missing around Voronoi nodes, and in the views at one."""
+"""Compute ActiveSplat's features: missing information and volume around Voronoi nodes, and gaps in a view."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from activestructure_gym.motion import VoronoiGraph
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 
-RADIUS = 0.2  # metres: of the agent
-REGION_M = 2.0  # metres: average distance at which two groups of nodes are no longer one subregion
-APART_M = 1e3  # metres that count as the way between nodes that no way connects
-VIEW_OPEN = 0.3  # 1 - opacity, for the views at a node
-MIN_VIEW_DEG2 = 25.0  # square degrees: a smaller gap is no reason to look
+RADIUS = 0.2  # metres, radius of the agent
+REGION_M = 2.0  # metres; groups of nodes with a larger average distance are different subregions
+APART_M = 1e3  # metres, path length between nodes that no path connects
+VIEW_OPEN = 0.3  # minimum 1 - opacity of a gap in a view
+MIN_VIEW_DEG2 = 25.0  # square degrees; smaller gaps in a view are ignored
 
 
 @FEATURES.register(
@@ -29,22 +29,23 @@ MIN_VIEW_DEG2 = 25.0  # square degrees: a smaller gap is no reason to look
     low=(0.0, 0.0, -1.0, 0.0),
 )
 def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """I, V and the subregion of the view's Voronoi node, and the gaps that the view itself would show.
+    """Compute I, V and the subregion of the candidate's Voronoi node, and the gaps (deg^2) visible in its own image.
 
-    I: sum over clusters of (hull volume) x (sum of 1 - opacity); V: sum of their hull volumes; both 0 without a node.
-    Numbers of subregions are of this step only, -1 without a node. The last column is `gaps_in_sight`.
+    I (rad^2 m deg^2) sums (hull volume) x (sum of 1 - opacity) over clusters of gaps in the node's panorama. V
+    (rad^2 m) sums the hull volumes. Both are 0 without a node. The number of a subregion is valid in one step only; it
+    is -1 without a node. The last column is `visible_gaps`. Source: [activesplat, code].
     """
     information, volume = node_openings(context)
     region = regions(context.once(floor_graph)).astype(np.float64)
     of_node = [_of_node(context, information), _of_node(context, volume), _of_node(context, region, nothing=-1.0)]
-    return np.column_stack([*of_node, gaps_in_sight(context)])
+    return np.column_stack([*of_node, visible_gaps(context)])
 
 
-def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
-    """Sum of 1 - opacity over the gaps of more than MIN_VIEW_DEG2 in the view's own image.
+def visible_gaps(context: FeatureContext) -> np.ndarray:  # [K] square degrees
+    """Return the sum of 1 - opacity over the gaps of more than MIN_VIEW_DEG2 in the candidate's own image.
 
-    The original looks for the gaps in the panorama of the node it stands at and turns to their centres; here the
-    directions are given, and each is asked what it would show.
+    The original finds gaps in the panorama of the agent's node and turns to their centres. Here the view directions of
+    the candidates are given.
     """
     missing = 1.0 - context.alpha
     degrees = missing * solid_angles(context.camera) * np.degrees(1.0) ** 2
@@ -58,7 +59,7 @@ def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
 
 
 def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
-    """Subregions: average linkage of 0.5 way + 0.5 straight distance between nodes, cut at REGION_M."""
+    """Cluster nodes into subregions: average linkage of 0.5 path + 0.5 straight distance, cut at REGION_M."""
     if len(graph) < 2:
         return np.ones(len(graph), dtype=np.int64)
     straight = np.linalg.norm(graph.nodes[:, None] - graph.nodes, axis=2)
@@ -67,8 +68,8 @@ def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
     return fcluster(tree, REGION_M, criterion="distance").astype(np.int64)
 
 
-def looked_around(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] metres
-    """Whether the keyframes at a place show all azimuths: a full turn."""
+def has_full_turn(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] metres
+    """Return whether the keyframes at a place together show all azimuths."""
     seen = np.zeros(36, dtype=bool)
     bins = np.radians(10.0) * (np.arange(36) + 0.5)
     for frame in keyframes:
@@ -80,13 +81,13 @@ def looked_around(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] met
 
 
 def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
-    """I and V of every node that some view stands for; 0 of those too near an obstacle or looked around at already."""
+    """Return I and V of every node with candidates; 0 near obstacles and where keyframes show all azimuths."""
     graph, keyframes = context.once(floor_graph), context.mapper.keyframes
     information, volume = np.zeros(len(graph)), np.zeros(len(graph))
     wanted = [
         int(n)
         for n in np.unique(context.once(voronoi_node))
-        if n >= 0 and graph.clearance[int(n)] > 2.0 * RADIUS and not looked_around(graph.nodes[int(n)], keyframes)
+        if n >= 0 and graph.clearance[int(n)] > 2.0 * RADIUS and not has_full_turn(graph.nodes[int(n)], keyframes)
     ]
     if not wanted:
         return information, volume
@@ -102,5 +103,6 @@ def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # 
 
 
 def _of_node(context: FeatureContext, values: np.ndarray, nothing: float = 0.0) -> np.ndarray:  # [N] -> [K]
+    """Return the value of each candidate's node, ``nothing`` without a node."""
     node = context.once(voronoi_node).astype(np.int64)
     return np.append(values, nothing)[np.where(node >= 0, node, -1)]

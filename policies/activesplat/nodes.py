@@ -1,4 +1,4 @@
-"""Voronoi nodes as ActiveSplat scores and chooses them."""
+"""Score and choose Voronoi nodes as ActiveSplat does."""
 
 from __future__ import annotations
 
@@ -6,34 +6,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RICH = 250.0  # I from which a node keeps the agent in its subregion
-DEFERRED_M = 13.0  # metres of way: 200 steps; farther nodes wait for nearer ones
+RICH = 250.0  # minimum I of a node that keeps the agent in its subregion
+DEFERRED_M = 13.0  # metres of path (200 steps); farther nodes wait for nearer ones
 
 # Weights of the score.
 UNARRIVED, HORIZON, INFORMATION, VOLUME, FAILED = 20, 10, 2, 1, -60
-LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME = -1, 10, 10  # once every node was arrived at or had failed
+LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME = -1, 10, 10  # once every node is arrived at or failed
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """The Voronoi nodes that some view on offer stands for."""
+    """Hold the N Voronoi nodes that have candidates."""
 
-    rows: tuple[np.ndarray, ...]  # [N] the views of each
-    information: np.ndarray  # [N] I
-    volume: np.ndarray  # [N] V
-    unarrived: np.ndarray  # [N] bool
-    horizon: np.ndarray  # [N] bool
-    failed: np.ndarray  # [N] bool
-    region: np.ndarray  # [N]
-    length: np.ndarray  # [N] metres of way
-    here: np.ndarray  # [N] bool: the agent stands there
-    spent: np.ndarray  # [N] bool: it has stopped there before
+    rows: tuple[np.ndarray, ...]  # [N] candidate rows of each node
+    information: np.ndarray  # [N] I, missing information
+    volume: np.ndarray  # [N] V, missing volume
+    unarrived: np.ndarray  # [N] bool: far from the path travelled
+    horizon: np.ndarray  # [N] bool: in the horizon
+    failed: np.ndarray  # [N] bool: an earlier attempt did not reach it
+    region: np.ndarray  # [N] number of the subregion
+    length: np.ndarray  # [N] path length in metres
+    here: np.ndarray  # [N] bool: at the agent's position
+    spent: np.ndarray  # [N] bool: the agent has stopped there
 
 
 def node_scores(nodes: Nodes, late: bool = False) -> np.ndarray:  # [N] int64
-    """20 unarrived + 10 in horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed, and its late weights.
+    """Return 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
 
-    A node where it stopped before is worth 0, however much is missing there.
+    ``late`` selects the late weights of in_horizon, I and V. The terms before - 60 failed are 0 for a spent node.
     """
     information, volume = (
         np.ceil(10.0 * values / values.max(initial=1e-12)).astype(np.int64)
@@ -45,19 +45,20 @@ def node_scores(nodes: Nodes, late: bool = False) -> np.ndarray:  # [N] int64
 
 
 def choose_node(nodes: Nodes, scores: np.ndarray, late: np.random.Generator | None = None) -> int:
-    """Of the present subregion while it has a rich unvisited node, else of another one, by the highest score.
+    """Return the node with the highest score, subregion by subregion.
 
-    The agent is in the subregion of the node nearest to it. Where no other subregion has a node of a positive score,
-    all count again, as do nodes the agent stands at where there is no other. Ties go to the shortest way, and nodes
-    beyond `DEFERRED_M` wait; with a generator ``late`` the highest score alone counts, and it draws among equals.
+    The agent's subregion is that of the nearest node. Its nodes are eligible while one of them is unarrived, not failed
+    and has I >= `RICH`. Otherwise the nodes of the other subregions are eligible if one scores above 0, else all nodes.
+    Nodes at the agent's position are eligible only if there are no others. Of equal scores the shortest path wins, and
+    nodes beyond `DEFERRED_M` wait for nearer ones. With a generator ``late``, only the score counts and ties are drawn.
     """
     away = ~nodes.here if not nodes.here.all() else np.ones(len(scores), dtype=bool)
-    present = nodes.region == nodes.region[np.argmin(nodes.length)]
-    rich = away & present & nodes.unarrived & ~nodes.failed & (nodes.information >= RICH)
-    other = away & ~present
-    among = away & present if rich.any() else other if (scores[other] > 0).any() else away
+    current = nodes.region == nodes.region[np.argmin(nodes.length)]
+    rich = away & current & nodes.unarrived & ~nodes.failed & (nodes.information >= RICH)
+    other = away & ~current
+    eligible = away & current if rich.any() else other if (scores[other] > 0).any() else away
     if late is not None:
-        return int(late.choice(np.flatnonzero(among & (scores == scores[among].max()))))
-    near = among & (nodes.length <= DEFERRED_M)
-    rows = np.flatnonzero(near if near.any() else among)
+        return int(late.choice(np.flatnonzero(eligible & (scores == scores[eligible].max()))))
+    near = eligible & (nodes.length <= DEFERRED_M)
+    rows = np.flatnonzero(near if near.any() else eligible)
     return int(rows[np.lexsort((nodes.length[rows], -scores[rows]))[0]])

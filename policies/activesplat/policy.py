@@ -1,4 +1,4 @@
-"""ActiveSplat: integer scores of Voronoi nodes, subregion by subregion, and local views at each."""
+"""Define ActiveSplat: visit Voronoi nodes by integer scores, subregion by subregion, with local views at each."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto.policy import forward
 from activestructure_gym.policies.native_settings import SPLATAM
 
-UNARRIVED_M = 0.65  # metres from the way driven: 10 steps of 6.5 cm
-AT_NODE = 0.5  # metres: what stands for a node is no farther from it
-FAILED_M = 0.3  # metres around the end of a way that was not reached; a node with a view there has failed
-ARRIVED_M = 0.15  # metres from the chosen view: farther away the way was not finished
+UNARRIVED_M = 0.65  # metres from the path travelled (10 steps of 6.5 cm); a node farther away is unarrived
+AT_NODE = 0.5  # metres; a view or the agent within this distance is at a node
+FAILED_M = 0.3  # metres; a node with a view this near to a goal that was not reached has failed
+ARRIVED_M = 0.15  # metres from the chosen view; farther away, the goal was not reached
 
-LOCAL_VIEWS = 5  # at one stop
-LOCAL_M = 0.75  # metres from the stop: the original turns on the spot; here the directions on offer stand around it
-LOCAL_DEG2 = 100.0  # square degrees that a local view must show of gaps
-LOCAL_TURN = np.cos(np.radians(15.0))  # of the angle from which it is another view
-STOP_M = 0.6  # metres: 3 radii of the agent; a stop this near to an earlier one has no local views
+LOCAL_VIEWS = 5  # maximum number of local views at a stop
+LOCAL_M = 0.75  # metres from the stop to a local view; the original turns on the spot
+LOCAL_DEG2 = 100.0  # square degrees, minimum gaps in a local view
+LOCAL_TURN = np.cos(np.radians(15.0))  # cosine of the minimum turn to a local view
+STOP_M = 0.6  # metres (3 radii of the agent); a stop this near to an earlier one has no local views
 
-LATE_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
+LATE_AFTER = 3  # successive node choices without an offered node that is neither arrived at nor failed
 
 
 @POLICIES.register("activesplat")
 class ActiveSplat(Planner):
-    """node* = argmax 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
+    """Choose the node argmax 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
 
-    Then the view there that shows most gaps, and up to LOCAL_VIEWS around it. I and V come from panoramas of the map at
-    the node (feature `activesplat`); the score, its late weights and the order of subregions are those of
-    [activesplat, code], `planner_node.py`.
+    The view at the node that shows most gaps is chosen, followed by up to LOCAL_VIEWS views around it. I and V come
+    from panoramas of the map at the node (feature `activesplat`). The score, its late weights and the order of
+    subregions are those of [activesplat, code], `planner_node.py`.
     """
 
     criterion = "integer score of Voronoi nodes by what panoramas of the map lack"
@@ -43,39 +43,42 @@ class ActiveSplat(Planner):
     required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
     def __init__(self, travel: Travel = "native") -> None:
+        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Begin with the views around the start, in place of the original's turn on the spot."""
+        """Begin with local views at the start, which replace the original's turn on the spot."""
         super().reset(seed)
-        self._goal: np.ndarray | None = None  # [3] metres: where the last chosen view stands
-        self._failed = np.zeros((0, 3))  # metres
-        self._stop = np.zeros(0)  # [3] metres, once known: where the agent went last, local views aside
-        self._stops = np.zeros((0, 3))  # metres: the earlier ones that had local views
-        self._spent = np.zeros((0, 3))  # metres: all earlier ones
-        self._looks = 0  # local views at this stop
-        self._idle, self._late = 0, False  # node decisions in a row with nowhere to go; the late weights are in use
+        self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen view
+        self._failed = np.zeros((0, 3))  # metres, goals that were not reached
+        self._stop = np.zeros(0)  # [3] metres, current stop: the last goal that was not a local view
+        self._stops = np.zeros((0, 3))  # metres, earlier stops with local views
+        self._spent = np.zeros((0, 3))  # metres, all earlier stops
+        self._local_views = 0  # at this stop
+        self._idle = 0  # successive node choices without a node that is neither arrived at nor failed
+        self._late = False  # whether the late weights apply
 
     def act(self, observation: Observation) -> int:
-        """A local view while the stop lasts, else a view at the best node."""
+        """Return a local view if one is left at this stop, otherwise a view at the best node."""
         candidates = self.candidates(observation)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:
             self._failed = np.vstack([self._failed, self._goal])
-        if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # at first, or on a way not finished
+        if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # first decision, or goal not reached
             self._stop = here
         choice = self._decide(observation, candidates, candidates["activesplat_view"].astype(np.float64))
         self._goal = candidates.xyz[choice].astype(np.float64)
         return choice
 
     def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:
+        """Choose a row; ``show`` [K] are the gaps in each view in square degrees."""
         xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
         new = candidates.valid & ~candidates.revisit
         valid = new if new.any() else candidates.valid
         nodes = self._nodes(candidates, valid)
         self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
-        if not nodes.rows:  # nothing of the plan is known yet, or no view on offer stands at a node
+        if not nodes.rows:  # no floor plan yet, or no candidate at a node
             choice = best_valid(np.where(valid, self.scores(show, observation), -1.0), observation)
             self._leave(xyz[choice])
             return choice
@@ -83,7 +86,7 @@ class ActiveSplat(Planner):
             nodes = self._aged(nodes)
             gain = np.zeros(len(valid))
             for rows, score, here in zip(nodes.rows, node_scores(nodes, self._late), nodes.here):
-                # What a view shows decides between those of a node, and where it stands already alone.
+                # The gaps in a view add at most 1, so they decide between the views of one node.
                 gain[rows] = (0 if here else max(int(score), 0)) + show[rows] / max(float(show[rows].max()), 1e-12)
             choice = best_valid(self.scores(gain, observation), observation)
             self._leave(xyz[choice])
@@ -92,8 +95,8 @@ class ActiveSplat(Planner):
         local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
         local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
         repeated = (_apart(self._stops, self._stop) <= STOP_M).any()
-        if self._looks < LOCAL_VIEWS and local.any() and not repeated:
-            self._looks += 1
+        if self._local_views < LOCAL_VIEWS and local.any() and not repeated:
+            self._local_views += 1
             self._trace["mode"] = "local"
             return best_valid(np.where(local, show, -1.0), observation)
         nodes = self._aged(nodes)
@@ -108,13 +111,16 @@ class ActiveSplat(Planner):
         return choice
 
     def _leave(self, place: np.ndarray, *, even_if_near: bool = False) -> None:
-        """The stop that is left is spent; a view beside it is none of its own, unless a node was chosen."""
+        """Make ``place`` the new stop and record the old one as spent.
+
+        A place within LOCAL_M of the current stop is not a new stop unless ``even_if_near``.
+        """
         if even_if_near or _apart(place[None], self._stop)[0] > LOCAL_M:
             self._spent = np.vstack([self._spent, self._stop])
-            self._stop, self._looks = place, 0
+            self._stop, self._local_views = place, 0
 
     def _aged(self, nodes: Nodes) -> Nodes:
-        """Turn to the late weights, for good, and forget the failures once there has been nowhere to go for a while."""
+        """Switch to the late weights permanently, and forget failures, after LATE_AFTER choices without a goal."""
         self._idle = 0 if (nodes.unarrived & ~nodes.failed).any() else self._idle + 1
         if self._idle < LATE_AFTER:
             return nodes
@@ -122,6 +128,7 @@ class ActiveSplat(Planner):
         return replace(nodes, failed=np.zeros(len(nodes.rows), dtype=bool))
 
     def _nodes(self, candidates: Candidates, valid: np.ndarray) -> Nodes:
+        """Return the nodes of the valid candidates."""
         xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
         visited, horizon = candidates["visited_distance"].astype(np.float64), candidates["in_horizon"]
         information, volume, region, _ = candidates.feature("activesplat").astype(np.float64).T

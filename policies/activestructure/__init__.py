@@ -1,7 +1,7 @@
-"""ActiveStructure: the planner of the paper ([activestructure]) and the rungs of its ablation (Table 3).
+"""Provide ActiveStructure, the planner of the paper ([activestructure]), and the variants A to E of its Table 3.
 
-Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and what ends each), `policy`
-(Eq. 15 and the loop). The planes, their quality and their surprise (Eqs. 4 to 10) come with the observation.
+Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and their ends), `policy` (Eq. 15
+and the loop). The observation contains the planes, their quality and their surprise (Eqs. 4 to 10).
 """
 
 from activestructure_gym.policies.activestructure.information_gain import (

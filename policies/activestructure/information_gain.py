@@ -1,6 +1,6 @@
-"""The information gain of every candidate from the Plane Scene Graph (Eqs. 11 to 14). Pure functions.
+"""Compute the information gain of candidates from the Plane Scene Graph (Eqs. 11 to 14) by pure functions.
 
-Shapes: K candidates, P rows of planes; rows without a plane are False in every column of ``visible``.
+Shapes: K candidates, P rows of planes. Rows without a plane are visible from no candidate.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from activestructure_gym.policies.candidates import Observation, check_observati
 
 @dataclass(frozen=True)
 class PlaneView:
-    """The planes as the observation shows them."""
+    """Hold the planes of an observation."""
 
     visible: np.ndarray  # [K, P] bool, V_c^vis
     quality: np.ndarray  # [P] q_i, Eq. 7
@@ -26,7 +26,7 @@ class PlaneView:
 
 
 def plane_view(observation: Observation) -> PlaneView:
-    """The planes of an observation; rows without a plane are invisible and have no area."""
+    """Return the planes of an observation; rows without a plane are invisible and have no area."""
     check_observation(observation)
     mask = observation["plane_mask"].astype(bool)
     columns = plane_columns("quality", "surprise", "deficit", "structural", "area")
@@ -43,23 +43,23 @@ def plane_view(observation: Observation) -> PlaneView:
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the terms in a phase, or on a rung of the ablation."""
+    """Define the weights of the terms in a phase or in a variant of Table 3."""
 
     structural: float = 1.0  # alpha_i of planes in V_S, Eq. 13
     objects: float = 1.0  # alpha_i of planes in V_O, Eq. 13
     coupling: float = 1.0  # omega, Eqs. 1 and 14
     deficiency: float = 1.0  # omega_d, Eq. 13
     max_discount: float = 0.0  # rho_max, Eq. 12
-    suppression: float = 0.0  # of views dominated by well-reconstructed structure (Sec. 3.4, phase II)
-    surprise: bool = True  # False: gamma_i is replaced by 1 - q_i (rung B of Table 3)
-    sides: float = 1.0  # of the unseen sides, where they are a part of what is to be discovered
+    suppression: float = 0.0  # suppression of views of mostly well-reconstructed structure (Sec. 3.4, phase II)
+    surprise: bool = True  # False: gamma_i is replaced by 1 - q_i (variant B of Table 3)
+    sides: float = 1.0  # weight of unseen sides, if the discovery gain includes them
 
 
 @dataclass(frozen=True)
 class GainTerms:
-    """Every term of Eqs. 12 to 14, [K] each."""
+    """Hold the terms of Eqs. 12 to 14, [K] each."""
 
-    pixel: np.ndarray  # IG_px
+    pixel: np.ndarray  # IG_px, or the gain used instead
     discount: np.ndarray  # rho_c in [0, rho_max]
     structure: np.ndarray  # sum of alpha_i gamma_i over the visible planes, scaled
     deficiency: np.ndarray  # IG_def
@@ -68,24 +68,24 @@ class GainTerms:
     total: np.ndarray  # IG, floored at 0
 
     def row(self, index: int, discovery: str) -> dict[str, float]:
-        """Return the terms of one candidate for a trace; the first has the name of the gain that stands for IG_px."""
+        """Return the terms of one candidate for a trace; ``discovery`` is the name of the gain used as IG_px."""
         names = {"pixel": discovery, "floor": "visibility floor"}
         return {names.get(name, name): float(values[index]) for name, values in vars(self).items()}
 
 
-VISIBILITY_FLOOR = 1e-4  # a view of any tracked plane is worth at least this (Sec. 3.4)
-GOOD_QUALITY = 0.8  # q from which a structural plane counts as well reconstructed
+VISIBILITY_FLOOR = 1e-4  # term of a view that sees any tracked plane (Sec. 3.4)
+GOOD_QUALITY = 0.8  # minimum q of a well-reconstructed structural plane
 BLEND = 0.5  # eta of Eq. 11
-DISCOUNT_PLANES = 3.0  # visible planes at which the discount has reached 1 - 1/e of its cap
+DISCOUNT_PLANES = 3.0  # number of visible planes at which the discount is 1 - 1/e of its cap
 
 
 def information_gain(
-    pixel: np.ndarray,  # [K] IG_px: uncovered pixels in 0..1, or what stands for them (`StructurePolicy`)
+    pixel: np.ndarray,  # [K] IG_px: share of uncovered pixels, or another discovery gain (`StructurePolicy`)
     deficiency: np.ndarray,  # [K] IG_def in 0..1
     planes: PlaneView,
     weights: Weights,
 ) -> GainTerms:
-    """IG = IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def) (Eqs. 12 to 14), floored at 0."""
+    """Return IG = IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def), at least 0 (Eqs. 12 to 14)."""
     rho = discount(planes, weights.max_discount)
     structure = structural_term(planes, weights)
     floor = np.where(planes.visible.any(axis=1), VISIBILITY_FLOOR, 0.0)
@@ -95,10 +95,10 @@ def information_gain(
 
 
 def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
-    """First sum of Eq. 13, as each plane's share of what the whole graph lacks.
+    """Return the first sum of Eq. 13, with gamma_i divided by the sum of gamma over all planes.
 
-    gamma_i / sum gamma keeps the term in [-1, 1] whatever the number of planes and however small the product of three
-    surprises is, as IG_px and IG_def are shares too.
+    The division keeps the term in [-1, 1] for any number of planes and any scale of the surprises. IG_px and IG_def are
+    shares too.
     """
     missing = planes.deficit if weights.surprise else 1.0 - planes.quality
     alpha = np.where(planes.structural, weights.structural, weights.objects)
@@ -106,16 +106,17 @@ def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
 
 
 def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without planes
-    """Blend of mean and maximum of Phi over the visible planes (Eq. 11)."""
+    """Return the blend of mean and maximum of Phi over the visible planes (Eq. 11)."""
     seen = np.where(planes.visible, planes.surprise, 0.0)
     mean = seen.sum(axis=1) / np.maximum(planes.visible.sum(axis=1), 1)
     return BLEND * mean + (1.0 - BLEND) * seen.max(axis=1, initial=0.0)  # Eq. 11
 
 
 def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, cap]
-    """rho_c of Eq. 12: grows with the number of visible tracked planes and their quality, falls with their surprise.
+    """Return rho_c of Eq. 12 = cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the n visible planes).
 
-    cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the visible planes); the paper names the dependence only.
+    The paper only states that rho_c increases with the number and quality of the visible tracked planes and decreases
+    with their surprise.
     """
     count = planes.visible.sum(axis=1)
     surprise = view_surprise(planes)
@@ -125,7 +126,10 @@ def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, c
 
 
 def suppression(planes: PlaneView, strength: float) -> np.ndarray:  # [K] factor in [1 - strength, 1]
-    """Polarity reversal at the level of a view: what share of the visible area is well-reconstructed structure."""
+    """Return 1 - strength x the share of well-reconstructed structure in the visible plane area.
+
+    It applies the polarity reversal of phase II to whole views (Sec. 3.4).
+    """
     if not strength:
         return np.ones(len(planes.visible))
     area = planes.visible @ planes.area

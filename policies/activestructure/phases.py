@@ -1,6 +1,6 @@
-"""Informational polarity reversal: what each phase weighs, and which state of the reconstruction ends it (Sec. 3.4).
+"""Define the phases of informational polarity reversal (Sec. 3.4): their weights, and the conditions that end them.
 
-No transition looks at the number of frames.
+No transition depends on the number of frames.
 """
 
 from __future__ import annotations
@@ -14,59 +14,61 @@ from activestructure_gym.policies.activestructure.information_gain import GainTe
 
 @dataclass(frozen=True)
 class Phase:
-    """One phase psi."""
+    """Define one phase psi."""
 
     name: str
     weights: Weights
-    pool_share: float = 0.0  # of a view into nothing but the unknown: one that would show less leaves the pool (rho)
-    deficit_share: float = np.inf  # in the unit of `hole_area`: a view that would mend so much of what is known stays
-    refines: bool = False  # True: keyframes are revisited instead of views being scored
+    # Minimum gain of a view in the pool, as a share of the gain of a view that sees only unknown space (rho).
+    pool_share: float = 0.0
+    deficit_share: float = np.inf  # a view with at least this IG_def stays in the pool, in the unit of `hole_area`
+    refines: bool = False  # True: revisit keyframes instead of scoring views
 
 
 PHASES = (
-    # Structural deficit attracts. The scaffold stands when no view is left that would show much of the unknown.
+    # Deficits of structural planes attract. The phase ends when no view would show much unknown space.
     Phase(
         "I scaffold",
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1, sides=0.0),
         pool_share=0.05,
     ),
-    # The same planes suppress, objects attract (with discovery=unseen their far sides, too); the cap of the discount
-    # rises, smaller gaps are worth a view.
+    # Structural planes repel, objects attract (with discovery=unseen also their unseen sides). The cap of the discount
+    # is higher, and the pool includes views of smaller gaps.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),
         pool_share=0.01,
         deficit_share=0.01,
     ),
-    # The keyframes that render worst are revisited, with more iterations.
+    # The keyframes with the lowest PSNR are revisited and get more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
 )
-PATIENCE = 3  # decisions in a row for which the pool must stay empty: 256 candidates are a draw from a larger pool
-GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's threshold)
-LOT = 4  # revisits, as many as a table offers, that together must raise the lowest tenth's PSNR ...
-MIN_RISE_DB = 0.25  # ... by so many dB, or there are no more
+PATIENCE = 3  # successive decisions with an empty pool that end a phase; one table is a random part of all views
+GOOD_PSNR = 34.0  # dB; phase III ends when 90 % of the keyframes reach it (ActiveGAMER's threshold)
+LOT = 4  # revisits after which progress is tested; a table offers as many
+MIN_RISE_DB = 0.25  # dB by which LOT revisits must raise the 10 % quantile of the keyframes' PSNR
 
 
 def in_pool(terms: GainTerms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
-    """The views still worth going to: enough uncovered after the discount, or enough deficit (Eq. 12)."""
+    """Return the views in the pool: those with enough gain after the discount, or enough deficit (Eq. 12)."""
     pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
     return valid & (pixels | (terms.deficiency >= phase.deficit_share))
 
 
 class PhaseMachine:
-    """Moves to the next phase when the pool of the present one has been empty for some decisions."""
+    """Switch to the next phase when the pool of the current one has been empty for `PATIENCE` decisions."""
 
     def __init__(self) -> None:
+        """Begin with phase I."""
         self.index = 0
         self._empty = 0
 
     @property
     def phase(self) -> Phase:
-        """The present phase."""
+        """Return the current phase."""
         return PHASES[self.index]
 
     def update(self, pool: np.ndarray) -> str | None:
-        """Tell it the present pool [K] bool; returns why the phase changed, if it did."""
+        """Update the state with the pool [K] bool; return the reason if the phase changed, else None."""
         self._empty = 0 if pool.any() else self._empty + 1
         if self._empty < PATIENCE or self.phase.refines:
             return None
@@ -74,42 +76,47 @@ class PhaseMachine:
         return f"no view in the pool for {PATIENCE} decisions"
 
 
-_SAME_VIEW = 0.01  # metres, and the same of a unit vector: a keyframe's own pose comes back to the last digit or so
+_SAME_VIEW = 0.01  # metres, and components of a unit vector; revisit rows repeat a keyframe's pose up to rounding
 
 
-class SentTo:
-    """Keyframes that phase III was sent to: one that still renders worst afterwards is not mended by going again.
+class RevisitedViews:
+    """Record the keyframes that phase III has revisited, since a second revisit rarely raises their PSNR.
 
-    A view is its position and its direction of looking.
+    A view is a position and a view direction.
     """
 
     def __init__(self) -> None:
+        """Begin without views."""
         self._views: list[np.ndarray] = []
 
     def add(self, view: np.ndarray) -> None:  # [6] metres, unit vector
-        """Note the view that was chosen."""
+        """Add the chosen view."""
         self._views.append(np.array(view, dtype=np.float64))
 
     def includes(self, views: np.ndarray) -> np.ndarray:  # [K, 6] -> [K] bool
-        """Which of these views it was sent to."""
+        """Return which of the views were revisited."""
         if not self._views:
             return np.zeros(len(views), dtype=bool)
         difference = np.abs(views[:, None] - np.stack(self._views)[None]).max(axis=-1)
         return np.asarray((difference < _SAME_VIEW).any(axis=1))
 
     def __len__(self) -> int:
-        """How often phase III was sent to one."""
+        """Return the number of revisits."""
         return len(self._views)
 
 
-class Mending:
-    """Whether revisits still mend: habituation of phase III, by what the last few of them brought."""
+class RevisitProgress:
+    """Test whether the last `LOT` revisits raised the PSNR enough; otherwise phase III ends."""
 
     def __init__(self) -> None:
+        """Begin without a PSNR to compare with."""
         self._before, self._over = -np.inf, False
 
-    def goes_on(self, lowest: float, revisits: int) -> bool:
-        """Ask before a revisit, with the lowest tenth's PSNR in dB and how many there were; once over, always over."""
+    def continues(self, lowest: float, revisits: int) -> bool:
+        """Return whether to revisit again; False is final.
+
+        ``lowest`` is the 10 % quantile of the keyframes' PSNR in dB, ``revisits`` the number of revisits so far.
+        """
         if not self._over and revisits % LOT == 0:
             self._before, self._over = lowest, lowest < self._before + MIN_RISE_DB
         return not self._over

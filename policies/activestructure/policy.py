@@ -1,4 +1,4 @@
-"""ActiveStructure as a policy: Eq. 15, the phases, and the rungs A to E of Table 3."""
+"""Define the policies of ActiveStructure: Eq. 15, the phases, and the variants A to E of Table 3."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from activestructure_gym.policies.activestructure.phases import (
     LOT,
     MIN_RISE_DB,
     PHASES,
-    Mending,
     PhaseMachine,
-    SentTo,
+    RevisitedViews,
+    RevisitProgress,
     in_pool,
 )
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
@@ -34,9 +34,10 @@ from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
 _SIDES, _END = "unseen_sides", "finish"
 _ON_BASE = replace(PHASES[0].weights, sides=1.0)
-# The columns that stand for IG_px and what of each counts 1: a whole image, the largest hole area, and the volume (m^3)
-# that a view into nothing but unknown space opens: its solid angle, 1.42 sr at 90 x 59 degrees, times the integral of
-# r^2 exp(-r) from 0 to 6 m. On a grid, where rays leave voxels out, such a view has 2.2.
+# The columns used as IG_px by discovery gain, and the value of each that counts as 1. That is the whole image for
+# `pixel`, and the largest area for `hole_area`. For volumes (m^3) it is the gain of a view that sees only unknown
+# space. This is the solid angle of 1.42 sr (90 x 59 degrees) times the integral of r^2 exp(-r) from 0 to 6 m. On the
+# voxel grid, where rays miss some voxels, such a view has 2.2 m^3.
 _DISCOVERY: dict[Discovery, dict[str, float]] = {
     "pixel": {"pixel": 1.0},
     "hole_area": {"hole_area": 1.0},
@@ -45,30 +46,31 @@ _DISCOVERY: dict[Discovery, dict[str, float]] = {
 }
 
 
-def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
-    """The gain without the revisits: a keyframe always sees the planes it founded. They belong to phase III."""
+def without_revisit_gain(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
+    """Return the gain with 0 for revisits. A keyframe always sees its own planes; revisits belong to phase III."""
     return np.where(Candidates(observation).revisit, 0.0, gain)
 
 
 class StructurePolicy(Policy):
-    """T* = argmax softmax(log IG) g (Eq. 15); softmax(log IG) is IG / sum IG, so the argmax is that of IG g.
+    """Choose T* = argmax softmax(log IG) g (Eq. 15). This is argmax IG g, since softmax(log IG) is IG / sum IG.
 
     Parameters
     ----------
     discovery
-        What stands for IG_px, the gain of what is not known yet: ``"pixel"`` (the paper's uncovered pixels),
-        ``"hole_area"``, ``"unknown_volume"`` or ``"unseen"``. With one of the others the rungs are a ladder on one
-        base: B differs from the policy of that name in the term of the planes alone, every rung from the one below in
-        what it adds, and the terms weigh what they weigh in phase I of the full model, which adds the phases.
+        The gain of unknown space, used as IG_px: ``"pixel"`` (the paper's uncovered pixels), ``"hole_area"``,
+        ``"unknown_volume"`` or ``"unseen"``. With a gain other than ``"pixel"``, variant B adds only the plane term to
+        the policy of that name, and each later variant adds one term. The weights are those of phase I of the full
+        model, which adds the phases.
     """
 
     travel_term = "the shared one"
     native_settings = SPLATAM
-    weights: ClassVar[Weights] = Weights()  # beside pixels
-    on_base: ClassVar[Weights] = _ON_BASE  # beside another gain of discovery
-    deficiencies: ClassVar[bool] = False  # whether IG_def is a term of it
+    weights: ClassVar[Weights] = Weights()  # with discovery="pixel"
+    on_base: ClassVar[Weights] = _ON_BASE  # with another discovery gain
+    deficiencies: ClassVar[bool] = False  # whether the gain includes IG_def
 
     def __init__(self, discovery: Discovery = "pixel") -> None:
+        """Store the discovery gain; raise `InputError` for an unknown one."""
         super().__init__()
         if discovery not in get_args(Discovery):
             raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
@@ -78,12 +80,12 @@ class StructurePolicy(Policy):
         self._trace: dict[str, Any] = {}
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the largest product of information gain and travel discount."""
+        """Return the valid row with the largest product of information gain and travel discount."""
         terms = self.terms(observation, plane_view(observation), self._weights)
-        return self._choose(discovering(terms.total, observation), terms, observation, {})
+        return self._choose(without_revisit_gain(terms.total, observation), terms, observation, {})
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> GainTerms:
-        """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
+        """Return the terms of Eqs. 12 to 14; the deficiency is 0 in variants without it."""
         candidates = self.candidates(observation)
         shares = {name: candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()}
         if _SIDES in shares:
@@ -93,8 +95,9 @@ class StructurePolicy(Policy):
         return information_gain(unseen, deficiency, planes, weights)
 
     def _choose(self, gain: np.ndarray, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
+        """Return argmax of gain [K] times travel discount; record the terms, and ``more``, in the trace."""
         travel = travel_discount(observation)
-        # Where nothing is left to gain the floor leaves the choice to the distance.
+        # If no view has a gain, the lower bound makes the travel discount decide.
         scores = np.maximum(gain, 1e-6) * travel
         choice = best_valid(scores, observation)
         others = observation["action_mask"].astype(bool)
@@ -107,13 +110,13 @@ class StructurePolicy(Policy):
         return choice
 
     def trace(self) -> dict[str, Any]:
-        """The terms of the chosen view and of the runner-up, and for the full model the phase."""
+        """Return the terms of the chosen view and of the second best, and the phase of the full model."""
         return self._trace
 
 
 @POLICIES.register("activestructure-a")
 class ActiveStructureA(PixelOnly):
-    """argmax IG_px g: rung A, pixels only."""
+    """Choose argmax IG_px g: variant A of Table 3, uncovered pixels only."""
 
     criterion = "uncovered pixels"
     source = "ActiveStructure, rung A of Table 3"
@@ -122,9 +125,9 @@ class ActiveStructureA(PixelOnly):
 
 @POLICIES.register("activestructure-b")
 class ActiveStructureB(StructurePolicy):
-    """argmax (IG_px + omega sum alpha_i (1 - q_i)) g: rung B, A and the raw gain of every visible plane."""
+    """Choose argmax (IG_px + omega sum alpha_i (1 - q_i)) g: variant B, which adds the visible planes' low quality."""
 
-    criterion = "uncovered pixels and bad planes in sight"
+    criterion = "uncovered pixels and visible planes of low quality"
     source = "ActiveStructure, rung B of Table 3"
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
     on_base = replace(_ON_BASE, surprise=False, max_discount=0.0)
@@ -132,16 +135,16 @@ class ActiveStructureB(StructurePolicy):
 
 @POLICIES.register("activestructure-c")
 class ActiveStructureC(StructurePolicy):
-    """argmax (IG_px (1 - rho) + omega sum alpha_i gamma_i) g: rung C, B by anomalies, with the discount of Eq. 12."""
+    """Choose argmax (IG_px (1 - rho) + omega sum alpha_i gamma_i) g: variant C, with deficits and the discount."""
 
-    criterion = "uncovered pixels and anomalous planes in sight"
+    criterion = "uncovered pixels and visible anomalous planes"
     source = "ActiveStructure, rung C of Table 3"
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
 @POLICIES.register("activestructure-d")
 class ActiveStructureD(StructurePolicy):
-    """argmax (IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def)) g: rung D, C and deficiency centres."""
+    """Choose argmax (IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def)) g: variant D, with IG_def."""
 
     criterion = "uncovered pixels, anomalous planes and their deficiency centres"
     source = "ActiveStructure, rung D of Table 3"
@@ -151,10 +154,10 @@ class ActiveStructureD(StructurePolicy):
 
 @POLICIES.register("activestructure")
 class ActiveStructure(StructurePolicy):
-    """argmax of the gain of D in three phases, with the reversal of polarity between them: rung E, the full model.
+    """Choose argmax of the gain of variant D in three phases with polarity reversal: variant E, the full model.
 
-    What is left to discover is counted from the state of the volume, not in uncovered pixels: a pool that is to run
-    empty must not hold views through an open window.
+    By default the discovery gain is the unknown volume instead of uncovered pixels. A phase ends when its pool is
+    empty, and uncovered pixels would keep views through open windows in the pool.
     """
 
     criterion = "unknown space and deficient planes, in three phases"
@@ -162,16 +165,17 @@ class ActiveStructure(StructurePolicy):
     deficiencies = True
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:
+        """Store the discovery gain and begin with phase I."""
         super().__init__(discovery)
-        self._machine, self._sent, self._mending = PhaseMachine(), SentTo(), Mending()
+        self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 
     def reset(self, seed: int) -> None:
         """Begin with phase I."""
         super().reset(seed)
-        self._machine, self._sent, self._mending = PhaseMachine(), SentTo(), Mending()
+        self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 
     def act(self, observation: Observation) -> int:
-        """The best view of the present phase; in phase III the nearest of the worst keyframes, while that mends."""
+        """Return the best view of the current phase; in phase III the nearest of the keyframes with the lowest PSNR."""
         machine, planes = self._machine, plane_view(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid & ~candidates.revisit
@@ -185,18 +189,18 @@ class ActiveStructure(StructurePolicy):
         if machine.phase.refines:
             return self._refine(terms, observation, more)
         gain = np.where(pool, terms.total, 0.0) if pool.any() else terms.total
-        return self._choose(discovering(gain, observation), terms, observation, more)
+        return self._choose(without_revisit_gain(gain, observation), terms, observation, more)
 
     def _refine(self, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
-        """The nearest of the worst rendered keyframes that it was not sent to yet.
+        """Return the nearest of the offered keyframes that was not revisited yet.
 
-        Without one, once nine tenths of all are good, or when revisits no longer mend, the episode is settled, and the
-        trace says so: it ends where the environment offers that (source ``finish``), and discovers again where it does
-        not.
+        The episode is settled if there is none, if 90 % of the keyframes are good, or if revisits no longer raise the
+        PSNR; the trace contains the reason. A settled episode ends if the env has the source ``finish``. Otherwise
+        views are scored again.
         """
         candidates = self.candidates(observation)
         views = np.concatenate([candidates.xyz, candidates.view_direction], axis=1)
-        open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
+        open_ = candidates.revisit & candidates.valid & ~self._revisited.includes(views)
         lowest = float(observation["fidelity"][0])
         settled = self._settled(bool(open_.any()), lowest)
         more = {**more, "fidelity": lowest, "settled": settled}
@@ -204,21 +208,21 @@ class ActiveStructure(StructurePolicy):
             self._trace = more
             return int(ending[0])
         if settled:
-            return self._choose(discovering(terms.total, observation), terms, observation, more)
+            return self._choose(without_revisit_gain(terms.total, observation), terms, observation, more)
         choice = self._choose(open_.astype(np.float64), terms, observation, more)
-        self._sent.add(views[choice])
+        self._revisited.add(views[choice])
         return choice
 
     def _settled(self, left: bool, lowest: float) -> str | None:
-        """Why no keyframe is worth a revisit, if none is."""
+        """Return the reason against any further revisit, or None; ``left`` is whether a keyframe is left."""
         if not left:
             return "no keyframe left to revisit"
         if lowest >= GOOD_PSNR:
             return f"nine tenths of the keyframes reach {GOOD_PSNR:g} dB"
-        if not self._mending.goes_on(lowest, len(self._sent)):
+        if not self._progress.continues(lowest, len(self._revisited)):
             return f"{LOT} revisits raised the lowest tenth by less than {MIN_RISE_DB:g} dB"
         return None
 
 
-# Table 3 in its order; each rung adds one component.
+# The variants in the order of Table 3; each adds one component.
 LADDER = ("activestructure-a", "activestructure-b", "activestructure-c", "activestructure-d", "activestructure")

@@ -1,4 +1,4 @@
-"""What the mode-switching planner of Zeng et al. asks: which frontier a view serves, and how unsure its surface is."""
+"""Compute the feature of Zeng et al.: the frontier that a view serves, and the colour uncertainty that it sees."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from activestructure_gym.features.unknown_volume import worth_a_look
 from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.volume import FREE
 
-CLUSTER = 2.0  # metres, side of the cubes that large frontiers are cut into (own choice)
-MIN_FRONTIER_VOXELS = 5  # voxels of a frontier (own choice)
-NEAR = 3.0  # metres from the agent (own choice)
+CLUSTER = 2.0  # metres, side of the cubes into which frontiers are cut (own choice)
+MIN_FRONTIER_VOXELS = 5  # minimum number of voxels of a frontier (own choice)
+NEAR = 3.0  # metres from the agent to a near frontier (own choice)
 
 
 @FEATURES.register(
@@ -25,13 +25,19 @@ NEAR = 3.0  # metres from the agent (own choice)
     low=(-1.0, 0.0, 0.0, 0.0),
 )
 def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Which frontier a view is the one for, or -1; how many frontiers are near the agent, and in all; and the mean over
-    pixels of the colour uncertainty of the surface in sight.
+    """Compute the frontier that a candidate serves, the numbers of frontiers, and the mean colour uncertainty.
 
-    A frontier is a connected cluster of free voxels beside space that nobody has looked into. The view for it is the
-    candidate that has most of its voxels in sight; one that nobody has in sight is none. Near are those whose middle is
-    within 3 m of the agent. The uncertainty of a place is the mean squared error of the rendered colour there, what the
-    variance of a learned colour tends to. Source: [aiisrfe], by abstract and digest.
+    The columns are:
+
+    - the index of the frontier, or -1;
+    - the number of frontiers near the agent;
+    - the number of all frontiers;
+    - the mean over pixels of the uncertainty (mean squared colour error) of the visible surface.
+
+    A frontier is a connected cluster of free voxels next to space that no keyframe has seen. The candidate that sees
+    most of its voxels serves it; a frontier that no candidate sees is ignored. It is near if its centre is within 3 m
+    of the agent. The uncertainty of a place is the mean squared error of its rendered colours, to which a learned
+    variance of colour converges. Source: [aiisrfe], by its abstract and a digest.
     """
     poses, keyframes = context.world_from_camera, context.mapper.keyframes
     table = np.zeros((len(poses), 4))
@@ -40,12 +46,12 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
     clusters = int(cluster.max(initial=-1)) + 1
     if len(poses) and clusters:
         counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
-        counts[context.revisits] = 0  # nobody is sent there for what it shows
+        counts[context.revisits] = 0  # revisits serve no frontier
         served = counts.max(axis=0) > 0
         middles = np.stack([voxels[cluster == c].mean(axis=0) for c in range(clusters)])
         here = keyframes[-1].world_from_camera[:3, 3] if context.agent is None else context.agent.pose[:3, 3]
         near = np.linalg.norm(middles - here, axis=1) <= NEAR
-        for c in np.flatnonzero(served)[::-1]:  # a view for two frontiers is the first one's
+        for c in np.flatnonzero(served)[::-1]:  # a candidate that would serve two frontiers gets the first
             table[counts[:, c].argmax(), 0] = c
         table[:, 1], table[:, 2] = (near & served).sum(), served.sum()
     if len(poses):
@@ -55,7 +61,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
 
 
 def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F] cluster
-    """Frontier voxels, and the clusters 0, 1, ... that they belong to, cut into cubes."""
+    """Return the centres of the frontier voxels, and the index of the cluster of each, cut into cubes."""
     volume = context.volume
     wanted = context.once(worth_a_look)
     edge = (volume.state == FREE) & ndimage.binary_dilation(wanted, np.ones((3, 3, 3), bool))
@@ -71,7 +77,7 @@ def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 
 
 
 def _of_gaussians(context: FeatureContext, table: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [N] float32
-    """What stands in the voxel of each Gaussian's mean."""
+    """Return the table's value at the voxel of each Gaussian's mean; 0 outside."""
     means, volume = context.mapper.map.means, context.volume
     values = np.zeros(len(means), np.float32)
     inside = volume.contains(means)

@@ -1,3 +1,3 @@
-"""ANM-S: from node to node of the floor plan by an integer score, with a look at each uncertain piece of surface."""
+"""Provide ANM-S: move between nodes of the floor plan by an integer score, and view the uncertain surface at each."""
 
 from activestructure_gym.policies.anm_s.policy import AnmS as AnmS

@@ -1,4 +1,4 @@
-"""ANM-S's features: uncertain clusters at a Voronoi node, and the ends of the chains that were cut off from it."""
+"""Compute ANM-S's features: clusters of uncertain surface at a Voronoi node, and the ends of its cut chains."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from activestructure_gym.features.uncertain_surface import (
 )
 from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
 
-KEPT = 0.2  # of the surface, the most uncertain
-ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this take one look
+KEPT = 0.2  # share of the surface that is clustered, the most uncertain
+SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; directions nearer to each other are served by one view
 
 
 _COLUMNS: dict[str, Any] = {
@@ -32,22 +32,34 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s", **_COLUMNS)
 def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """`looks` with the uncertainty of ANM-S: 20 renderings of perturbed geometry."""
-    return looks(context, by_perturbing_means)
+    """Compute the numbers of clusters and of views at the candidate's node, and the cosine to the nearest direction.
+
+    See `views_at_node`. The uncertainty comes from 20 renderings of the map with perturbed means ([anm_s, code]).
+    """
+    return views_at_node(context, by_perturbing_means)
 
 
 @FEATURES.register("anm_s_proxy", **_COLUMNS)
 def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """`looks` with the first order of that uncertainty, which needs no rendering."""
-    return looks(context, by_proxy)
+    """Compute the numbers of clusters and of views at the candidate's node, and the cosine to the nearest direction.
+
+    See `views_at_node`. The uncertainty is a first-order approximation of that of ``anm_s`` and needs no rendering.
+    """
+    return views_at_node(context, by_proxy)
 
 
-def looks(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 3]
-    """Clusters at the candidate's node, looks they take, and the cosine to the nearest; 0, 0, -1 without a node.
+def views_at_node(
+    context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]
+) -> np.ndarray:  # [K, 3] clusters, views, cosine
+    """Compute the clusters at the candidate's node, the views they need, and the candidate's alignment ([anm_s]).
 
-    Clusters that the node is the nearest one to, as seen from above ([anm_s]); how many looks it takes to see
-    these and the ends of the chains that hung from it; and the cosine between where the candidate looks and the nearest
-    of all of these, -1 without any. Nodes are those of `floor_graph`.
+    The columns are 0, 0, -1 without a node. Otherwise they are:
+
+    - Number of clusters for which the candidate's node is the nearest one in the horizontal plane.
+    - Number of views needed to see these clusters and the ends of the chains that were cut off from the node.
+    - Cosine between the candidate's view direction and the nearest direction to one of these; -1 if there is none.
+
+    Nodes are those of `floor_graph`.
     """
     found = clusters(context.once(uncertainty), KEPT)
     graph = context.once(floor_graph)
@@ -59,23 +71,23 @@ def looks(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surfa
         for row in np.flatnonzero(node == n):
             here = poses[row, :3, 3]
             level = np.concatenate([ends, np.full((len(ends), 1), here[2])], axis=1)
-            ways = np.concatenate([centres, level]) - here
-            lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-            ways = (ways / np.maximum(lengths, 1e-9))[lengths[:, 0] > 1e-6]  # what is here needs no look
-            table[row] = len(centres), count_looks(ways), (ways @ poses[row, :3, 2]).max(initial=-1.0)
+            offsets = np.concatenate([centres, level]) - here
+            lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+            directions = (offsets / np.maximum(lengths, 1e-9))[lengths[:, 0] > 1e-6]  # none at the candidate itself
+            table[row] = len(centres), count_views(directions), (directions @ poses[row, :3, 2]).max(initial=-1.0)
     return table
 
 
 def anchored(found: Clusters, nodes: np.ndarray) -> np.ndarray:  # [C] int64 nodes; -1 without any node
-    """The node nearest to each cluster's target, seen from above."""
+    """Return the node nearest to each cluster's target in the horizontal plane."""
     if not len(nodes):
         return np.full(len(found.targets), -1)
     return np.linalg.norm(found.targets[:, None, :2] - nodes, axis=2).argmin(axis=1)
 
 
-def count_looks(ways: np.ndarray) -> int:  # [L, 3] unit
-    """Number of looks that see all these directions, each towards the first direction not seen yet."""
+def count_views(directions: np.ndarray) -> int:  # [L, 3] unit
+    """Return the number of views that serve all directions, each towards the first direction not served yet."""
     count = 0
-    while len(ways):
-        ways, count = ways[ways @ ways[0] < ONE_LOOK], count + 1
+    while len(directions):
+        directions, count = directions[directions @ directions[0] < SAME_VIEW], count + 1
     return count

@@ -1,4 +1,4 @@
-"""ANM-S: from node to node of the floor plan by an integer score, with a look at each uncertain piece of surface."""
+"""Define ANM-S: move between nodes of the floor plan by an integer score, and view the uncertain surface at each."""
 
 from __future__ import annotations
 
@@ -20,28 +20,32 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
-ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
-DEFERRED_M = 200 * 0.065  # metres of way: targets farther than 200 steps wait for those on the way
-AT_NODE = 0.5  # metres in the plane: candidates that stand for a node are no farther from it
-FORGET_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
-FACING = float(np.cos(np.radians(30.0)))  # between a candidate's axis and what it is to look at
-ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this are one look
+ARRIVED_M = 15 * 0.065  # metres from the path travelled (15 steps of 6.5 cm); a node farther away is unarrived
+DEFERRED_M = 200 * 0.065  # metres of path (200 steps); farther targets wait for nearer nodes
+AT_NODE = 0.5  # metres in the plane; a candidate or the agent within this distance is at a node
+FORGET_AFTER = 3  # successive node choices without an offered node that is neither arrived at nor failed
+FACING = float(np.cos(np.radians(30.0)))  # cosine, minimum between a candidate's view direction and its target
+SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; directions nearer to each other are served by one view
 Uncertainty = Literal["perturbation", "proxy"]
 
 
 @POLICIES.register("anm_s")
 class AnmS(Planner):
-    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way ([anm_s]).
+    """Choose the node argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed, then view its clusters ([anm_s]).
 
-    Nodes are those of the floor plan's Voronoi graph. Unarrived: farther than 0.975 m from the way so far. In horizon:
-    in line of sight and inside the box last seen on the way. Has cluster: a connected piece of the most uncertain 20 %
-    of the surface, at least 0.5 % of these, lies nearest to this node. Failed: an earlier attempt did not arrive;
-    forgotten when nothing but arrived and failed nodes is left. The node the agent stands at is none. A target farther
-    than 13 m waits for the node nearest to it within 13 m. At the node, all its clusters and the ends of the chains
-    that were cut off from it are looked at.
+    Nodes are those of the floor plan's Voronoi graph:
 
-    ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
-    Source: [anm_s, code].
+    - Unarrived: farther than 0.975 m from the path travelled.
+    - In horizon: in line of sight, and inside the bounding box of the view from which the agent last left a node.
+    - Has cluster: nearest node to a connected part of the most uncertain 20 % of the surface (at least 0.5 % of it).
+    - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.
+
+    Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. A target
+    farther than 13 m waits for the node nearest to it within 13 m. At the node, views towards all its clusters and the
+    ends of the chains cut off from it follow.
+
+    ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
+    without rendering. Source: [anm_s, code].
     """
 
     criterion = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
@@ -55,6 +59,7 @@ class AnmS(Planner):
     )
 
     def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        """Store the travel term and the kind of uncertainty; raise `InputError` for an unknown kind."""
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
@@ -63,33 +68,33 @@ class AnmS(Planner):
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Begin without a node, and without failures."""
+        """Begin without a node and without failures."""
         super().reset(seed)
-        self._goal: np.ndarray | None = None  # [3] metres, of the candidate chosen last
-        self._stop = np.zeros(0)  # [3] metres, once known: where the agent went last, looks aside
-        self._idle = 0  # node decisions in a row without anywhere to go
-        self._left = 0  # looks left at this node
-        self._looked = np.zeros((0, 3))  # directions looked in at this node
-        self._failed = np.zeros((0, 2))  # metres, places that were not reached
+        self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen candidate
+        self._stop = np.zeros(0)  # [3] metres, position of the last chosen node; empty before the first decision
+        self._idle = 0  # successive node choices without a node that is neither arrived at nor failed
+        self._left = 0  # remaining views at this node
+        self._viewed = np.zeros((0, 3))  # directions already viewed at this node
+        self._failed = np.zeros((0, 2))  # metres, goals that were not reached
 
     def act(self, observation: Observation) -> int:
-        """The next look at this node, or the next node."""
+        """Return the next view at this node, or a view at the next node."""
         candidates = self.candidates(observation)
         places = candidates.xyz.astype(np.float64)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > AT_NODE:
             self._failed = np.vstack([self._failed, self._goal[:2]])
             self._left = 0
-        if not len(self._stop) or np.linalg.norm(here - self._stop) > 2.0 * AT_NODE:  # or on a way not finished
+        if not len(self._stop) or np.linalg.norm(here - self._stop) > 2.0 * AT_NODE:  # first decision, or not reached
             self._stop = here
-        stage, choice = "look", self._next_look(observation, candidates)
+        stage, choice = "look", self._next_view(observation, candidates)
         if choice is None:
             stage, choice = "node", self._next_node(observation, candidates)
             self._left = int(candidates[f"{self._feature}_looks"][choice])
-            self._looked, self._stop = self._looked[:0], places[choice]
+            self._viewed, self._stop = self._viewed[:0], places[choice]
         if candidates[f"{self._feature}_facing"][choice] >= FACING:
             self._left -= 1
-            self._looked = np.vstack([self._looked, candidates.view_direction[choice]])
+            self._viewed = np.vstack([self._viewed, candidates.view_direction[choice]])
         self._goal = places[choice]
         self._trace = {
             "stage": stage,
@@ -101,7 +106,7 @@ class AnmS(Planner):
         return choice
 
     def node_score(self, candidates: Candidates) -> np.ndarray:  # [K], whole numbers
-        """The integer score of each candidate's node; 0 where it has none."""
+        """Return the integer score of each candidate's node; 0 without a node."""
         score = (
             UNARRIVED * (candidates["visited_distance"] > ARRIVED_M)
             + IN_HORIZON * (candidates["in_horizon"] > 0)
@@ -111,17 +116,17 @@ class AnmS(Planner):
         return np.where(candidates["voronoi_node"] >= 0, score, 0.0)
 
     def _has_failed(self, candidates: Candidates) -> np.ndarray:  # [K] bool
-        """Which ones stand where an attempt did not arrive."""
+        """Return which candidates are within `AT_NODE` of a goal that was not reached."""
         places = candidates.xyz[:, None, :2].astype(np.float64)
         return (np.linalg.norm(places - self._failed, axis=2) <= AT_NODE).any(axis=1)
 
-    def _next_look(self, observation: Observation, candidates: Candidates) -> int | None:
-        """The candidate here that needs the fewest frames to look at something in a direction not yet looked in."""
+    def _next_view(self, observation: Observation, candidates: Candidates) -> int | None:
+        """Return the candidate at this node that faces a target in a new direction with the fewest frames, or None."""
         if self._left <= 0:
             return None
         rows = candidates.valid & ~candidates.revisit & self._at_stop(candidates)
         rows &= candidates[f"{self._feature}_facing"] >= FACING
-        rows &= (candidates.view_direction @ self._looked.T < ONE_LOOK).all(axis=1)
+        rows &= (candidates.view_direction @ self._viewed.T < SAME_VIEW).all(axis=1)
         if not rows.any():
             return None
         return best_valid(np.where(rows, -candidates.frames, -np.inf), observation)
@@ -130,30 +135,30 @@ class AnmS(Planner):
         return np.linalg.norm((candidates.xyz - self._stop)[:, :2], axis=1) <= AT_NODE
 
     def _forget(self, candidates: Candidates, rows: np.ndarray) -> None:
-        """Let failures be tried again once there has been nothing else to go to for a while."""
+        """Forget failures after `FORGET_AFTER` choices without a node that is neither arrived at nor failed."""
         left = rows & (candidates["visited_distance"] > ARRIVED_M) & ~self._has_failed(candidates)
         self._idle = 0 if left.any() else self._idle + 1
         if self._idle >= FORGET_AFTER:
             self._failed = self._failed[:0]
 
     def _next_node(self, observation: Observation, candidates: Candidates) -> int:
-        """The best node's candidate that faces something there best; the nearest view where there is no node."""
+        """Return the best node's candidate that faces a target best; without nodes, the nearest new view."""
         node = candidates["voronoi_node"]
         rows = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates) & (node >= 0)
         if not rows.any():
             return nearest_new(observation)
-        places, way = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
-        away = rows & ~np.isin(node, node[rows & (self._at_stop(candidates) | (way <= AT_NODE))])
+        places, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        away = rows & ~np.isin(node, node[rows & (self._at_stop(candidates) | (length <= AT_NODE))])
         rows = away if away.any() else rows
         self._forget(candidates, rows)
         score = self.node_score(candidates)
         if self.travel == "shared":
-            value = (score - FAILED) * travel_discount(observation)  # from 0 on
+            value = (score - FAILED) * travel_discount(observation)  # shifted to be at least 0
         else:
-            value = score - 1e-4 * way  # ways are shorter than 1 km: they decide between equals alone
+            value = score - 1e-4 * length  # paths are shorter than 1 km, so the length only breaks ties
         best = best_valid(np.where(rows, value, -np.inf), observation)
-        if self.travel == "native" and way[best] > DEFERRED_M and (rows & (way <= DEFERRED_M)).any():
+        if self.travel == "native" and length[best] > DEFERRED_M and (rows & (length <= DEFERRED_M)).any():
             apart = np.linalg.norm(places - places[best], axis=1)
-            best = best_valid(np.where(rows & (way <= DEFERRED_M), -apart, -np.inf), observation)
+            best = best_valid(np.where(rows & (length <= DEFERRED_M), -apart, -np.inf), observation)
         facing = candidates[f"{self._feature}_facing"]
-        return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * way, -np.inf), observation)
+        return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * length, -np.inf), observation)

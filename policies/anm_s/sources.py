@@ -1,4 +1,4 @@
-"""ANM-S's candidates: the nodes of the floor plan's Voronoi graph, with yaws all around."""
+"""Propose ANM-S's candidates: views in all directions at the nodes of the floor plan's Voronoi graph."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from activestructure_gym.sources.wheels import OnWheels
 @SOURCES.register("nodes")
 @dataclass(frozen=True)
 class Nodes(OnWheels):
-    """The nodes of the floor plan's Voronoi graph, where ANM-S goes and comes back to ([anm_s, code])."""
+    """Propose views at the nodes of the floor plan's Voronoi graph, also at nodes visited before ([anm_s, code])."""
 
     def places(self, context: SourceContext) -> np.ndarray:
-        """As far from all walls as can be."""
+        """Return the nodes [N, 2] in metres."""
         return planar_graph(context.volume, context.start).nodes
 
     def spent(self, context: SourceContext) -> np.ndarray:
-        """The view it has now, alone."""
+        """Return the views that are not proposed again: only the agent's current pose."""
         return context.agent.pose[None]

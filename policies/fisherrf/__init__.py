@@ -1,4 +1,4 @@
-"""FisherRF as a policy ([fisherrf])."""
+"""Provide FisherRF ([fisherrf]): score views by Fisher information."""
 
 from activestructure_gym.policies.fisherrf.policy import FisherRF as FisherRF
 from activestructure_gym.policies.fisherrf.policy import FisherRFCov as FisherRFCov

@@ -1,4 +1,4 @@
-"""FisherRF as a policy ([fisherrf])."""
+"""Define the policies of FisherRF ([fisherrf]): score views by Fisher information."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS, NativeS
 
 @POLICIES.register("fisherrf")
 class FisherRF(Greedy):
-    """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
+    """Choose argmax sum H_c / (H_train + lambda), the published view selection ([fisherrf]), without a travel term."""
 
-    criterion = "information of a view over that of all keyframes"
+    criterion = "Fisher information of a view relative to that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf",)
     native_settings = NativeSettings(budget=SELECTED_VIEWS.budget)
@@ -19,24 +19,25 @@ class FisherRF(Greedy):
 
 @POLICIES.register("fisherrf_cov")
 class FisherRFCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum H_c / (H_train + lambda); no travel term, like its selector.
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum H_c / (H_train + lambda) is the feature `fisherrf`.
 
-    The feature `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
+    G_Q cannot score regions that the map does not cover yet; G_cov is `hole_area`. There is no travel term.
     """
 
-    criterion = "information of a view over that of all keyframes, and unseen space"
+    criterion = "Fisher information of a view relative to that of all keyframes, and unseen space"
     source = "this project, with the gain of Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf_cov",)
 
 
 @POLICIES.register("fisherrf_path")
 class FisherRFPath(Greedy):
-    """argmax of the information on the way and at its end: the closed loop of the published active mapping.
+    """Choose the view with the most information along the path and at its end (feature `fisherrf_path`).
 
-    The feature `fisherrf_path`, formula and source there: the 20 most informative views by themselves, then their ways.
+    This is the closed loop of the published active mapping. The 20 most informative views are found first, then the
+    information along their paths.
     """
 
-    criterion = "information of a view and, each look counted as known to the next, of the way there"
+    criterion = "Fisher information of a view and of the path to it, each part counted once"
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)

@@ -1,3 +1,3 @@
-"""Frontier exploration as ActiveGS ships it beside its own planner: unknown space in sight, less the way."""
+"""Provide ActiveGS's frontier planner: score visible unexplored space, minus path length."""
 
 from activestructure_gym.policies.frontier.policy import Frontier as Frontier

@@ -1,4 +1,4 @@
-"""Frontier exploration as ActiveGS ships it beside its own planner: unknown space in sight, less the way."""
+"""Define ActiveGS's frontier planner: score visible unexplored space, minus path length."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 @POLICIES.register("frontier")
 class Frontier(ActiveGS):
-    """score = V / sum V - 0.5 L / sum L, V the unknown voxels in sight."""
+    """Choose argmax of V / sum V - 0.5 L / sum L; V is the number of visible unexplored voxels, L the path length."""
 
-    criterion = "unexplored voxels in sight"
+    criterion = "visible unexplored voxels"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_features = ("unexplored",)
     native_settings = NativeSettings(

@@ -1,4 +1,4 @@
-"""GauSS-MI as a policy ([gauss_mi])."""
+"""Define the policies of GauSS-MI ([gauss_mi]): score views by the reliability of the Gaussians from their side."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from activestructure_gym.policies.greedy import Greedy
 
 @POLICIES.register("gauss_mi")
 class GaussMI(Greedy):
-    """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
+    """Choose argmax sum w_i c_dir (-log r_dir), the published view selection, without a travel term."""
 
-    criterion = "how unreliable Gaussians are from a view's side"
+    criterion = "unreliability of the Gaussians from the view's side"
     travel_term = "revisits discounted"
     source = "Xie et al., GauSS-MI, 2025"
     required_features = ("gauss_mi",)
@@ -18,12 +18,12 @@ class GaussMI(Greedy):
 
 @POLICIES.register("gauss_mi_cov")
 class GaussMICov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum w_i c_dir (-log r_dir); no travel term.
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum w_i c_dir (-log r_dir) is the feature `gauss_mi`.
 
-    The feature `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
+    The feature includes GauSS-MI's own discount of revisited poses. There is no travel term.
     """
 
-    criterion = "how unreliable Gaussians are from a view's side, and unseen space"
+    criterion = "unreliability of the Gaussians from the view's side, and unseen space"
     travel_term = "revisits discounted"
     source = "this project, with the gain of Xie et al., GauSS-MI, 2025"
     required_features = ("gauss_mi_cov",)

@@ -1,3 +1,3 @@
-"""GAVIS as a policy ([gavis])."""
+"""Provide GAVIS ([gavis]): score views by the entropy of their colours, given the sides seen so far."""
 
 from activestructure_gym.policies.gavis.policy import Gavis as Gavis

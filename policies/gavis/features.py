@@ -1,4 +1,4 @@
-"""GAVIS: the entropy of a view's colours, of which only what was seen from that side is known ([gavis])."""
+"""Compute GAVIS: the entropy of a view's colours, which are known only from sides seen so far ([gavis])."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from activestructure_gym.mapping.frustum_culling import MapParts, may_be_seen
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, ROWS, GaussianMap
 from activestructure_gym.volume import VoxelVolume
 
-KAPPA = 2.0  # concentration of what a look tells about other directions (own choice)
-VIRTUAL_SHARE = 0.1  # virtual Gaussians per Gaussian of the map, at most ...
-MIN_VIRTUAL = 1000  # ... or so many, where the map is small (own choice)
-VIRTUAL_OPACITY_LOGIT = 0.0  # of one half (own choice)
-VIRTUAL_SIGMA = 0.35  # of the distance between them (own choice)
-KNOWN_VARIANCE = 0.05**2  # of the brightness of what was seen (own choice)
-UNSEEN_MEAN, UNSEEN_VARIANCE = 0.5, 1.0 / 12.0  # of the brightness of what was not: anything from 0 to 1
+KAPPA = 2.0  # concentration: a larger value limits visibility to directions nearer to those seen (own choice)
+VIRTUAL_SHARE = 0.1  # maximum number of virtual Gaussians per Gaussian of the map (own choice)
+MIN_VIRTUAL = 1000  # maximum number of virtual Gaussians in a small map (own choice)
+VIRTUAL_OPACITY_LOGIT = 0.0  # opacity 0.5 (own choice)
+VIRTUAL_SIGMA = 0.35  # standard deviation over the distance between virtual Gaussians (own choice)
+KNOWN_VARIANCE = 0.05**2  # variance of a known brightness (own choice)
+UNSEEN_MEAN, UNSEEN_VARIANCE = 0.5, 1.0 / 12.0  # of an unknown brightness, uniform in 0..1
 
 
 @FEATURES.register("gavis", unit="nats, mean over pixels", low=0.0)
 def gavis(context: FeatureContext) -> np.ndarray:  # [K]
-    """Mean over pixels of the entropy of p(z) = sum w_i v_i N(c_i, q) + N(mu_0, q_0) sum w_i (1 - v_i).
+    """Compute the mean over pixels of the entropy of sum w_i v_i N(c_i, q) + N(mu_0, q_0) sum w_i (1 - v_i) in nats.
 
-    w_i is the weight of Gaussian i in the pixel, c_i its brightness and v_i the visibility of the direction from which
-    the pixel looks at it (`visibility`). Virtual Gaussians with v = 0 stand in unobserved space (`virtual_gaussians`),
-    so that a void nobody looked into is not taken for free space. Entropy: that of the normal distribution with the
-    mixture's mean and variance, above what is left when all is seen, 1/2 log(variance / q); no mixture with these has
-    more. What lets light through counts by its opacity. Source: [gavis], the mixture and the arg max of its entropy.
+    w_i is the weight of Gaussian i in the pixel, c_i its brightness, and v_i its visibility from the pixel's direction
+    (`visibility`). Virtual Gaussians with v = 0 fill unobserved space (`virtual_gaussians`), so that it does not count
+    as free. The entropy is that of a normal distribution with the mixture's mean and variance, minus that of a fully
+    visible pixel: 1/2 log(variance / q). It is an upper bound for the mixture, weighted by the opacity of the pixel.
+    Source: [gavis], the mixture and the arg max of its entropy.
     """
     everything, real = with_virtual(context.mapper.map, context.volume)
     camera, render = context.camera, context.mapper.rasterizer.render
     parameters, count = everything.parameters, everything.count
     brightness = context.mapper.map.parameters[COLOR, :real].mean(axis=0)
     parameters[COLOR] = 0.0
-    looks = _sums(sightings(context.mapper))
+    moments = _view_moments(sightings(context.mapper))
     boxes, parts = block_boxes(parameters, real), MapParts(everything)
     red, green, blue = parameters[COLOR]
     gains = np.zeros(len(context.world_from_camera))
     for k, pose in enumerate(context.world_from_camera):
         seen = may_be_seen(boxes, camera, pose)
-        visibility(parameters, real, seen, pose[:3, 3].astype(np.float64), looks, red)
+        visibility(parameters, real, seen, pose[:3, 3].astype(np.float64), moments, red)
         green[:real] = red[:real] * brightness
         blue[:real] = green[:real] * brightness
         shown = render(parameters, count, camera, pose, unseen=parts.unseen(camera, pose))
@@ -57,7 +57,7 @@ def excess_entropy(
     moments: np.ndarray,  # [h, w, 3] sums of w v, w v c and w v c^2
     alpha: np.ndarray,  # [h, w] sum of w
 ) -> np.ndarray:  # [h, w] >= 0 nats
-    """1/2 log(variance / q) of the mixture of what stops a pixel's light, times the chance that anything does."""
+    """Return alpha / 2 log(variance / q), where the variance is that of the mixture over alpha."""
     known, first, second = (moments[..., i] for i in range(3))
     unseen, whole = np.maximum(alpha - known, 0.0), np.maximum(alpha, 1e-9)
     mean = (first + unseen * UNSEEN_MEAN) / whole
@@ -67,7 +67,7 @@ def excess_entropy(
 
 
 def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianMap, int]:
-    """A copy of the map with the virtual Gaussians behind its own, and how many are its own."""
+    """Return a copy of the map with virtual Gaussians appended, and the number of its own Gaussians."""
     real = gaussians.count
     added = virtual_gaussians(volume, max(MIN_VIRTUAL, int(VIRTUAL_SHARE * real)))
     everything = GaussianMap(real + added.shape[1] + 1)
@@ -77,12 +77,12 @@ def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianM
 
 
 def virtual_gaussians(volume: VoxelVolume, most: int) -> np.ndarray:  # [14, V] float32
-    """Balls on the finest lattice that has at most ``most`` of them in space of which nobody has seen anything.
+    """Return spherical Gaussians in unobserved space, on the finest lattice with at most ``most`` of them.
 
-    A ball stands for a cube of the lattice that is wholly unobserved: no ray went through the middle of any of its
-    voxels, so that its visibility 1 - prod(1 - Phi T) is 0, and those with more are left out.
+    A Gaussian represents a cube of the lattice whose voxels are all unobserved, that is, no ray passed their centres.
+    Its visibility 1 - prod(1 - Phi T) is therefore 0.
     """
-    inner = volume.unobserved[1:-1, 1:-1, 1:-1]  # the outermost layer lies beyond the workspace
+    inner = volume.unobserved[1:-1, 1:-1, 1:-1]  # the outermost layer is outside the workspace
     side = 1
     while True:
         x, y, z = (size // side for size in inner.shape)
@@ -100,24 +100,24 @@ def virtual_gaussians(volume: VoxelVolume, most: int) -> np.ndarray:  # [14, V] 
     return balls
 
 
-class Looks(NamedTuple):
-    """Looks at every Gaussian, summed up: all that a series to degree 2 in the direction asks for."""
+class ViewMoments(NamedTuple):
+    """Hold sums over the keyframes that saw each Gaussian; a series to degree 2 in the direction needs no others."""
 
-    number: np.ndarray  # [N] float64
-    sum: np.ndarray  # [N, 3] of the unit directions v to the cameras
-    products: np.ndarray  # [N, 6] of v v^T, upper triangle row by row
-    keyframes: int
-    factors: np.ndarray  # [3] of degree 0, 1 and 2, zeta among them
+    number: np.ndarray  # [N] float64, number of these keyframes
+    sum: np.ndarray  # [N, 3] sum of the unit directions v to the cameras
+    products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
+    keyframes: int  # number of all keyframes
+    factors: np.ndarray  # [3] factors of degree 0, 1 and 2, including zeta
 
 
-def _sums(seen: Sightings) -> Looks:
-    return Looks(seen.count.astype(np.float64), seen.sum, seen.products, seen.keyframes, degree_factors(KAPPA))
+def _view_moments(seen: Sightings) -> ViewMoments:
+    return ViewMoments(seen.count.astype(np.float64), seen.sum, seen.products, seen.keyframes, degree_factors(KAPPA))
 
 
 def degree_factors(kappa: float) -> np.ndarray:  # [3]
-    """e^-kappa (2 l + 1) i_l(kappa): exp(kappa (cos - 1)) = sum over l of these times P_l(cos).
+    """Return the coefficients e^-kappa (2 l + 1) i_l(kappa) of P_l(cos) in the series of exp(kappa (cos - 1)).
 
-    i_l are the modified spherical Bessel functions of the first kind, which are the coefficients of [gavis] by the
+    i_l are the modified spherical Bessel functions of the first kind. The coefficients are those of [gavis] by the
     addition theorem: sum over m of Y_lm(a) Y_lm(b)* = (2 l + 1) / (4 pi) P_l(a b).
     """
     i0 = np.sinh(kappa) / kappa
@@ -130,16 +130,16 @@ def degree_factors(kappa: float) -> np.ndarray:  # [3]
 def visibility(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
-    seen: np.ndarray,  # [blocks] bool; the others keep their value
+    seen: np.ndarray,  # [blocks] bool; Gaussians of other blocks keep their value
     eye: np.ndarray,  # [3] metres
-    looks: Looks,
+    moments: ViewMoments,
     result: np.ndarray,  # [N] float32 0..1, written
 ) -> None:
-    """V = 1 - (1 - V~ / P)^P, the bound of [gavis] on the chance that any of P keyframes has seen this side.
+    """Write V = 1 - (1 - V~ / P)^P, the bound of [gavis] on the probability that one of P keyframes saw this side.
 
-    V~ = sum over the keyframes that saw it of zeta exp(kappa d d_p), to degree 2 of spherical harmonics.
+    V~ = sum over the keyframes that saw the Gaussian of zeta exp(kappa d d_p), to degree 2 of spherical harmonics.
     """
-    number, total, products, keyframes, factors = looks
+    number, total, products, keyframes, factors = moments
     if keyframes == 0:
         result[:count] = 0.0
         return

@@ -1,4 +1,4 @@
-"""GAVIS as a policy ([gavis])."""
+"""Define GAVIS ([gavis]): score views by the entropy of their colours, given the sides seen so far."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("gavis")
 class Gavis(Planner):
-    """argmax of the entropy of a view's colours, of which only what was seen from its side is known; no travel term."""
+    """Choose the view with the highest entropy of its colours (feature `gavis`), without a travel term.
 
-    criterion = "entropy of what a view shows, known only where it was seen from that side"
+    The colour of a Gaussian is known only from sides from which keyframes saw it.
+    """
+
+    criterion = "entropy of the view's colours, known only from sides seen so far"
     travel_term = "none; ties by path length"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
     required_features = ("gavis",)
     native_settings = replace(SELECTED_VIEWS, budget="")
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; of equals the one with the fewest frames."""
+        """Return the valid row with the highest score; of equal ones the one with the fewest frames."""
         gain = self.candidates(observation)["gavis"]
         choice = nearest_of_best(self.scores(gain, observation), observation)
         self._trace = {"gavis": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}

@@ -1,3 +1,3 @@
-"""GS-Planner: unobserved volume that light would reach, badly rendered surface, and a library of views left behind."""
+"""Provide GS-Planner: score unobserved volume and badly rendered surface, with a library of stored views."""
 
 from activestructure_gym.policies.gs_planner.policy import GSPlanner as GSPlanner

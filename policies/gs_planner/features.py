@@ -1,4 +1,4 @@
-"""GS-Planner's two gains: unobserved volume that light would reach, and how badly the known surface is rendered."""
+"""Compute GS-Planner's two gains: unobserved volume behind transmittance, and the rendering loss of known surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.features.voxel_errors import LOSS_KEYFRAMES, spread
 from activestructure_gym.sensors import Frame
 
 STRIDE = 2  # pixels between rays
-COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error that a full error of colour is worth
+COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error per unit of colour error (0..1)
 
 
 @FEATURES.register(
@@ -22,18 +22,16 @@ COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error that a full error of colo
     high=(1.0, np.inf),
 )
 def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
-    """The completeness gain: sum over pixels of sum_i V_i T(before i), over the unobserved intervals i of each ray;
-    and the quality gain: mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray.
+    """Compute the unobserved volume that light would reach (share of the frustum), and the mean rendering loss (m).
 
-    V_i = (d_out - d_in) (S_in + sqrt(S_in S_out) + S_out) / 3 with S = d^2 / f^2 is the volume of a pixel's frustum in
-    the interval, T the transmittance of the map before it ([gs_planner]). Given as a share of the whole
-    frustum up to the depth that the volume takes in.
+    The volume is the sum over pixels and over the unobserved intervals i on their rays of V_i T_i ([gs_planner]).
+    V_i = (d_out - d_in) (S_in + sqrt(S_in S_out) + S_out) / 3 with S = d^2 / f^2 is the volume of the pixel's frustum
+    in the interval. T_i is the map's transmittance before it. The unit is the volume of the whole frustum up to the
+    depth range of the volume. T is 1 up to the rendered depth and 1 - alpha behind it; the original multiplies from
+    splat to splat.
 
-    T is 1 up to the depth that the map shows in the pixel and 1 - alpha behind it, where the original multiplies from
-    splat to splat: candidates are rendered once, and per pixel one depth and one opacity is what that gives.
-
-    L is measured where keyframes saw the voxel, with the map as it is. The original caches it in the voxels as it was
-    when each image came; rendering some keyframes again needs no cache and is never out of date.
+    The loss is the mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray. L is measured
+    by rendering keyframes with the current map. The original stores it in the voxels when an image arrives.
     """
     volume = context.volume
     alpha = context.alpha[:, ::STRIDE, ::STRIDE]
@@ -51,7 +49,7 @@ def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
 
 
 def voxel_losses(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] float32 metres
-    """Mean L of what the chosen keyframes saw in each voxel; 0 where they saw nothing."""
+    """Return the mean L of the pixels of some keyframes whose surface is in each voxel; 0 without such pixels."""
     mapper, volume = context.mapper, context.volume
     points, losses = [np.zeros((0, 3))], [np.zeros(0)]
     for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
@@ -75,7 +73,7 @@ def pixel_losses(
     color: np.ndarray,  # [H, W, 3] rendered, 0..1
     depth: np.ndarray,  # [H, W] metres, rendered, of the surface: the accumulated depth over alpha
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] metres, world; [N] metres
-    """L of every pixel with a return, and where its surface is."""
+    """Return the surface points and the losses L of all pixels with measured depth."""
     measured = frame.depth > 0
     loss = np.abs(depth - frame.depth) + COLOUR_WEIGHT * np.abs(color - frame.rgb / 255.0).mean(axis=-1)
     points = frame.camera.backproject(frame.depth)[measured].astype(np.float64)
@@ -94,8 +92,10 @@ def _walk(
     shown: np.ndarray,  # [K, h, w] metres: depth of the map
     alpha: np.ndarray,  # [K, h, w] 0..1
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] sum of T (d_out^3 - d_in^3), [K] sum of the losses met
-    """Steps of half a voxel through the grid. Three times the volume of a pixel's frustum between two depths is the
-    difference of their cubes, in units of 1 / f^2."""
+    """Walk along the rays in steps of half a voxel, and sum volumes and losses.
+
+    Three times the volume of a pixel's frustum between two depths is the difference of their cubes, times 1 / f^2.
+    """
     unobserved, occupied, losses = fields
     size = unobserved.shape
     volumes = np.zeros(len(poses))

@@ -1,4 +1,4 @@
-"""GS-Planner: unobserved volume that light would reach, badly rendered surface, and a library of views left behind."""
+"""Define GS-Planner: score unobserved volume and badly rendered surface, with a library of stored views."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid,
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 
-# The paper prints no values for these; ours are shares of what a view could gain at most.
-QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
-MIN_GAIN = 0.02  # g_lb: a view below is dropped
-STORED_GAIN = 0.05  # g_thres: a view above that is not chosen goes into the library
-MIN_OVERLAP = 0.5  # epsilon: from this overlap on two views are one to the library
-OVERLAP_M = 2.0  # metres apart at which two views have nothing in common
-OVERLAP_RAD = np.pi / 2.0  # angle between them at which they have nothing in common: the width of the image
+# The paper contains no values for these. Gains are shares of the largest possible gain of a view.
+QUALITY_WEIGHT = 0.1  # weight of the mean loss in metres against the share of unobserved volume
+MIN_GAIN = 0.02  # g_lb: views with a lower gain are dropped
+STORED_GAIN = 0.05  # g_thres: views with a higher gain that are not chosen are stored in the library
+MIN_OVERLAP = 0.5  # epsilon: views with at least this overlap are the same view to the library
+OVERLAP_M = 2.0  # metres; views at this distance have no overlap
+OVERLAP_RAD = np.pi / 2.0  # views with this angle between them have no overlap; it is the width of the image
 
-VIEWPOINTS = 4  # that an iteration of the tree adds: more of them are all there is in a room, and nothing is far
-SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that they do not crowd around the agent
+VIEWPOINTS = 4  # viewpoints that one growth of the tree adds; more would cover a whole room
+SPACING_M = 1.5  # metres between viewpoints (HGS-Planner's spacing), so that they are not all at the agent
 
 
-def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
-    """Overlap of two views, from the distance and the angle between them alone."""
+def overlap(
+    first: np.ndarray,  # [n, 6] position and view direction
+    second: np.ndarray,  # [m, 6]
+) -> np.ndarray:  # [n, m] in 0..1
+    """Return an overlap of views that depends only on their distance and angle."""
     apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
     angle = np.arccos(np.clip(first[:, 3:] @ second[:, 3:].T, -1.0, 1.0))
     return np.maximum(1.0 - apart / OVERLAP_M, 0.0) * np.maximum(1.0 - angle / OVERLAP_RAD, 0.0)
@@ -31,13 +34,13 @@ def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m,
 
 def best_per_viewpoint(
     positions: np.ndarray,  # [n, 3] metres
-    lengths: np.ndarray,  # [n] metres of way
+    lengths: np.ndarray,  # [n] path length in metres
     gain: np.ndarray,  # [n]
 ) -> np.ndarray:  # [v] rows, nearest viewpoint first, at most VIEWPOINTS
-    """The best view around each of the nearest places that keep SPACING_M from each other.
+    """Return the best view around each of the nearest places at least SPACING_M apart.
 
-    The original turns a window over 360 degrees at each viewpoint of its tree. A table of all positions holds few
-    directions of any one, so the views around a place stand for those at it.
+    The original tests all directions at each viewpoint of its tree. The candidate table has few directions for each
+    position, so the views around a place are used instead.
     """
     left = np.argsort(lengths, kind="stable")
     best: list[int] = []
@@ -50,12 +53,12 @@ def best_per_viewpoint(
 
 @POLICIES.register("gs_planner")
 class GSPlanner(Planner):
-    """G = G_completeness + w G_quality, the columns of the feature `gs_planner` ([gs_planner]).
+    """Choose argmax G = G_completeness + w G_quality among near views, then from a library ([gs_planner]).
 
-    Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
-    from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
-    MIN_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
-    Revisits are no candidates of it.
+    The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
+    VIEWPOINTS nearest places is considered; they replace one growth of the original's tree. The best one is chosen, and
+    others above STORED_GAIN are stored in the library. If none has MIN_GAIN, the best view of the library is chosen. If
+    the library is empty, the best of all views is; the original then ends. Revisits are not candidates.
     Source: [gs_planner], by its text.
     """
 
@@ -66,16 +69,17 @@ class GSPlanner(Planner):
     native_settings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native") -> None:
+        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Begin with an empty library."""
         super().reset(seed)
-        self._library = np.zeros((0, 6))  # position [m] and look of each view
+        self._library = np.zeros((0, 6))  # position in metres and view direction of each view
 
     def act(self, observation: Observation) -> int:
-        """The best near view, or one from the library."""
+        """Return the best near view, or one from the library."""
         volume, loss = self.candidates(observation).feature("gs_planner").astype(np.float64).T
         gain = volume + QUALITY_WEIGHT * loss
         observation = without_revisits(observation)
@@ -88,6 +92,7 @@ class GSPlanner(Planner):
         return choice
 
     def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
+        """Return the chosen row, and "near", "library" or "all" for the set it was chosen from."""
         candidates = self.candidates(observation)
         valid, lengths = np.flatnonzero(candidates.valid), candidates.path_length.astype(np.float64)
         views = np.hstack([candidates.xyz, candidates.view_direction]).astype(np.float64)
@@ -106,23 +111,26 @@ class GSPlanner(Planner):
         return best_valid(gain, observation), "all"
 
     def _store(self, views: np.ndarray) -> None:  # [n, 6]
+        """Add the views that do not overlap with the library."""
         for view in views:
             if not len(self._library) or overlap(view[None], self._library).max() < MIN_OVERLAP:
                 self._library = np.vstack([self._library, view])
 
     def _forget(self, chosen: np.ndarray) -> None:  # [1, 6]
+        """Remove the views that overlap with the chosen one."""
         self._library = self._library[overlap(self._library, chosen).max(axis=1, initial=0.0) < MIN_OVERLAP]
 
     def _offered(self, views: np.ndarray, gain: np.ndarray) -> np.ndarray:  # [n, 6], [n] -> [f] rows
-        """Where the library's views, or what has most in common with them, stand in the table.
+        """Return the candidates that overlap most with the library's views.
 
-        Those that lost their gain since leave the library; those that are not on offer this time stay.
+        Views whose gain has fallen below MIN_GAIN are removed from the library. Views without an overlapping candidate
+        stay in it.
         """
         if not len(self._library) or not len(views):
             return np.zeros(0, dtype=np.int64)
         common = overlap(self._library, views)
         row = common.argmax(axis=1)
         offered = common.max(axis=1) >= MIN_OVERLAP
-        worth = gain[row] >= MIN_GAIN
-        self._library = self._library[~offered | worth]
-        return row[offered & worth]
+        useful = gain[row] >= MIN_GAIN
+        self._library = self._library[~offered | useful]
+        return row[offered & useful]

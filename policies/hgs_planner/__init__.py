@@ -1,3 +1,3 @@
-"""HGS-Planner ([hgs_planner], by its text): local views by gain, then a tour through the parts that are not done."""
+"""Provide HGS-Planner ([hgs_planner], by its text): choose local views by gain, then follow a tour of other regions."""
 
 from activestructure_gym.policies.hgs_planner.policy import HGSPlanner as HGSPlanner

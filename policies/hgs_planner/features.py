@@ -1,4 +1,4 @@
-"""HGS-Planner: unseen space behind what the map lets through, and Fisher information where space is known.
+"""Compute HGS-Planner's gain: unseen space behind the map's transmittance, and Fisher information in known space.
 
 Source: [hgs_planner], by its text.
 """
@@ -13,24 +13,27 @@ from activestructure_gym.features.fisherrf import fisherrf
 from activestructure_gym.features.information import ADAPTIVE, adaptive, observed_share
 from activestructure_gym.features.registry import FEATURES
 
-RANGE = 5.0  # metres of depth that a view looks into (HGS-Planner's sensor)
-_STRIDE = 2  # pixels: neighbours look through the same voxels
+RANGE = 5.0  # metres of depth (HGS-Planner's sensor)
+_STRIDE = 2  # pixels between rays; rays of neighbouring pixels meet the same voxels
 
 
 @FEATURES.register("hgs_planner", unit=ADAPTIVE, low=0.0)
 def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
-    """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf`, the more of the latter the more is observed."""
+    """Compute G = G_cov + lambda_o G_Q, with the share of the best `hgs_coverage` and the rank of `fisherrf`.
+
+    lambda_o is the observed share of the voxels around the agent (`adaptive`).
+    """
     return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
 
 
 @FEATURES.register("hgs_planner_raw", unit="m^3, plus weighted information", low=0.0)
 def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
-    """The same two terms as the text adds them, sums without a common unit.
+    """Compute G_cov + lambda_o G_Q as sums without a common unit, as in the paper's text.
 
-    V T over the unobserved voxels (m^3) on the rays of all pixels of the scoring camera, and lambda_o times
-    H_c / (H_train + lambda) over all parameters of all Gaussians.
+    G_cov is the sum of V T over the unobserved voxels (m^3) on the rays of all pixels of the scoring camera. G_Q is the
+    sum of H_c / (H_train + lambda) over all parameters of all Gaussians.
     """
-    on_ray = min(RANGE, context.max_range) * context.volume.config.voxel_size**2  # m^3 of voxels that a ray meets
+    on_ray = min(RANGE, context.max_range) * context.volume.config.voxel_size**2  # m^3 of the voxels on a ray
     volume = context.once(hgs_coverage) * on_ray * context.camera.width * context.camera.height
     information = context.once(fisherrf) * max(1, context.mapper.map.count)
     return volume + observed_share(context) * information
@@ -38,11 +41,10 @@ def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
 
 @FEATURES.register("hgs_coverage", unit="share of the rays", low=0.0, high=1.0)
 def hgs_coverage(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """G_cov: sum over pixels and the unobserved voxels on their rays of the transmittance in front of each, as a share.
+    """Compute G_cov, the transmitted length of rays in unobserved voxels as a share of the range (mean over pixels).
 
-    Every voxel has the same volume, so the sum is a mean over pixels of the transmitted length of ray in unobserved
-    voxels; divided by the range, it is the share of a view into nothing but unseen space. The transmittance falls at
-    the depth that the map shows, from 1 to what the map lets through there.
+    It is proportional to the paper's sum of V T over unobserved voxels, since all voxels have the same volume. It is 1
+    for a view of only unobserved space. The transmittance is 1 up to the rendered depth and 1 - alpha behind it.
     """
     depth, alpha = context.depth[:, ::_STRIDE, ::_STRIDE], context.alpha[:, ::_STRIDE, ::_STRIDE]
     volume, reach = context.volume, min(RANGE, context.max_range)
@@ -62,11 +64,11 @@ def _transmitted_unknown(
     voxel_size: float,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
-    depth: np.ndarray,  # [K, h, w] metres at which the map stands
-    alpha: np.ndarray,  # [K, h, w] how opaque it is there
+    depth: np.ndarray,  # [K, h, w] metres, rendered
+    alpha: np.ndarray,  # [K, h, w] opacity
     reach: float,  # metres of depth
 ) -> np.ndarray:  # [K]
-    """Mean over pixels of the transmittance in unobserved voxels along each ray; 1 if all is unobserved."""
+    """Return the mean over pixels of the transmittance in unobserved voxels along the ray; 1 if all is unobserved."""
     count, height, width = depth.shape
     size = unobserved.shape
     shares = np.zeros(count)

@@ -1,3 +1,3 @@
-"""The unknown surface behind a view's holes as the only score."""
+"""Provide a baseline that scores views by the unseen area behind holes of the map."""
 
 from activestructure_gym.policies.hole_area.policy import HoleArea as HoleArea

@@ -1,4 +1,4 @@
-"""The unknown surface behind a view's holes as the only score."""
+"""Define a baseline that scores views by the unseen area behind holes of the map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """score = A / (1 + frames / 5), A the area of the unknown behind what the map leaves uncovered."""
+    """Choose argmax A / (1 + frames / 5); A is the unseen area behind pixels that the map does not cover."""
 
     criterion = "unseen area behind holes of the map"
     source = "this project"

@@ -1,3 +1,3 @@
-"""MAGICIAN as a policy ([magician])."""
+"""Provide MAGICIAN ([magician]): plan several views over imagined surface by a beam search."""
 
 from activestructure_gym.policies.magician.policy import Magician as Magician

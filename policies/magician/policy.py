@@ -1,4 +1,4 @@
-"""MAGICIAN as a policy ([magician])."""
+"""Define MAGICIAN ([magician]): plan several views over imagined surface by a beam search."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ Search = Literal["beam", "greedy"]
 
 @POLICIES.register("magician")
 class Magician(Planner):
-    """plan* = argmax sum of G over its views, G the imagined surface that no earlier one of the plan has seen.
+    """Choose the first view of the plan with the largest sum of G.
 
-    Its first view is taken, then everything is planned anew. By abstract and digest of [magician], without
-    equation numbers.
+    G is the imagined surface that a view sees and that no earlier view of the plan has seen. Each decision plans anew.
+    By the abstract and a digest of [magician], without equation numbers.
 
     Parameters
     ----------
     search
-        ``"beam"`` plans ahead; ``"greedy"`` takes the view that alone sees most of it, the paper's N_b = N_d = 1.
+        ``"beam"`` plans several views. ``"greedy"`` scores a view by its own G, the paper's N_b = N_d = 1.
     """
 
     criterion = "imagined surface that a plan of several views would see"
@@ -30,13 +30,14 @@ class Magician(Planner):
     required_features = ("magician",)
 
     def __init__(self, travel: Travel = "native", search: Search = "beam") -> None:
+        """Store the travel term and the kind of search; raise `InputError` for an unknown kind."""
         super().__init__(travel)
         if search not in get_args(Search):
             raise InputError(f"option search must be {' or '.join(get_args(Search))}, got '{search}'")
         self.search = search
 
     def act(self, observation: Observation) -> int:
-        """The valid row that the best plan begins with; the nearest new view where nothing is imagined in sight."""
+        """Return the first view of the best plan; the nearest new view if no view sees imagined surface."""
         observation = without_revisits(observation)
         candidates = self.candidates(observation)
         gain = candidates["magician_plan" if self.search == "beam" else "magician_view"]

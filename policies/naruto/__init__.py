@@ -1,3 +1,3 @@
-"""NARUTO: go where most uncertainty is within sight, then look at the worst of it."""
+"""Provide NARUTO: move to where most uncertainty is visible, then view the most uncertain targets."""
 
 from activestructure_gym.policies.naruto.policy import Naruto as Naruto

@@ -1,4 +1,4 @@
-"""NARUTO's goal score and look-at list ([naruto]), with the uncertainty that its loss tends to."""
+"""Compute NARUTO's goal score and look-at list ([naruto]) with the uncertainty to which its loss converges."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from activestructure_gym.features.voxel_errors import squared_depth_error, voxel
 from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
-INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # sigma of a place that no ray has taught anything
-FLOOR = 0.01  # the least sigma
-POOL = 4000  # most uncertain voxels, of which TARGETS are kept
-TARGETS = 300
-POOL_SHARE = 0.035  # of the grid's voxels, where that is less: 4000 of room0's 80 x 48 x 30
-TARGET_SHARE = 0.075  # of the pool
-MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and the targets it may count
-SAMPLES = 30  # places between goal and target that must be free
+INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # initial sigma, of a place that no ray has measured
+FLOOR = 0.01  # minimum sigma
+POOL = 4000  # maximum number of most uncertain voxels, from which targets are chosen
+TARGETS = 300  # maximum number of targets
+POOL_SHARE = 0.035  # the pool's maximum share of the grid's voxels: 4000 of room0's 80 x 48 x 30
+TARGET_SHARE = 0.075  # the targets' share of the pool
+MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and a target that it sees
+SAMPLES = 30  # points between goal and target that must be free
 LISTED = 10  # targets of the look-at list
 
 
 @dataclass(frozen=True)
 class Targets:
-    """The uncertain places of a step and who sees them."""
+    """Hold the uncertain places of a step, and the candidates that see them."""
 
     positions: np.ndarray  # [T, 3] metres, world, the most uncertain first
     sigma: np.ndarray  # [T] m^2
@@ -34,10 +34,9 @@ class Targets:
 
 @FEATURES.register("naruto", unit="sum of uncertainties", low=0.0)
 def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
-    """S(g) = sum over t in T of sigma(t) [.5 < |g - t| < 2 m] [all 30 samples of g..t are free].
+    """Compute S(g) = sum over targets t of sigma(t) [0.5 m < |g - t| < 2 m] [all 30 samples of g..t are free].
 
-    g is the candidate's position; its direction plays no part. That g itself is safe is the candidate pool's business.
-    Source: [naruto, code].
+    g is the candidate's position; its view direction has no effect. Source: [naruto, code].
     """
     targets = context.once(find_targets)
     return targets.seen @ targets.sigma
@@ -45,64 +44,64 @@ def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
 
 @FEATURES.register("naruto_look", columns=[f"{rank}_{axis}" for rank in range(LISTED) for axis in "xyz"], unit="m")
 def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
-    """The look-at list of a goal at the candidate's position: LISTED places, x, y and z of each.
+    """Compute the look-at list of a goal at the candidate's position: x, y, z (m, world) of LISTED targets.
 
-    The list holds the most uncertain targets that are seen from there. Behind its end: the candidate's own position.
+    The list contains the most uncertain targets seen from there. It is filled up with the candidate's own position.
     """
     targets = context.once(find_targets)
     listed = np.repeat(context.world_from_camera[:, None, :3, 3], LISTED, axis=1)
-    rank = np.cumsum(targets.seen, axis=1) - 1  # the targets stand in their order
+    rank = np.cumsum(targets.seen, axis=1) - 1  # targets are sorted by uncertainty
     row, target = np.nonzero(targets.seen & (rank < LISTED))
     listed[row, rank[row, target]] = targets.positions[target]
     return listed.reshape(len(listed), 3 * LISTED)
 
 
 def find_targets(context: FeatureContext) -> Targets:
-    """T and its visibility from every candidate; share it by ``context.once(find_targets)``."""
+    """Return the targets and their visibility from every candidate; call it by ``context.once(find_targets)``."""
     return targets_from(context.mapper, context.volume, context.world_from_camera[:, :3, 3])
 
 
-def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, standing: np.ndarray) -> Targets:  # [K, 3] metres
-    """T, and which of it is seen from each place."""
+def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, positions: np.ndarray) -> Targets:  # [K, 3] metres
+    """Return the targets and their visibility from each position."""
     voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
     kept = chosen(voxel_ids, sigma, volume.state.size)
-    positions = volume.center_of(voxels[kept])
-    places, place_of = np.unique(standing, axis=0, return_inverse=True)
-    return Targets(positions, sigma[kept], visible(volume, places, positions)[place_of.ravel()])
+    targets = volume.center_of(voxels[kept])
+    places, place_of = np.unique(positions, axis=0, return_inverse=True)
+    return Targets(targets, sigma[kept], visible(volume, places, targets)[place_of.ravel()])
 
 
 def uncertainty(
     volume: VoxelVolume,
-    errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of what was seen in each voxel
-    pixels: np.ndarray,  # [X, Y, Z] of how many pixels
+    errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of the pixels in each voxel
+    pixels: np.ndarray,  # [X, Y, Z] number of these pixels
 ) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
-    """sigma(x) = mean squared depth error of the surface at x, at least `FLOOR`, in front of the surface; 0 elsewhere.
+    """Return the free voxels x next to a voxel that is not free, and sigma(x).
 
-    [naruto, code] learns sigma = softplus(u) + .01 from (D - D_measured)^2 / (2 U) + 1/2 log U with U = sum w^2 sigma
-    over a ray, one step of rate 1 per keyframe: it tends to the mean squared error of the rendered depth, and where no
-    ray has come it stays `INITIAL`, softplus(3) + .01. This is what it tends to, with the weight of a ray in one place.
+    sigma(x) is the mean squared depth error of the surface at x, at least `FLOOR`. [naruto, code] learns
+    sigma = softplus(u) + 0.01 by one step of rate 1 per keyframe. Its loss is (D - D_measured)^2 / (2 U) + 1/2 log U
+    with U = sum w^2 sigma over a ray. If the weight of a ray is at one place, sigma converges to the mean squared error
+    of the rendered depth. It stays `INITIAL` = softplus(3) + 0.01 where no ray has measured.
 
-    Near the surface are the free voxels beside one that is not free: there a surface is, or for all one knows may be.
-    At x are what was seen in x, in the voxels beside it that are not free, and in those beside these: a voxel that the
-    surface merely touches can stay unknown. A surface that none of the pixels saw has the mean of all that they saw.
+    The surface at x includes the pixels in x, in its neighbours that are not free, and in the neighbours of these,
+    since a voxel that the surface only touches can stay unknown. Occupied voxels without pixels have the mean error.
     """
     free = volume.state == FREE
-    voxels = np.argwhere(free & (_beside((~free).astype(np.float64)) > 0))
+    voxels = np.argwhere(free & (_neighbour_sum((~free).astype(np.float64)) > 0))
     at = tuple(voxels.T)
 
     def around(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [V]
         behind = np.where(free, 0.0, values)
-        behind = np.where(free, 0.0, behind + _beside(behind))
-        return np.asarray(values[at] + _beside(behind)[at])
+        behind = np.where(free, 0.0, behind + _neighbour_sum(behind))
+        return np.asarray(values[at] + _neighbour_sum(behind)[at])
 
-    looks = around(pixels)
+    seen = around(pixels)
     mean = errors.sum() / max(pixels.sum(), 1.0)
     unmeasured = np.where(around(volume.occupied.astype(np.float64)) > 0, max(mean, FLOOR), INITIAL)
-    return voxels, np.where(looks > 0, np.maximum(around(errors) / np.maximum(looks, 1.0), FLOOR), unmeasured)
+    return voxels, np.where(seen > 0, np.maximum(around(errors) / np.maximum(seen, 1.0), FLOOR), unmeasured)
 
 
-def _beside(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 neighbours
+def _neighbour_sum(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 neighbours
     total = np.zeros_like(values)
     for axis in range(3):
         ahead, back = ([slice(None)] * 3 for _ in range(2))
@@ -113,9 +112,9 @@ def _beside(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 ne
 
 
 def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
-    """Which places become targets, the most uncertain first: some of the most uncertain, spread evenly over them.
+    """Return the rows that become targets, the most uncertain first: a random part of the most uncertain voxels.
 
-    Equals are taken in the order of a hash of their place, so the choice stays the same from step to step.
+    A hash of the voxel's index replaces random numbers and breaks ties, so that the choice is the same in every step.
     """
     key = voxel_ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
     pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
@@ -125,7 +124,7 @@ def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:
 
 
 def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.ndarray:  # [P, 3], [T, 3] -> [P, T]
-    """Which targets lie at the right distance from each place, with nothing but free voxels on the way."""
+    """Return which targets each place sees: at a distance within the limits, with only free voxels in between."""
     distance = np.linalg.norm(places[:, None] - targets, axis=2)
     seen = (distance > MIN_TARGET_DISTANCE_M) & (distance < MAX_TARGET_DISTANCE_M)
     place, target = np.nonzero(seen)

@@ -1,4 +1,4 @@
-"""NARUTO's candidates: places that see uncertain targets, and turns to the targets at the place where the agent is."""
+"""Propose NARUTO's candidates: places that see uncertain targets, and turns towards targets at the agent's position."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Sourc
 from activestructure_gym.sources.facing import standing_places
 from activestructure_gym.sources.places import looking
 
-_MAX_PLACES = 600  # of which the score is worked out; where there are more, an even choice of them
+_MAX_PLACES = 600  # places whose score is computed; of more places, an even part is used
 
 
 @SOURCES.register("targets")
 @dataclass(frozen=True)
 class TargetFacing(Source):
-    """First the own place, turned to each of the 10 most uncertain targets seen from there; then the places with the
-    largest S(g), turned to the most uncertain target seen from each. On the way the camera looks at that target.
+    """Propose turns at the agent's position, and views at the places with the largest S(g) ([naruto, code]).
 
-    Source: [naruto, code].
+    The turns face the 10 most uncertain targets seen from the agent's position. The view at a place faces the most
+    uncertain target seen from there; the camera points at it along the whole path.
     """
 
     rows: int = 128
@@ -30,17 +30,17 @@ class TargetFacing(Source):
         check_ranges(self, {"rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Turns in place, then goals, the best first."""
+        """Return turns on the spot, then goals, the best first."""
         places = standing_places(context)
         step = max(1, -(-len(places) // _MAX_PLACES))
         here = context.agent.pose[:3, 3]
         places = np.concatenate([here[None], places[::step]])
         targets = targets_from(context.mapper, context.volume, places)
-        turns = np.flatnonzero(targets.seen[0])[:LISTED]  # the most uncertain first
+        turns = np.flatnonzero(targets.seen[0])[:LISTED]  # targets are sorted by uncertainty
         score = targets.seen[1:] @ targets.sigma
         goals = 1 + np.argsort(-score, kind="stable")[: self.rows]
         goals = goals[score[goals - 1] > 0]
         first = targets.seen[goals].argmax(axis=1)
-        stands = np.concatenate([np.tile(here, (len(turns), 1)), places[goals]])
+        positions = np.concatenate([np.tile(here, (len(turns), 1)), places[goals]])
         points = np.concatenate([targets.positions[turns], targets.positions[first]]).reshape(-1, 3)
-        return Proposals(looking(stands, points - stands), look_at=points)
+        return Proposals(looking(positions, points - positions), look_at=points)

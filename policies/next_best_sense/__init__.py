@@ -1,4 +1,4 @@
-"""Next Best Sense as a policy ([next_best_sense])."""
+"""Provide Next Best Sense ([next_best_sense]): score views by Fisher information of colour and depth."""
 
 from activestructure_gym.policies.next_best_sense.policy import NextBestSense as NextBestSense
 from activestructure_gym.policies.next_best_sense.policy import NextBestSenseCov as NextBestSenseCov

@@ -1,4 +1,4 @@
-"""Next Best Sense: FisherRF's gain of the colours and, above all, of the depth ([next_best_sense])."""
+"""Compute Next Best Sense's gain: FisherRF's gain of the colours plus that of the depth ([next_best_sense])."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ COLOR_SHARE, DEPTH_SHARE = 0.1, 1.0  # alpha and beta of the paper
 
 @register_both("next_best_sense")
 def next_best_sense(context: FeatureContext) -> np.ndarray:  # [K]
-    """I = .1 I_colour + I_depth, each the sum over parameters of H_c / (H_train + lambda), per Gaussian of the map.
+    """Compute I = 0.1 I_colour + I_depth, each the sum of H_c / (H_train + lambda), per Gaussian of the map.
 
-    I_colour is `fisherrf`; H of the depth is J^T J of the rendered depth by mean, log-scale and opacity logit (a colour
-    moves no depth), with its own H_train, units and lambda. Text: the weighted sum and its alpha = .1, beta = 1 of
-    [next_best_sense]; which parameters, and what lambda is in units of, as for `fisherrf`.
+    I_colour is `fisherrf`. For I_depth, H is J^T J of the rendered depth with respect to mean, log-scale and opacity
+    logit, with its own H_train, units and lambda. The sum and its weights alpha = 0.1 and beta = 1 are from the text of
+    [next_best_sense]. Parameters, and the units of lambda, are those of `fisherrf`.
     """
     of_depth = diagonal_gain(context, lambda known, seen: seen / known, kinds=(MEAN, LOG_SCALE, LOGIT), of_depth=True)
     return COLOR_SHARE * context.once(fisherrf) + DEPTH_SHARE * of_depth

@@ -1,4 +1,4 @@
-"""Next Best Sense as a policy ([next_best_sense])."""
+"""Define the policies of Next Best Sense ([next_best_sense]): score views by Fisher information of colour and depth."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("next_best_sense")
 class NextBestSense(Greedy):
-    """argmax .1 I_colour + I_depth and nothing else: the published selector of views."""
+    """Choose argmax 0.1 I_colour + I_depth, the published view selection, without a travel term."""
 
-    criterion = "information of a view, above all of its depth, over that of all keyframes"
+    criterion = "Fisher information of a view, mainly of its depth, relative to that of all keyframes"
     source = "Strong et al., Next Best Sense, ICRA 2025"
     required_features = ("next_best_sense",)
     native_settings = replace(SELECTED_VIEWS, budget="10 views by an arm, each the best of 10 poses around an object")
@@ -21,8 +21,8 @@ class NextBestSense(Greedy):
 
 @POLICIES.register("next_best_sense_cov")
 class NextBestSenseCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = .1 I_colour + I_depth; no travel term, like its selector."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = 0.1 I_colour + I_depth, without a travel term."""
 
-    criterion = "information of a view, above all of its depth, and unseen space"
+    criterion = "Fisher information of a view, mainly of its depth, and unseen space"
     source = "this project, with the gain of Strong et al., Next Best Sense, ICRA 2025"
     required_features = ("next_best_sense_cov",)

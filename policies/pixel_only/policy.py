@@ -1,4 +1,4 @@
-"""Variant A of the paper's ablation (Table 3): pixels only."""
+"""Define variant A of the paper's ablation (Table 3): score views by uncovered pixels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("pixel_only")
 class PixelOnly(SharedGreedy):
-    """score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0."""
+    """Choose argmax IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0."""
 
     criterion = "uncovered pixels, with the shared travel factor"
     source = "ActiveStructure, Eq. 15 with omega = rho = 0"

@@ -1,4 +1,4 @@
-"""POp-GS as policies, one for each criterion of optimal design ([popgs]); no travel term."""
+"""Provide POp-GS ([popgs]): one policy for each criterion of optimal design, without a travel term."""
 
 from activestructure_gym.policies.popgs.policy import CovTrace as CovTrace
 from activestructure_gym.policies.popgs.policy import CovTraceBlock as CovTraceBlock

@@ -1,4 +1,4 @@
-"""POp-GS with one 6 x 6 block per Gaussian, so that correlations between mean and log-scales count."""
+"""Compute POp-GS's gains with one 6 x 6 block per Gaussian, which includes correlations of mean and log-scales."""
 
 from __future__ import annotations
 
@@ -17,23 +17,30 @@ from activestructure_gym.features.information import (
 )
 from activestructure_gym.splatting.fisher import BLOCK_NUMBERS
 
-_LANES = 64  # Gaussians worked on side by side
+_LANES = 64  # number of Gaussians processed together, for SIMD
 _ROW, _COLUMN = np.triu_indices(6)
 
 
 @register_both("popgs_logdet_block")
 def popgs_logdet_block(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum over Gaussians of log det(H_train + lambda + H_c) - log det(H_train + lambda), per Gaussian of the map."""
+    """Compute the sum of log det(H_train + lambda + H_c) - log det(H_train + lambda), per Gaussian of the map.
+
+    H are 6 x 6 blocks, one per Gaussian. Source: [popgs], D-optimality.
+    """
     return _block_gains(context, 0, 1.0)
 
 
 @register_both("popgs_cov_trace_block")
 def popgs_cov_trace_block(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum over Gaussians of tr (H_train + lambda)^-1 - tr (H_train + lambda + H_c)^-1, per Gaussian of the map."""
+    """Compute the sum of tr (H_train + lambda)^-1 - tr (H_train + lambda + H_c)^-1, per Gaussian of the map.
+
+    H are 6 x 6 blocks, one per Gaussian. Source: [popgs], where it is called T-optimality.
+    """
     return _block_gains(context, 1, -1.0)
 
 
 def _block_gains(context: FeatureContext, number: int, sign: float) -> np.ndarray:  # [K]
+    """Return the mean change of a column of `block_numbers`, times ``sign``, by each candidate."""
     unit = context.once(units)
     root = np.sqrt(np.repeat(unit[[MEAN, LOG_SCALE]], 3))
     inverse_units = 1.0 / (root[_ROW] * root[_COLUMN])
@@ -42,9 +49,9 @@ def _block_gains(context: FeatureContext, number: int, sign: float) -> np.ndarra
     before = block_numbers(prior, np.arange(count), none, inverse_units, LAMBDA)[:, number]
     sums = []
     for view in informed_views(context):
-        blocks = np.ascontiguousarray(view.blocks)  # one layout, so that the kernel is compiled once
+        blocks = np.ascontiguousarray(view.blocks)  # another memory layout would compile the kernel again
         after = block_numbers(prior, view.indices, blocks, inverse_units, LAMBDA)[:, number]
-        # Of a block 10^5 units large, rounding is as large as lambda. No view can make a Gaussian less certain.
+        # No view reduces certainty. In a block with entries of 10^5 units, rounding errors are as large as lambda.
         sums.append(np.maximum(sign * (after - before[view.indices]), 0.0).sum())
     return np.array(sums) / max(1, count)
 
@@ -53,16 +60,17 @@ def _block_gains(context: FeatureContext, number: int, sign: float) -> np.ndarra
 def block_numbers(
     prior: np.ndarray,  # [N, 21] float64, upper triangles row by row
     indices: np.ndarray,  # [S] int64
-    blocks: np.ndarray,  # [S, 21] float32 to be added, or [0, 21]
+    blocks: np.ndarray,  # [S, 21] float32 blocks to add, or [0, 21] for none
     inverse_units: np.ndarray,  # [21] factor on ``blocks``
     least: float,  # lambda
 ) -> np.ndarray:  # [S, 2]: log of the determinant, trace of the inverse
-    """log det and trace of the inverse of ``prior + blocks + least``, by L D L^T of many matrices at once.
+    """Return log det and trace of the inverse of ``prior + blocks + least I``, by L D L^T of many matrices at once.
 
-    No pivot of a positive semi-definite matrix plus lambda is below lambda; what rounding makes of it is put back.
+    The pivots of a positive semi-definite matrix plus lambda I are at least lambda; smaller ones due to rounding are
+    replaced by lambda.
     """
     count = len(indices)
-    n = int(np.sqrt(2.0 * prior.shape[1]))  # 6, as a number that the compiler does not know: it would unroll the loops
+    n = int(np.sqrt(2.0 * prior.shape[1]))  # 6, computed here because the compiler would unroll loops of a known length
     result = np.empty((count, 2))
     a = np.empty((n, n, _LANES))  # D on the diagonal, L below it
     inverse = np.empty((n, _LANES))
@@ -93,7 +101,7 @@ def block_numbers(
             for i in range(j + 1, n):
                 for lane in range(_LANES):
                     a[i, j, lane] = inverse[i, lane]
-        # tr A^-1 = sum of squares of L^-1, each divided by its row's D; one column of L^-1 at a time.
+        # tr A^-1 is the sum of the squares of L^-1, each divided by its row's D. Columns of L^-1 are computed in turn.
         for j in range(n):
             for i in range(j, n):
                 for lane in range(_LANES):

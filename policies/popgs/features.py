@@ -1,7 +1,7 @@
-"""POp-GS's features: how a view reduces the map's uncertainty, by criteria of optimal experimental design ([popgs]).
+"""Compute POp-GS's gains: the reduction of the map's uncertainty, by criteria of optimal experimental design ([popgs]).
 
-With the diagonals h of H_train + lambda and d of H_c, over means and log-scales; the paper's own names differ from the
-textbook's, so these are named by formula. Source: [popgs], by its text.
+h is the diagonal of H_train + lambda and d that of H_c, over means and log-scales. The paper's names of the criteria
+differ from those in textbooks, so the features are named by their formulas. Source: [popgs], by its text.
 """
 
 from __future__ import annotations
@@ -24,34 +24,45 @@ from activestructure_gym.features.information import (
 
 @register_both("popgs_logdet")
 def popgs_logdet(context: FeatureContext) -> np.ndarray:  # [K]
-    """D-optimality: sum of log(1 + d / h), by how much the uncertain volume shrinks."""
-    # A product first, since logarithms are dear. Six factors stay far below the largest float64.
+    """Compute the sum of log(1 + d / h), per Gaussian of the map: the log volume removed from the uncertainty.
+
+    Source: [popgs], D-optimality.
+    """
+    # The product needs one logarithm per Gaussian. Six factors cannot overflow float64.
     return diagonal_gain(context, lambda known, seen: np.log(np.prod(1.0 + seen / known, axis=1)))
 
 
 @register_both("popgs_cov_trace")
 def popgs_cov_trace(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum of 1 / h - 1 / (h + d), by how much the variances shrink: "T-optimality" there, A in textbooks."""
+    """Compute the sum of 1 / h - 1 / (h + d), per Gaussian of the map: the reduction of the variances.
+
+    Source: [popgs], where it is called T-optimality; textbooks call it A-optimality.
+    """
     return diagonal_gain(context, lambda known, seen: seen / (known * (known + seen)))
 
 
 @register_both("popgs_info_trace")
 def popgs_info_trace(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum of d, whatever is known already: "A-optimality" there, T in textbooks. Likes what was seen and is near."""
+    """Compute the sum of d, per Gaussian of the map, independent of the keyframes.
+
+    It is large for views near mapped surface. Source: [popgs], where it is called A-optimality; textbooks call it
+    T-optimality.
+    """
     return diagonal_gain(context, lambda known, seen: seen)
 
 
 @register_both("popgs_min_eig", unit="of what is known in the median")
 def popgs_min_eig(context: FeatureContext) -> np.ndarray:  # [K]
-    """E-optimality: growth of the least entry of the whole map, min (h + d) - min h.
+    """Compute min (h + d) - min h, the growth of the smallest entry of the map, in units of the median information.
 
-    That entry is of some Gaussian which hardly any candidate sees, so most maps tell no two views apart by it.
+    This entry belongs to a Gaussian that hardly any candidate sees, so in most maps the gain is 0 for all candidates.
+    Source: [popgs], E-optimality.
     """
     columns, unit = diagonal_units(context, (MEAN, LOG_SCALE))
     known = trained(context)[:, columns] / unit + LAMBDA
     if not len(known):
         return np.zeros(len(context.world_from_camera))
-    least = known.min(axis=1)  # of each Gaussian
+    least = known.min(axis=1)  # [N]
     found = []
     for view in informed_views(context):
         after = least.copy()

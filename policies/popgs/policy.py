@@ -1,15 +1,15 @@
-"""POp-GS as policies, one for each criterion of optimal design ([popgs]); no travel term.
+"""Define the policies of POp-GS ([popgs]), one for each criterion of optimal design, without a travel term.
 
-The formulas stand with the features of the same names: with H the information of the keyframes and h its diagonal,
-those of a candidate B and d, and everything in units of the median of H,
+H is the information of the keyframes and h its diagonal; B and d are those of a candidate. The unit is the median of H.
+The features of the same names compute:
 
-- ``popgs_logdet``: log(1 + d / (h + lambda)) (D);
-- ``popgs_cov_trace``: 1 / (h + lambda) - 1 / (h + lambda + d) (textbook A, called T in the paper);
-- ``popgs_info_trace``: d (textbook T, called A in the paper), a negative control;
-- ``popgs_min_eig``: growth of the least entry of the whole map (E), a negative control;
-- ``popgs_logdet_block``, ``popgs_cov_trace_block``: the same of H + lambda + B, one 6 x 6 block per Gaussian.
+- ``popgs_logdet``: sum of log(1 + d / (h + lambda)) (D);
+- ``popgs_cov_trace``: sum of 1 / (h + lambda) - 1 / (h + lambda + d) (A in textbooks, T in the paper);
+- ``popgs_info_trace``: sum of d (T in textbooks, A in the paper), a negative control;
+- ``popgs_min_eig``: growth of the smallest entry of the whole map (E), a negative control;
+- ``popgs_logdet_block``, ``popgs_cov_trace_block``: the same of H + lambda + B, with one 6 x 6 block per Gaussian.
 
-The others are summed over the Gaussians. ``NAME`` maximises that, ``NAME_cov`` adds unseen space: G_cov + lambda_o G_Q.
+The policy ``NAME`` maximises this gain G_Q; ``NAME_cov`` includes unseen space and maximises G_cov + lambda_o G_Q.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("popgs_logdet")
 class LogDet(Greedy):
-    """argmax sum log(1 + d / h), h = H + lambda: D-optimality."""
+    """Choose argmax sum log(1 + d / h): D-optimality. h includes lambda."""
 
     criterion = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -31,7 +31,7 @@ class LogDet(Greedy):
 
 @POLICIES.register("popgs_logdet_cov")
 class LogDetCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum log(1 + d / h): D-optimality and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log(1 + d / h): D-optimality and unseen space."""
 
     criterion = "the volume of the map's uncertainty, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -40,7 +40,7 @@ class LogDetCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace")
 class CovTrace(Greedy):
-    """argmax sum 1 / h - 1 / (h + d), h = H + lambda: trace of the covariance."""
+    """Choose argmax sum 1 / h - 1 / (h + d): trace of the covariance. h includes lambda."""
 
     criterion = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -50,7 +50,7 @@ class CovTrace(Greedy):
 
 @POLICIES.register("popgs_cov_trace_cov")
 class CovTraceCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum 1 / h - 1 / (h + d): trace of the covariance and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum 1 / h - 1 / (h + d): covariance and unseen space."""
 
     criterion = "the sum of the map's variances, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -59,7 +59,7 @@ class CovTraceCov(Greedy):
 
 @POLICIES.register("popgs_info_trace")
 class InfoTrace(Greedy):
-    """argmax sum d: trace of the information."""
+    """Choose argmax sum d: trace of the information."""
 
     criterion = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -69,7 +69,7 @@ class InfoTrace(Greedy):
 
 @POLICIES.register("popgs_info_trace_cov")
 class InfoTraceCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum d: trace of the information and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum d: trace of the information and unseen space."""
 
     criterion = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -78,9 +78,9 @@ class InfoTraceCov(Greedy):
 
 @POLICIES.register("popgs_min_eig")
 class MinEig(Greedy):
-    """argmax min (h + d) - min h, h = H + lambda, both over the whole map: E-optimality."""
+    """Choose argmax min (h + d) - min h, both over the whole map: E-optimality. h includes lambda."""
 
-    criterion = "the worst known parameter of the map"
+    criterion = "the least known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_min_eig",)
     native_settings = SELECTED_VIEWS
@@ -88,16 +88,16 @@ class MinEig(Greedy):
 
 @POLICIES.register("popgs_min_eig_cov")
 class MinEigCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = min (h + d) - min h: E-optimality and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = min (h + d) - min h: E-optimality and unseen space."""
 
-    criterion = "the worst known parameter of the map, and unseen space"
+    criterion = "the least known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_min_eig_cov",)
 
 
 @POLICIES.register("popgs_logdet_block")
 class LogDetBlock(Greedy):
-    """argmax sum log det(H + B) - log det H, lambda in H: D-optimality by blocks."""
+    """Choose argmax sum log det(H + B) - log det H: D-optimality by blocks. H includes lambda."""
 
     criterion = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -107,7 +107,7 @@ class LogDetBlock(Greedy):
 
 @POLICIES.register("popgs_logdet_block_cov")
 class LogDetBlockCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum log det(H + B) - log det H: by blocks, and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log det(H + B) - log det H, with unseen space."""
 
     criterion = "the volume of the map's uncertainty, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -116,7 +116,7 @@ class LogDetBlockCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block")
 class CovTraceBlock(Greedy):
-    """argmax sum tr H^-1 - tr (H + B)^-1, lambda in H: trace of the covariance by blocks."""
+    """Choose argmax sum tr H^-1 - tr (H + B)^-1: trace of the covariance by blocks. H includes lambda."""
 
     criterion = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -126,7 +126,7 @@ class CovTraceBlock(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block_cov")
 class CovTraceBlockCov(Greedy):
-    """argmax G_cov + lambda_o G_Q with G_Q = sum tr H^-1 - tr (H + B)^-1: by blocks, and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum tr H^-1 - tr (H + B)^-1, with unseen space."""
 
     criterion = "the sum of the map's variances, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"

@@ -1,4 +1,4 @@
-"""R3-RECON: how well a view could be rendered from what was seen of each place, and unexplored space ([r3_recon])."""
+"""Compute R3-RECON's utility: unexplored space, and surface with low renderability from a view's side ([r3_recon])."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.policies.r3_recon.surface_views import DIRECTIONS, SurfaceViews
 
-EXPLORATION = 1000.0  # what an unexplored voxel is worth beside one of surface that nothing is known of
-UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels that are counted
-COLOUR_SCALE = 1.154  # 2 / sqrt(3): colours half black and half white have no renderability
-FINE = 0.01 / 5.0  # metres per pixel: who was so near need not come nearer
-SLACK_M, SLACK_SHARE = 0.05, 0.05  # a voxel so far behind the map's surface, and this share of its depth, is seen
+EXPLORATION = 1000.0  # weight of an unexplored voxel against a surface voxel without renderability
+UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels
+COLOUR_SCALE = 1.154  # 2 / sqrt(3): the renderability is 0 if half of the colours are black and half white
+FINE = 0.01 / 5.0  # metres per pixel; a nearer view than a keyframe with this resolution brings nothing
+# A voxel is visible if it is at most SLACK_M (metres) plus SLACK_SHARE of the depth behind the rendered surface.
+SLACK_M, SLACK_SHARE = 0.05, 0.05
 
 
 @FEATURES.register("r3_recon", unit="weighted share of the voxels", low=0.0)
 def r3_recon(context: FeatureContext) -> np.ndarray:  # [K]
-    """U = #unexplored voxels in sight / #voxels + sum over the surface voxels in sight of 1 - R, over 1000 #voxels.
+    """Compute U = #visible unexplored / #voxels + sum over visible surface voxels of (1 - R) / (1000 #voxels).
 
-    R = h^(1 - a) a (1 - s)^(1 - a h), the renderability of a place from a side ([r3_recon, code]):
+    R = h^(1 - a) a (1 - s)^(1 - a h) is the renderability of a voxel from a side ([r3_recon, code]):
 
-    - a = max(0, cos) of the angle to the nearest of the directions that keyframes saw it from (64 bins);
-    - h = 1 - 1.154 sqrt(trace of the covariance of the colours they saw), in 0..1: 1 where all saw the same;
-    - s = max(0, 1 - d / d_min): how much nearer than any keyframe the view is, 0 where a keyframe was so near that 1 cm
-      fills 5 pixels.
+    - a = max(0, cos) of the angle to the nearest direction from which keyframes saw it (64 bins);
+    - h = 1 - 1.154 sqrt(trace of the covariance of the colours they saw), in 0..1, and 1 if all saw the same colour;
+    - s = max(0, 1 - d / d_min), how much nearer the view is than any keyframe; 0 if 1 cm covered 5 pixels in one.
 
-    Surface voxels of 5 cm in sight are those whose centre projects into the image and does not lie behind what the map
-    shows there. Unexplored ones are those of `unexplored`, in units of 0.2 m; the original adds without a divisor.
+    A surface voxel of 5 cm is visible if its centre projects into the image and is not behind the rendered surface.
+    Unexplored voxels are those of `unexplored`, in units of 0.2 m. The original does not divide by #voxels.
     """
     volume = context.volume
     voxels = unknown_cells(volume)[2] * (volume.config.voxel_size / UNEXPLORED_VOXEL) ** 3
-    looks = context.episode(_surface_views).update(context.mapper.keyframes)
-    certainty = np.clip(1.0 - COLOUR_SCALE * np.sqrt(looks.spread), 0.0, 1.0)
+    seen = context.episode(_surface_views).update(context.mapper.keyframes)
+    certainty = np.clip(1.0 - COLOUR_SCALE * np.sqrt(seen.spread), 0.0, 1.0)
     frames = context.mapper.keyframes
     fine = FINE * frames[-1].camera.fx if frames else 0.0
-    nearest = np.where(looks.nearest < fine, 0.0, looks.nearest)
+    nearest = np.where(seen.nearest < fine, 0.0, seen.nearest)
     with np.errstate(divide="ignore", invalid="ignore"):
         surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, np.float32(np.inf))
-    unsure = lost_renderability(
-        (looks.centres, looks.directions, certainty, nearest),
+    lost = lost_renderability(
+        (seen.centres, seen.directions, certainty, nearest),
         np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
         context.camera.lens,
         surface * (1.0 + SLACK_SHARE) + SLACK_M,
         fibonacci_directions(DIRECTIONS),
         context.max_range,
     )
-    return unexplored(context) + unsure / (EXPLORATION * voxels)
+    return unexplored(context) + lost / (EXPLORATION * voxels)
 
 
 def _surface_views(context: FeatureContext) -> SurfaceViews:
@@ -62,10 +62,11 @@ def lost_renderability(
     voxels: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],  # [V, 3] centres, [V] bits, [V] h, [V] d_min
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     lens: Lens,
-    surface: np.ndarray,  # [K, h, w] metres of depth behind which nothing is seen
-    directions: np.ndarray,  # [64, 3] unit, of the bits
+    surface: np.ndarray,  # [K, h, w] metres, depth behind which voxels are occluded
+    directions: np.ndarray,  # [64, 3] unit, one for each bit
     farthest: float,  # metres of depth
-) -> np.ndarray:  # [K] sum of 1 - R over the voxels in sight
+) -> np.ndarray:  # [K]
+    """Return the sum of 1 - R over the visible surface voxels of each candidate."""
     centres, bits, certainty, nearest = voxels
     count, height, width = surface.shape
     result = np.zeros(count)

@@ -1,4 +1,4 @@
-"""R3-RECON as a policy ([r3_recon])."""
+"""Define R3-RECON ([r3_recon]): score unexplored space and surface that cannot be rendered well from a side."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 @POLICIES.register("r3_recon")
 class R3Recon(ActiveGS):
-    """score = U / sum U - 0.5 L / sum L, as ActiveGS, from which it is made; U is what cannot be rendered well yet."""
+    """Choose argmax of U / sum U - 0.5 L / sum L, as ActiveGS does; U is the feature `r3_recon`, L the path length."""
 
-    criterion = "unexplored voxels in sight, surface that could not be rendered from this side"
+    criterion = "visible unexplored voxels, surface that cannot be rendered well from this side"
     source = "Jin et al., R3-RECON, arXiv 2601.07484"
     required_features = ("r3_recon",)
-    # Frontier voxels alone are its regions of interest (`use_confidence: false`, [r3_recon, code]).
+    # Its regions of interest are frontier voxels only (`use_confidence: false`, [r3_recon, code]).
     native_settings = NativeSettings(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),
         candidates=100,

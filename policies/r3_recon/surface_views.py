@@ -1,8 +1,8 @@
-"""What the keyframes have seen of every 5 cm of surface, from their pictures alone: no Gaussian is asked.
+"""Record which colours and directions the keyframes saw of every surface voxel of 5 cm, without the Gaussian map.
 
-A keyframe observes each voxel that one of its pixels falls into, once: with the mean colour of these pixels, from the
-direction and the distance of the voxel's centre. Kept are the number of looks, mean and spread of the colours, which of
-64 directions it was seen from, and the least distance. Source: [r3_recon, code].
+A keyframe observes each voxel that contains one of its pixels once. It sees the mean colour of these pixels, from the
+direction and the distance of the voxel's centre. The record holds the number of views, the mean and spread of the
+colours, the directions in 64 bins, and the smallest distance. Source: [r3_recon, code].
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.frame import Frame
 
 VOXEL = 0.05  # metres
-DIRECTIONS = 64  # bits of a word
-_HALF = 1 << 20  # voxels to each side of the origin along an axis: 52 km
+DIRECTIONS = 64  # number of direction bins, one bit of a word each
+_HALF = 1 << 20  # voxels on each side of the origin along an axis, 52 km
 
 
 class SurfaceViews:
-    """Voxels in rising order of their keys, and what is known of each."""
+    """Hold the V observed surface voxels, in increasing order of their keys."""
 
     def __init__(self) -> None:
+        """Begin without voxels."""
         self._keys = np.zeros(0, np.int64)
         self.centres = np.zeros((0, 3))  # [V, 3] metres, world
-        self.looks = np.zeros(0)  # [V]
-        self.colour = np.zeros((0, 3))  # [V, 3] mean, 0..1
+        self.views = np.zeros(0)  # [V] number of keyframes that saw the voxel
+        self.colour = np.zeros((0, 3))  # [V, 3] mean colour, 0..1
         self.deviation = np.zeros(0)  # [V] sum of squared deviations from the mean, over the three colours
         self.directions = np.zeros(0, np.uint64)  # [V] one bit for each of `fibonacci_directions(DIRECTIONS)`
-        self.nearest = np.zeros(0)  # [V] metres
-        self._known = 0  # keyframes that were taken in
+        self.nearest = np.zeros(0)  # [V] metres, smallest distance
+        self._known = 0  # number of keyframes added
 
     @property
     def spread(self) -> np.ndarray:  # [V]
-        """Trace of the covariance of the colours; 0 after one look."""
-        return self.deviation / np.maximum(self.looks - 1.0, 1.0)
+        """Return the trace of the covariance of the colours; 0 after one view."""
+        return self.deviation / np.maximum(self.views - 1.0, 1.0)
 
     def update(self, keyframes: Sequence[Frame]) -> SurfaceViews:
-        """Take in the keyframes that are new since the last call, each once; returns itself."""
+        """Add the keyframes that are new since the last call; return this object."""
         if len(keyframes) < self._known:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
         for frame in keyframes[self._known :]:
-            self._see(frame)
+            self._add(frame)
         self._known = len(keyframes)
         return self
 
-    def _see(self, frame: Frame) -> None:
+    def _add(self, frame: Frame) -> None:
+        """Add the view of one keyframe."""
         measured = frame.depth > 0
         pose = frame.world_from_camera.astype(np.float64)
         points = frame.camera.backproject(frame.depth)[measured] @ pose[:3, :3].T + pose[:3, 3]
@@ -58,9 +60,9 @@ class SurfaceViews:
         colours = frame.rgb[measured] / 255.0
         sums = [np.bincount(which.ravel(), colours[:, i], len(keys)) for i in range(3)]
         seen = np.stack(sums, axis=1) / pixels[:, None]
-        self.looks[rows] += 1.0
+        self.views[rows] += 1.0
         before = seen - self.colour[rows]
-        self.colour[rows] += before / self.looks[rows, None]
+        self.colour[rows] += before / self.views[rows, None]
         self.deviation[rows] += ((seen - self.colour[rows]) * before).sum(axis=1)
         back = pose[:3, 3] - self.centres[rows]
         distance = np.maximum(np.linalg.norm(back, axis=1), 1e-8)
@@ -68,7 +70,8 @@ class SurfaceViews:
         self.directions[rows] |= np.uint64(1) << nearest
         self.nearest[rows] = np.minimum(self.nearest[rows], distance)
 
-    def _rows_of(self, keys: np.ndarray) -> np.ndarray:  # [n] int64, rising -> [n] rows, made where there are none
+    def _rows_of(self, keys: np.ndarray) -> np.ndarray:  # [n] int64, increasing -> [n]
+        """Return the rows of the voxels; insert those that are missing."""
         places = np.searchsorted(self._keys, keys)
         there = places < len(self._keys)
         there[there] = self._keys[places[there]] == keys[there]
@@ -76,7 +79,7 @@ class SurfaceViews:
         corners = np.stack([new >> 42, (new >> 21) & (2 * _HALF - 1), new & (2 * _HALF - 1)], axis=1) - _HALF
         self._keys = np.insert(self._keys, at, new)
         self.centres = np.insert(self.centres, at, (corners + 0.5) * VOXEL, axis=0)
-        self.looks = np.insert(self.looks, at, 0.0)
+        self.views = np.insert(self.views, at, 0.0)
         self.colour = np.insert(self.colour, at, 0.0, axis=0)
         self.deviation = np.insert(self.deviation, at, 0.0)
         self.directions = np.insert(self.directions, at, np.uint64(0))

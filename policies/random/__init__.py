@@ -1,3 +1,3 @@
-"""Uniform random choice, the lower reference of comparisons."""
+"""Provide uniform random choice, the lower reference of comparisons."""
 
 from activestructure_gym.policies.random.policy import Random as Random

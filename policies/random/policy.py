@@ -1,4 +1,4 @@
-"""Uniform random choice, the lower reference of comparisons."""
+"""Define uniform random choice, the lower reference of comparisons."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy
 
 @POLICIES.register("random")
 class Random(Policy):
-    """P(row) = 1 / n for each of the n valid candidates."""
+    """Choose each of the n valid candidates with probability 1 / n."""
 
     criterion = "chance"
     source = "this project"
 
     def act(self, observation: Observation) -> int:
-        """A valid row, each equally likely."""
+        """Return a valid row, all equally likely; raise `ValueError` if none is valid."""
         valid = np.flatnonzero(self.candidates(observation).valid)
         if not len(valid):
             raise ValueError("no candidate is valid: the episode has ended, call reset()")

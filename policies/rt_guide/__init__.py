@@ -1,3 +1,3 @@
-"""RT-GuIDE ([rt_guide]): first the region that is worth its way, then the view in it where most still moves."""
+"""Provide RT-GuIDE ([rt_guide]): choose a region by uncertainty and path length, then a view of moving Gaussians."""
 
 from activestructure_gym.policies.rt_guide.policy import RTGuide as RTGuide

@@ -1,4 +1,4 @@
-"""RT-GuIDE's features: how much Gaussians move under optimisation, per view and per region, without rendering."""
+"""Compute RT-GuIDE's feature: the motion of Gaussians during optimisation, per view and region, without rendering."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import sums_in_front
 from activestructure_gym.policies.rt_guide.displacement import Displacement
 
-CUBOID_M = 2.5  # side of a region
-_SPREAD = 0.5  # standard deviations from the mean to the sets H and L
-_LOW = 1.0  # weight of L
+CUBOID_M = 2.5  # metres, side of a region
+_SPREAD = 0.5  # standard deviations between the mean and the sets H and L
+_LOW = 1.0  # weight of the set L
 
 
 @FEATURES.register(
@@ -24,16 +24,17 @@ _LOW = 1.0  # weight of L
     high=(1.0, np.inf, np.inf),
 )
 def rt_guide(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """xi of the view; Omega of the cuboid it stands in, 0 where no Gaussian is; and that cuboid's number.
+    """Compute xi of the view (share of the Gaussians), Omega of its cuboid (m), and the index of the cuboid.
 
-    xi is `moving_in_view`, Omega the mean uncertainty of the Gaussians in the cuboid.
+    xi is `moving_in_view`. Omega is the mean uncertainty of the Gaussians in the cuboid that contains the view's
+    position; 0 without Gaussians.
     """
     regions = _regions(context)
     return np.column_stack([moving_in_view(context), regions.uncertainty, regions.cuboid])
 
 
 def displacement(context: FeatureContext) -> np.ndarray:  # [N] float32 metres
-    """How far each Gaussian moved in the last event that moved it; 0 until then. Followed from the first call on."""
+    """Return the metres that each Gaussian moved in the last event that moved it, since the first call; 0 for none."""
     return context.episode(_displacement).metres()
 
 
@@ -42,12 +43,11 @@ def _displacement(context: FeatureContext) -> Displacement:
 
 
 def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
-    """xi = (#H - 1.0 #L) / #Gaussians, of those in the frustum (RT-GuIDE, Tao et al. 2025).
+    """Return xi = (#H - 1.0 #L) / #Gaussians, where H and L are Gaussians in the frustum ([rt_guide]).
 
-    A Gaussian's uncertainty is |change of its mean| in the last mapping event that touched it; H is above the mean of
-    all by half a standard deviation, L below. Culled by the range that the volume takes in, not by what stands in
-    front.
-    Source: [rt_guide].
+    The uncertainty of a Gaussian is |change of its mean| in the last mapping event that changed it. That of H exceeds
+    the mean of all by half a standard deviation; that of L is below it by as much. Gaussians beyond the depth range of
+    the volume are left out; occlusion is not tested.
     """
     moved = displacement(context).astype(np.float64)
     if not len(moved):
@@ -65,11 +65,14 @@ def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
 
 @dataclass(frozen=True)
 class _Regions:
+    """Hold the region of each candidate."""
+
     uncertainty: np.ndarray  # [K] metres
     cuboid: np.ndarray  # [K] int64
 
 
 def _regions(context: FeatureContext) -> _Regions:
+    """Return the cuboid of each candidate, and the mean uncertainty of its Gaussians."""
     volume, moved = context.volume, displacement(context).astype(np.float64)
     shape = np.ceil(np.array(volume.state.shape) * volume.config.voxel_size / CUBOID_M).astype(int)
 

@@ -1,4 +1,4 @@
-"""RT-GuIDE ([rt_guide]): first the region that is worth its way, then the view in it where most still moves."""
+"""Define RT-GuIDE ([rt_guide]): choose a region by uncertainty and path length, then a view of moving Gaussians."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid,
 from activestructure_gym.policies.greedy import Planner
 from activestructure_gym.policies.native_settings import NativeSettings
 
-_NOTHING = -1e6  # below the logarithm of anything above 0, with any way
+_NOTHING = -1e6  # score of a region where no Gaussian has moved; below any other score
 
 
 @POLICIES.register("rt_guide")
 class RTGuide(Planner):
-    """Region: argmax Omega / e^d, d the way in metres to its nearest view; view in it: argmax xi.
+    """Choose the region argmax Omega / e^d, and in it the view argmax xi (feature `rt_guide`).
 
-    With the shared travel term there are no regions: xi, counted from the lowest one on offer, times the factor of all.
-    Revisits are no candidates of it.
+    Omega is the mean uncertainty of the region's Gaussians, d the path length in metres to its nearest view. With the
+    shared travel term there are no regions: the score is xi minus the lowest xi of the candidates, times the factor.
+    Revisits are not candidates.
     """
 
-    criterion = "Gaussians that still move, against those that do not"
+    criterion = "Gaussians that still move, minus those that do not"
     travel_term = "region by uncertainty / e^metres"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_features = ("rt_guide",)
-    # Goals and views of a robot that drives; the lattice stands for its motion primitives (own choice).
+    # Goals and views of a wheeled robot; the lattice replaces its motion primitives (own choice).
     native_settings = NativeSettings(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
 
     def act(self, observation: Observation) -> int:
-        """The best view of the best region; the nearest region where no Gaussian has moved."""
+        """Return the best view of the best region; the nearest region is the best if no Gaussian has moved."""
         observation = without_revisits(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid
@@ -37,9 +38,9 @@ class RTGuide(Planner):
             choice = best_valid(self.scores(gain, observation), observation)
         else:
             length = candidates.path_length.astype(np.float64)
-            # As logarithms: e^d of a long way is no number.
-            worth = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
-            inside = valid & (cuboid == cuboid[best_valid(worth, observation)])
+            # Logarithm of the score, since e^d overflows for a long path.
+            score = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
+            inside = valid & (cuboid == cuboid[best_valid(score, observation)])
             choice = int(np.argmax(np.where(inside, xi, -np.inf)))
         self._trace = {"rt_guide": float(xi[choice]), "region": float(region[choice]), "cuboid": int(cuboid[choice])}
         return choice

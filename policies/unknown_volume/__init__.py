@@ -1,3 +1,3 @@
-"""The unknown space that the way to a view opens, as the only score: exploration without map or planes."""
+"""Provide exploration by volume: score the unknown space that the path to a view would reveal."""
 
 from activestructure_gym.policies.unknown_volume.policy import UnknownVolume as UnknownVolume

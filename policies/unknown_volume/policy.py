@@ -1,4 +1,4 @@
-"""The unknown space that the way to a view opens, as the only score: exploration without map or planes."""
+"""Define exploration by volume: score the unknown space that the path to a view would reveal."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("unknown_volume")
 class UnknownVolume(SharedGreedy):
-    """score = V / (1 + frames / 5), V the unknown space opened on the way: phase I of `activestructure`, no planes."""
+    """Choose argmax V / (1 + frames / 5), where V is the unknown space revealed along the path.
 
-    criterion = "unknown space opened on the way"
+    It equals phase I of `activestructure` without planes.
+    """
+
+    criterion = "unknown space revealed along the path"
     source = "this project, after [bircher2016] and [delmerico2018]"
     required_features = ("unknown_volume_way",)

@@ -1,3 +1,3 @@
-"""All that is not seen yet, behind the known space and behind the known surfaces, as the only score."""
+"""Provide exploration of unknown space and of unseen sides of known surfaces."""
 
 from activestructure_gym.policies.unseen.policy import Unseen as Unseen

@@ -1,4 +1,4 @@
-"""All that is not seen yet, behind the known space and behind the known surfaces, as the only score."""
+"""Define exploration of unknown space and of unseen sides of known surfaces."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ import numpy as np
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid
 from activestructure_gym.policies.greedy import SharedGreedy
 
-SIDE_DEPTH = 0.35  # metres: unknown space that an unseen side counts as deep
+SIDE_DEPTH = 0.35  # metres; an area of unseen side counts as unknown space of this depth
 
 
 @POLICIES.register("unseen")
 class Unseen(SharedGreedy):
-    """score = (V + .35 m A) / (1 + frames / 5), V the unknown space opened on the way, A the area seen from behind.
+    """Choose argmax (V + 0.35 m A) / (1 + frames / 5).
 
-    While rooms open V is by far the larger, so it goes as `unknown_volume` does; where all has been looked into, A is
-    what the map tells of the far sides of things.
+    V is the unknown space revealed along the path in m^3. A is the visible area in m^2 of surfaces of which only the
+    other side is mapped. V is much larger during exploration, so the policy then acts like `unknown_volume`. A decides
+    once all space has been seen.
     """
 
-    criterion = "unknown space opened on the way and unseen sides"
+    criterion = "unknown space revealed along the path, and unseen sides"
     source = "this project"
     required_features = ("unknown_volume_way", "unseen_sides")
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; the first of equals."""
+        """Return the valid row with the highest score; the first of equal ones."""
         candidates = self.candidates(observation)
         space = candidates["unknown_volume_way"].astype(np.float64)
         sides = SIDE_DEPTH * candidates["unseen_sides"].astype(np.float64)

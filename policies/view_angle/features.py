@@ -1,4 +1,4 @@
-"""COVER's feature: how far a view's directions to the map lie from those it was seen from before."""
+"""Compute COVER's gain: the distance of a view's directions from those from which the map was seen."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from activestructure_gym.mapping.frustum_culling import may_be_seen
 
 @FEATURES.register("view_angle", unit="mean of 1 - coverage", low=0.0, high=1.0)
 def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """1 - mean over pixels of the coverage of the viewing direction (COVER, Chen et al. 2026).
+    """Compute 1 - the mean over pixels of the coverage of the view direction (COVER, Chen et al. 2026).
 
-    A Gaussian covers a direction by (cos theta + 1) / 2, theta the angle to the nearest of the 128 bins from which a
-    keyframe has seen it; it is blended like a colour over 0, so that a pixel without a map is not covered at all.
+    A Gaussian covers a direction by (cos theta + 1) / 2, where theta is the angle to the nearest of 128 bins from which
+    a keyframe saw it. Coverage is blended like a colour over 0, so a pixel without a map has coverage 0.
     Source: [cover, code].
     """
     gaussians, camera, bins = context.mapper.map, context.camera, sightings(context.mapper).bins
@@ -37,13 +37,13 @@ def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 def cover(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
-    seen: np.ndarray,  # [blocks] bool; the others keep their value
+    seen: np.ndarray,  # [blocks] bool; Gaussians of other blocks keep their value
     eye: np.ndarray,  # [3] metres
     bins: np.ndarray,  # [N, 2] uint64
     directions: np.ndarray,  # [128, 3] unit
     coverage: np.ndarray,  # [N] float32, written
 ) -> None:
-    """(max over the bins of cos + 1) / 2 of the direction from each Gaussian to the eye; 0 where no bin is set."""
+    """Write (max over the seen bins of cos + 1) / 2 for the direction from each Gaussian to the eye; 0 without bins."""
     for block in range(len(seen)):
         if not seen[block]:
             continue

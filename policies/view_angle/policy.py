@@ -1,4 +1,4 @@
-"""COVER ([cover]): the view from the newest side."""
+"""Define COVER ([cover]): choose the view from the directions least similar to those seen so far."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from activestructure_gym.policies.greedy import Planner
 
 @POLICIES.register("view_angle")
 class ViewAngle(Planner):
-    """argmin of the mean coverage of the viewing directions; no travel term but for equals.
+    """Choose the view with the lowest mean coverage of its view directions, without a travel term.
 
-    At first many views show nothing that is mapped and are worth exactly 1: the nearest of these is taken.
+    Of equal views, the nearest is chosen. Early in an episode, many views see no mapped surface and score exactly 1.
     """
 
     criterion = "directions from which the map was not seen"
@@ -19,7 +19,7 @@ class ViewAngle(Planner):
     required_features = ("view_angle",)
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; of equals the one with the fewest frames."""
+        """Return the valid row with the highest score; of equal ones the one with the fewest frames."""
         gain = self.candidates(observation)["view_angle"]
         choice = nearest_of_best(self.scores(gain, observation), observation)
         self._trace = {"view_angle": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}

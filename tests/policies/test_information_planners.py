@@ -11,7 +11,7 @@ from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.hgs_planner import HGSPlanner
-from activestructure_gym.policies.hgs_planner.policy import WORTH, first_of_tour
+from activestructure_gym.policies.hgs_planner.policy import MIN_COVERAGE, shortest_tour
 from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")
@@ -46,7 +46,7 @@ def test_stages_of_hgs_planner() -> None:
     ways = {"path_length": [5.0, 9.0, 1.0], "x": [1, 9, 1], "y": [1, 1, 1]}  # near is what is in the window
     assert policy.act(observation(gains, [20, 90, 10], **ways)) == 0
     assert policy.trace()["stage"] == "local"
-    gains[0][1] = WORTH  # not above
+    gains[0][1] = MIN_COVERAGE  # not above
     assert policy.act(observation(gains, [20, 90, 10], **ways)) == 1
     assert policy.trace()["stage"] == "global"
     gains[1][1] = 0.0
@@ -58,11 +58,11 @@ def test_stages_of_hgs_planner() -> None:
 
 def test_the_tour_begins_where_the_whole_way_is_shortest() -> None:
     # One part 5 m to the left; two to the right at 6 and 7 m: first the left one, then the others.
-    assert first_of_tour(np.array([6.0, 5.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]])) == 1
+    assert shortest_tour(np.array([6.0, 5.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]]))[0] == 1
     # A wall makes the way to the left one long: it comes last.
-    assert first_of_tour(np.array([6.0, 30.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]])) == 0
+    assert shortest_tour(np.array([6.0, 30.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]]))[0] == 0
     many = np.arange(20.0)[::-1]
-    assert first_of_tour(many, np.stack([many, many], axis=1)) == 19
+    assert shortest_tour(many, np.stack([many, many], axis=1))[0] == 19
 
 
 def test_the_next_part_is_entered_at_its_best_view() -> None:

@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
-from activestructure_gym.policies.activesplat.features import MIN_VIEW_DEG2, looked_around, regions
+from activestructure_gym.policies.activesplat.features import MIN_VIEW_DEG2, has_full_turn, regions
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 from activestructure_gym.volume import FREE, VoxelVolume
@@ -86,8 +86,8 @@ def test_nodes_where_all_was_looked_at_or_near_an_obstacle_count_nothing() -> No
     assert information[0] == 0.0
     assert information[1] > 0.0
     # The same three frames of five leave a gap.
-    assert not looked_around(LEFT[:2], turn[:3])
-    assert not looked_around(LEFT[:2] + 1.0, turn)
+    assert not has_full_turn(LEFT[:2], turn[:3])
+    assert not has_full_turn(LEFT[:2] + 1.0, turn)
     narrow = context(north)
     narrow.volume.state[:, 24:] = 0
     narrow.volume.state[:, :18] = 0  # a corridor 0.6 m wide: 0.3 m to either side

@@ -12,7 +12,7 @@ from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles, taken_before
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.planes import Deficiencies
-from activestructure_gym.policies.activestructure.features import pixels_per_area, pull, refining_distance
+from activestructure_gym.policies.activestructure.features import pixel_share, pixels_per_area, refining_distance
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -176,10 +176,12 @@ def test_pull_by_hand_and_falls_with_what_was_spent(rng: np.random.Generator) ->
         pixels_per_area(np.array([[0.5, 0.0], [0.0, 0.0]]), eye, np.array([[3.0, 2.0, 2.0], [1.0, 2.0, 2.0]])),
         [[0.5 / 4, 0.0], [0.0, 0.0]],
     )
-    np.testing.assert_allclose(pull(np.array([[1.0, 3.0, 0.0, 0.0]]), np.array([1.0, 0, 2.0, 0.0])), [[0.5, 1, 0, 0]])
+    np.testing.assert_allclose(
+        pixel_share(np.array([[1.0, 3.0, 0.0, 0.0]]), np.array([1.0, 0, 2.0, 0.0])), [[0.5, 1, 0, 0]]
+    )
     looks, spent, more = rng.uniform(0.1, 5, (8, 20)), rng.uniform(0, 5, 20), rng.uniform(0.1, 5, 20)
-    assert (pull(looks, spent + more) < pull(looks, spent)).all()
-    assert (pull(looks + more, spent) >= pull(looks, spent)).all()
+    assert (pixel_share(looks, spent + more) < pixel_share(looks, spent)).all()
+    assert (pixel_share(looks + more, spent) >= pixel_share(looks, spent)).all()
 
 
 def test_space_known_to_be_free_to_the_end_hides_nothing() -> None:

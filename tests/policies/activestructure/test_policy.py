@@ -36,7 +36,14 @@ from activestructure_gym.policies.activestructure.information_gain import (
     suppression,
     view_surprise,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, LOT, MIN_RISE_DB, PATIENCE, SentTo, in_pool
+from activestructure_gym.policies.activestructure.phases import (
+    GOOD_PSNR,
+    LOT,
+    MIN_RISE_DB,
+    PATIENCE,
+    RevisitedViews,
+    in_pool,
+)
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.sensors.rgbd import SensorConfig
 from tests.policies.binding import bound
@@ -371,7 +378,7 @@ def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:
 
 
 def test_a_keyframe_is_known_by_place_and_direction() -> None:
-    sent, view = SentTo(), np.array([1.0, 2.0, 1.5, 0.0, 1.0, 0.0])
+    sent, view = RevisitedViews(), np.array([1.0, 2.0, 1.5, 0.0, 1.0, 0.0])
     others = np.stack([view, view + 1e-4, view + [0.02, 0, 0, 0, 0, 0], view + [0, 0, 0, 0.02, 0, 0]])
     assert not sent.includes(others).any()
     sent.add(view)

@@ -59,13 +59,13 @@ def test_the_tour_and_not_the_nearest_task_decides() -> None:
 
 
 def test_tasks_of_surface_stand_apart() -> None:
-    from activestructure_gym.policies.aiisrfe.policy import most_unsure
+    from activestructure_gym.policies.aiisrfe.policy import most_uncertain
 
     policy = bound(Aiisrfe())
     places = [(0.0, 0.9), (0.5, 0.8), (1.5, 0.7), (3.0, 0.6), (9.0, 0.5), (12.0, 0.0)]
     crowd = [(x, 1.0, -1, unsure) for x, unsure in places]
     observed = views(crowd, 0, 0)
-    rows = most_unsure(policy.candidates(observed), observed["candidate_features"][:, 3])
+    rows = most_uncertain(policy.candidates(observed), observed["candidate_features"][:, 3])
     assert rows == [0, 2, 3]
 
 

@@ -13,7 +13,7 @@ from activestructure_gym.features.voronoi_node import floor_graph
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
 from activestructure_gym.policies.activeinr.features import CEILING, preferred
-from activestructure_gym.policies.anm_s.features import count_looks
+from activestructure_gym.policies.anm_s.features import count_views
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 X, Y, Z = np.eye(3)
@@ -91,9 +91,9 @@ def test_an_end_of_a_chain_at_the_candidate_itself_needs_no_look() -> None:
 def test_directions_within_45_degrees_take_one_look() -> None:
     turns = np.radians([0.0, 20.0, 44.0, 46.0, 180.0])
     ways = np.stack([np.cos(turns), np.sin(turns), np.zeros(5)], axis=1)
-    assert count_looks(ways) == 3
-    assert count_looks(ways[:0]) == 0
-    assert count_looks(np.concatenate([np.eye(3), -np.eye(3)])) == 6
+    assert count_views(ways) == 3
+    assert count_views(ways[:0]) == 0
+    assert count_views(np.concatenate([np.eye(3), -np.eye(3)])) == 6
 
 
 def test_a_cluster_stands_with_the_candidate_at_its_target_that_looks_at_it() -> None:

@@ -12,7 +12,7 @@ from activestructure_gym.policies.gavis.features import (
     KAPPA,
     KNOWN_VARIANCE,
     UNSEEN_VARIANCE,
-    Looks,
+    ViewMoments,
     degree_factors,
     excess_entropy,
     virtual_gaussians,
@@ -26,9 +26,10 @@ def seen_from(looks_at: list[np.ndarray], keyframes: int, eye: np.ndarray) -> fl
     """Visibility of a Gaussian at the origin, from ``eye``, after looks from these unit directions."""
     v = np.array(looks_at).reshape(-1, 3)
     products = (v[:, :, None] * v[:, None, :]).sum(axis=0)[np.triu_indices(3)]
-    looks = Looks(np.array([float(len(v))]), v.sum(axis=0)[None], products[None], keyframes, degree_factors(KAPPA))
+    number, factors = np.array([float(len(v))]), degree_factors(KAPPA)
+    moments = ViewMoments(number, v.sum(axis=0)[None], products[None], keyframes, factors)
     result = np.zeros(1, np.float32)
-    visibility(np.zeros((14, 16), np.float32), 1, np.ones(1, bool), eye.astype(float), looks, result)
+    visibility(np.zeros((14, 16), np.float32), 1, np.ones(1, bool), eye.astype(float), moments, result)
     return float(result[0])
 
 

@@ -8,7 +8,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.naruto import Naruto
-from activestructure_gym.policies.naruto.policy import AT_GOAL, forward, looked_at
+from activestructure_gym.policies.naruto.policy import AT_GOAL, faced, forward
 from tests.policies.binding import bound
 
 X, Y, Z = np.eye(3)
@@ -58,7 +58,7 @@ def test_a_target_is_looked_at_within_25_degrees() -> None:
     observed = observation([(HERE, X, 0.0)])
     angles = np.radians([0.0, 24.0, 26.0, 90.0, 180.0])
     targets = np.stack([np.cos(angles), np.sin(angles), np.zeros(5)], axis=1)
-    np.testing.assert_array_equal(looked_at(Candidates(observed), targets)[0], [True, True, False, False, False])
+    np.testing.assert_array_equal(faced(Candidates(observed), targets)[0], [True, True, False, False, False])
 
 
 def test_the_goal_is_the_best_score_whatever_the_way() -> None:

@@ -21,28 +21,28 @@ def test_two_looks_at_one_voxel_by_hand() -> None:
     middle = np.array([2.025, 0.025, 0.025])  # of a voxel
     first = look([0.025, 0.025, 0.025], [1, 0, 0], 2.0, (0, 0, 0))
     second = look([2.025, 1.025, 0.025], [0, -1, 0], 1.0, (255, 255, 0))
-    looks = SurfaceViews().update([first])
-    assert looks.centres == pytest.approx(middle[None]) and looks.spread[0] == 0.0 and looks.nearest[0] == 2.0
-    assert looks.update([first, second]) is looks
-    assert looks.looks.tolist() == [2.0] and looks.colour[0] == pytest.approx([0.5, 0.5, 0.0])
-    assert looks.spread[0] == pytest.approx(2 * 0.5)  # of 0 and 1 in two colours, over n - 1
-    assert looks.nearest[0] == pytest.approx(1.0)
+    voxels = SurfaceViews().update([first])
+    assert voxels.centres == pytest.approx(middle[None]) and voxels.spread[0] == 0.0 and voxels.nearest[0] == 2.0
+    assert voxels.update([first, second]) is voxels
+    assert voxels.views.tolist() == [2.0] and voxels.colour[0] == pytest.approx([0.5, 0.5, 0.0])
+    assert voxels.spread[0] == pytest.approx(2 * 0.5)  # of 0 and 1 in two colours, over n - 1
+    assert voxels.nearest[0] == pytest.approx(1.0)
     expected = 0
     for back in ([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
         expected |= 1 << int((fibonacci_directions(DIRECTIONS) @ back).argmax())
-    assert int(looks.directions[0]) == expected and expected.bit_count() == 2
-    looks.update([first, second])
-    assert looks.looks.tolist() == [2.0]  # each keyframe once
+    assert int(voxels.directions[0]) == expected and expected.bit_count() == 2
+    voxels.update([first, second])
+    assert voxels.views.tolist() == [2.0]  # each keyframe once
     with pytest.raises(ValueError, match="expected the 2 keyframes"):
-        looks.update([first])
+        voxels.update([first])
 
 
 def test_pixels_of_one_picture_are_one_look_with_their_mean_colour() -> None:
     camera = PinholeCamera(2, 1, 200.0, 200.0, 1.0, 0.5)  # 1 cm between the pixels at 2 m
     pose = look_along(np.array([0.025, 0.025, 0.025]), np.array([1.0, 0.0, 0.0]))
     rgb = np.array([[[0, 0, 0], [255, 0, 0]]], np.uint8)
-    looks = SurfaceViews().update([Frame(rgb, np.full((1, 2), 2.0, np.float32), pose, camera)])
-    assert looks.looks.tolist() == [1.0] and looks.colour[0] == pytest.approx([0.5, 0.0, 0.0]) and looks.spread[0] == 0
+    voxels = SurfaceViews().update([Frame(rgb, np.full((1, 2), 2.0, np.float32), pose, camera)])
+    assert voxels.views.tolist() == [1.0] and voxels.colour[0] == pytest.approx([0.5, 0.0, 0.0]) and voxels.spread[0] == 0
 
 
 def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generator) -> None:
@@ -53,9 +53,9 @@ def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generato
         rgb = rng.integers(0, 256, (18, 24, 3)).astype(np.uint8)
         depth = (1.0 + rng.random((18, 24)) * (rng.random((18, 24)) > 0.1)).astype(np.float32)
         frames.append(Frame(rgb, depth, look_along(-0.3 * direction, direction), camera))
-    looks = SurfaceViews()
+    voxels = SurfaceViews()
     for number in range(1, len(frames) + 1):
-        looks.update(frames[:number])
+        voxels.update(frames[:number])
     seen: dict[tuple, list] = {}
     for frame in frames:
         pose, here = frame.world_from_camera, {}
@@ -64,10 +64,10 @@ def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generato
             here.setdefault(tuple(np.floor(point / VOXEL).astype(int)), []).append(colour / 255.0)
         for voxel, colours in here.items():
             seen.setdefault(voxel, []).append(np.mean(colours, axis=0))
-    assert len(seen) == len(looks.centres)
-    for row, centre in enumerate(looks.centres):
+    assert len(seen) == len(voxels.centres)
+    for row, centre in enumerate(voxels.centres):
         colours = np.array(seen[tuple(np.floor(centre / VOXEL).astype(int))])
-        assert looks.looks[row] == len(colours) and looks.colour[row] == pytest.approx(colours.mean(axis=0))
+        assert voxels.views[row] == len(colours) and voxels.colour[row] == pytest.approx(colours.mean(axis=0))
         spread = colours.var(axis=0, ddof=1).sum() if len(colours) > 1 else 0.0
-        assert looks.spread[row] == pytest.approx(spread, abs=1e-12)
-    assert max(looks.looks) > 1
+        assert voxels.spread[row] == pytest.approx(spread, abs=1e-12)
+    assert max(voxels.views) > 1

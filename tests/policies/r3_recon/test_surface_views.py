@@ -42,7 +42,8 @@ def test_pixels_of_one_picture_are_one_look_with_their_mean_colour() -> None:
     pose = look_along(np.array([0.025, 0.025, 0.025]), np.array([1.0, 0.0, 0.0]))
     rgb = np.array([[[0, 0, 0], [255, 0, 0]]], np.uint8)
     voxels = SurfaceViews().update([Frame(rgb, np.full((1, 2), 2.0, np.float32), pose, camera)])
-    assert voxels.views.tolist() == [1.0] and voxels.colour[0] == pytest.approx([0.5, 0.0, 0.0]) and voxels.spread[0] == 0
+    assert voxels.views.tolist() == [1.0] and voxels.spread[0] == 0
+    assert voxels.colour[0] == pytest.approx([0.5, 0.0, 0.0])
 
 
 def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generator) -> None:

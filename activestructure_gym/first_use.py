@@ -93,14 +93,14 @@ def views() -> None:
     """Call the kernels of features and visibility that read more than rendered maps."""
     from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.views.visibility import cosines_in_sight
+    from activestructure_gym.views.visibility import visible_cosines
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
     camera = PinholeCamera.from_size(16, 9)
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
     pose, points = np.eye(4)[None], np.ones((1, 1, 3))
     hidden_distances(volume, camera, pose, 2.0, np.ones((1, 9, 16), bool), stride=1)
-    cosines_in_sight(points, points[0], camera, pose, volume)
+    visible_cosines(points, points[0], camera, pose, volume)
 
 
 Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of one call

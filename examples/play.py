@@ -1,9 +1,9 @@
-"""Any policy on any scene, step by step: the loop inside `asg compare`, to copy and change.
+"""Run any policy on any scene, step by step, with the loop of `asg compare`.
 
     python examples/play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
 
-The env offers the features that the policy asks for, and the policy knows by name in which column each stands.
-Nothing else has to fit.
+The environment computes the features that the policy requires, and the policy finds their columns by name. Copy this
+file to change the loop.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from activestructure_gym.policies import make_env_and_policy
 
 @dataclass
 class Args:
-    """Options."""
+    """Define the options."""
 
     policy: str = "hole_area"
     """A name with its options, package.module:Class, or learned:CHECKPOINT."""
@@ -30,11 +30,11 @@ class Args:
     """Frame budget of the episode; the preset's if not given."""
     seed: int = 0
     picture: Path | None = None
-    """Where to put a picture of the end: camera, map and plan."""
+    """File for an image of the last step: camera, map and plan."""
 
 
 def main(args: Args) -> list[int]:
-    """One episode; returns the rows that were chosen."""
+    """Play one episode; return the chosen rows of the candidate table."""
     env, policy = make_env_and_policy(
         args.policy, args.scene, preset=args.preset, frame_budget=args.frames, render_mode="rgb_array"
     )

@@ -1,9 +1,9 @@
-"""PPO over candidate views in a single file, in the manner of CleanRL: everything that is learnt stands here.
+"""Train PPO over candidate views in a single file, in the style of CleanRL.
 
     python examples/ppo_single_file.py --env-id activestructure_gym:ActiveStructure/Room-v0 --total-steps 8192
 
-A network scores every row of the candidate table by itself; the mask makes empty rows impossible. Nothing is imported
-from this project's own learned policies, so this is the file to copy and change.
+The network scores every row of the candidate table; the action mask excludes empty rows. The file imports nothing from
+the learned policies of this project. Copy it to change the algorithm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KEYS = ("pose", "budget", "candidates", "candidate_features", "action_mask", "pl
 
 @dataclass
 class Args:
-    """Options, with values that suit short episodes on two cores."""
+    """Define the options; the defaults suit short episodes on two cores."""
 
     env_id: str = "activestructure_gym:ActiveStructure/Room-v0"
     preset: str = "fast"
@@ -35,12 +35,12 @@ class Args:
     total_steps: int = 8192
     num_envs: int = 2
     processes: bool = False
-    """One process per environment; worth it where a step takes longer than a millisecond and cores are free."""
+    """One process per environment; faster if a step takes longer than 1 ms and cores are free."""
     num_steps: int = 64
     """Steps per environment and update."""
     learning_rate: float = 1e-3
     gamma: float = 0.3
-    """Near-sighted: the reward of a view comes with the view."""
+    """Discount; small, since the reward of a view comes in the same step."""
     gae_lambda: float = 0.95
     minibatch: int = 64
     update_epochs: int = 4
@@ -51,7 +51,7 @@ class Args:
 
 
 class Agent(nn.Module):
-    """A score per candidate from its own row, what all rows have in common, and the planes it would see."""
+    """Score each candidate by its row, the mean and maximum over all rows, and its visible planes."""
 
     def __init__(self, features: int, plane_columns: int, width: int = 64) -> None:
         super().__init__()
@@ -64,14 +64,14 @@ class Agent(nn.Module):
         nn.init.normal_(self.score[-1].weight, std=0.01)
 
     def forward(self, observation: dict[str, Tensor]) -> tuple[torch.distributions.Categorical, Tensor]:
-        """The distribution over rows, and the value [B]."""
+        """Return the distribution over rows, and the values [B]."""
         mask = observation["action_mask"] > 0  # [B, K]
         table, features = observation["candidates"], observation["candidate_features"]
         offset = (table[..., :3] - observation["pose"][:, None, :3]) / 5.0
-        discount = 1.0 / (1.0 + table[..., 7:8] / 5.0)  # frames it costs
+        discount = 1.0 / (1.0 + table[..., 7:8] / 5.0)  # by the frames of the path
         largest = (features.abs() * mask[..., None]).amax(1, keepdim=True).clamp(min=1e-6)
         seen = observation["candidate_planes"]
-        # Squashed, since areas and places have no common scale.
+        # Logarithmic, since areas and positions have no common scale.
         planes = self.planes(observation["plane_features"].sign() * observation["plane_features"].abs().log1p())
         summary = seen @ planes / (1.0 + seen.sum(-1, keepdim=True))
         row = torch.cat(
@@ -87,17 +87,17 @@ class Agent(nn.Module):
 
 
 def tensors(observation: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The entries that are used, as float32."""
+    """Return the observation entries of `KEYS` as float32 tensors."""
     return {key: torch.as_tensor(np.asarray(observation[key]), dtype=torch.float32) for key in KEYS}
 
 
 def main(args: Args) -> list[float]:
-    """Train; returns the mean reward per step of every update."""
+    """Train; return the mean reward per step of every update."""
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     vector: dict[str, object] = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
     if args.processes:
-        vector["context"] = "spawn"  # a forked child of a process that used numba's threads hangs
+        vector["context"] = "spawn"  # a forked process hangs if its parent has used numba threads
     options: dict[str, object] = {"preset": args.preset, "features": args.features}
     if args.frames is not None:
         options["frame_budget"] = args.frames
@@ -130,7 +130,7 @@ def main(args: Args) -> list[float]:
             raw, reward, terminated, truncated, _ = envs.step(action.numpy())
             observation = tensors(raw)
             rewards.append(torch.as_tensor(reward, dtype=torch.float32))
-            # The budget is part of the observation: when it is used up nothing follows, as after a termination.
+            # The budget is part of the observation, so its end is a termination without a further value.
             dones.append(torch.as_tensor(terminated | truncated, dtype=torch.float32))
 
         with torch.no_grad():

@@ -1,10 +1,10 @@
-"""RLlib's PPO with the candidate-set network, on the same environment IDs: for when one machine is too small.
+"""Train PPO of RLlib with the candidate-set network, on one machine or a cluster.
 
     pip install 'activestructure-gym[rllib]'
     python examples/rllib_ppo.py --iterations 2 --env-runners 2
 
-On a cluster, start Ray there (`ray start --head`, then `ray start --address=...` on the others) and give
-`--address auto`; nothing else changes. The environment's package must be installed on every machine.
+On a cluster, start Ray (`ray start --head`, then `ray start --address=...` on the other machines) and add
+`--address auto`. Every machine needs this package.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENV = "active_structure"
 
 @dataclass
 class Args:
-    """Options."""
+    """Define the options."""
 
     env_id: str = "activestructure_gym:ActiveStructure/Room-v0"
     preset: str = "fast"
@@ -40,19 +40,19 @@ class Args:
     features: tuple[str, ...] = ("pixel", "hole_area")
     iterations: int = 50
     env_runners: int = 2
-    """Processes that collect episodes; 0 collects in this one."""
+    """Processes that collect episodes; 0 collects in the main process."""
     steps: int = 256
     """Steps per iteration."""
     address: str | None = None
-    """Of a running cluster; a Ray of its own on this machine if not given."""
+    """Address of a running cluster; if not given, Ray starts on this machine."""
     seed: int = 0
 
 
 class CandidateModule(TorchRLModule, ValueFunctionAPI):
-    """`CandidateNetwork` as RLlib sees a policy: masked scores are the logits."""
+    """Adapt `CandidateNetwork` to RLlib: the masked scores are the logits."""
 
     def setup(self) -> None:
-        """Called by RLlib in place of a constructor."""
+        """Create the network; RLlib calls this instead of a constructor."""
         self.network = CandidateNetwork(NetworkConfig.from_dict(self.model_config["network"]))
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Any]:
@@ -60,18 +60,18 @@ class CandidateModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: scores}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> Any:
-        """The critic, asked apart from the scores when advantages are computed."""
+        """Return the values of the critic, which RLlib needs for advantages."""
         return self.network({key: value.float() for key, value in batch[Columns.OBS].items()})[1]
 
 
 def make_env(config: dict[str, Any]) -> gym.Env[Any, Any]:
-    """One environment with the entries that the network reads."""
+    """Return an environment with only those observation entries that the network reads."""
     options = dict(config)
     return with_used_keys(gym.make(options.pop("env_id"), disable_env_checker=True, **options))
 
 
 def main(args: Args) -> list[float]:
-    """Train; returns the mean return of every iteration's episodes."""
+    """Train; return the mean episode return of every iteration."""
     ray.init(address=args.address, ignore_reinit_error=True, include_dashboard=False, log_to_driver=False)
     register_env(ENV, make_env)
     config = (

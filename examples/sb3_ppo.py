@@ -1,4 +1,4 @@
-"""Stable-baselines3's PPO on one of our environments, in twelve lines."""
+"""Train PPO of Stable-Baselines3 on one of our environments, in twelve lines."""
 
 import gymnasium as gym
 from stable_baselines3 import PPO

@@ -15,12 +15,15 @@ ROOT = Path(__file__).resolve().parents[1]
 # Rooms and pages that were read against the style page. The others follow; this list only grows.
 READ = (
     "activestructure_gym/*.py",
+    "activestructure_gym/features",
     "activestructure_gym/geometry",
     "activestructure_gym/ground_truth",
+    "activestructure_gym/mapping",
     "activestructure_gym/motion",
     "activestructure_gym/planes",
     "activestructure_gym/scenes",
     "activestructure_gym/sensors",
+    "activestructure_gym/sources",
     "activestructure_gym/splatting",
     "activestructure_gym/viewer",
     "activestructure_gym/views",
@@ -41,6 +44,7 @@ READ = (
     "evaluation/replay",
     "evaluation/reproduction",
     "evaluation/training",
+    "examples",
     "policies/*.py",
     "policies/*/README.md",
     "policies/active_gs",

@@ -1,4 +1,4 @@
-"""The area of unknown surface that may hide behind the holes of a view."""
+"""Compute the largest area of unknown surface behind the transparent pixels of a view."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
-# Only every second pixel in both directions is marched: neighbours see the same hole.
+# Pixels between traced rays, in both directions: neighbouring rays cross the same hole.
 _STRIDE = 2
 
-# Metres. Measured (docs/notebook/method.md) with a map in which surfaces seen from farther away were too sparse to
-# count as reconstructed; not measured again with one that is as dense from afar (docs/notebook/map.md).
+# Metres. Measured (docs/notebook/method.md) with a map that was too sparse on surfaces seen from farther away; not
+# measured again with the present map, which is dense there too (docs/notebook/map.md).
 REACH = 4.0
 
-# Metres and radians: what pose noise may make of one view (own choice).
+# Metres and radians: two poses within these limits can be one view with pose noise (own choice).
 _SAME_PLACE, _SAME_DIRECTION = 0.05, np.radians(5.0)
 
 
 @FEATURES.register("hole_area", unit="share of the largest possible", low=0.0, high=1.0)
 def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """Sum over pixels of T_final x (pixel's solid angle) x min(d_exit, reach)^2, as a share of the largest such sum.
+    """Return the sum over pixels of T_final x solid angle x min(d_exit, reach)^2, as a share of the largest such sum.
 
-    Area instead of pixels: a hole in a wall counts the same from near and from afar, so the gain has no liking for
-    standing close to what is unseen. d_exit is where the ray must end at the latest: at the first occupied voxel or
-    where it leaves the workspace, at most at the sensor's range. A pixel whose ray is free all that way counts
-    nothing. An open window, or a scan's missing ceiling, is transparent for ever: once it was looked through, the
-    volume knows it to be free, and the view leaves the pool ("coupling pool dynamics to reconstruction state",
-    Sec. 3.4). A view that was a keyframe counts nothing: what it shows is mapped, and a hole that is left in it has no
-    return. GS-Planner's volume of the unobserved is the gain's ancestor.
+    T_final = 1 - alpha is the final transmittance of the pixel. d_exit is the largest possible depth of a surface on
+    its ray: the distance to the first occupied voxel or to the border of the workspace, at most the sensor's range. An
+    area is used instead of a number of pixels, so that a hole has the same value from near and from afar.
+
+    A pixel counts 0 if all voxels on its ray are free. An open window or the missing ceiling of a scan is always
+    transparent; once observed, its voxels are free, and the view leaves the pool ("coupling pool dynamics to
+    reconstruction state", Sec. 3.4). A view close to a keyframe pose counts 0: its surfaces are mapped, and its
+    remaining holes have no depth return. The gain is derived from the unobserved volume of GS-Planner.
     """
     camera = context.camera
     alpha = context.alpha[:, ::_STRIDE, ::_STRIDE]
@@ -51,7 +52,7 @@ def taken_before(
     views: np.ndarray,  # [K, 4, 4] world_from_camera
     keyframes: np.ndarray,  # [T, 4, 4] world_from_camera
 ) -> np.ndarray:  # [K] bool
-    """Views within 5 cm and 5 degrees of a keyframe."""
+    """Return which views are within 5 cm and 5 degrees of a keyframe."""
     near = np.linalg.norm(views[:, None, :3, 3] - keyframes[None, :, :3, 3], axis=-1) < _SAME_PLACE
     along = np.einsum("ki,ti->kt", views[:, :3, 2], keyframes[:, :3, 2]) > np.cos(_SAME_DIRECTION)
     return np.asarray((near & along).any(axis=1))
@@ -59,14 +60,14 @@ def taken_before(
 
 @lru_cache(maxsize=4)
 def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian, read-only
-    """Solid angle of every pixel: (1 / (fx fy)) cos^3 of the angle to the optical axis."""
+    """Return the solid angle of every pixel: cos^3(angle to the optical axis) / (fx fy)."""
     angles = 1.0 / (camera.fx * camera.fy) / np.linalg.norm(camera.rays(), axis=-1) ** 3
     angles.setflags(write=False)
     return np.asarray(angles)
 
 
 def largest_area(camera: PinholeCamera) -> float:  # m^2
-    """The area of a view in which every pixel ends at the reach."""
+    """Return the area of a view in which all pixels are transparent up to `REACH`."""
     return float(solid_angles(camera).sum()) * REACH**2
 
 
@@ -75,12 +76,12 @@ def hidden_distances(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [K, 4, 4]
     max_range: float,  # metres of depth
-    wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
+    wanted: np.ndarray,  # [K, h, w] bool: pixels to trace
     *,
     stride: int,  # pixels between neighbours in ``wanted``
-    enough: float = np.inf,  # metres; of larger distances only that they are larger is found out
-) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted or where the volume knows that nothing is there
-    """Distance by which each pixel's ray must have met a surface that the map lacks; 0 where there is none."""
+    enough: float = np.inf,  # metres; tracing ends at this distance
+) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted, and where all voxels are free
+    """Return the largest distance at which each pixel's ray can meet a surface that the map lacks; 0 if none."""
     return _march(
         volume.state,
         *grid_rays(volume, camera, world_from_camera, stride),
@@ -99,12 +100,13 @@ def _march(
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     max_range: float,  # metres of depth
     enough: float,  # metres
-    wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
+    wanted: np.ndarray,  # [K, h, w] bool: pixels to trace
 ) -> np.ndarray:  # [K, h, w] metres along the ray
-    """Distance to the first occupied voxel, or, of rays that meet the unknown, to where volume or range end; else 0.
+    """Return the distance to the first occupied voxel, to the end of the ray if it crosses unknown space, else 0.
 
-    Steps of half a voxel. Two of them in a row must be unknown: one alone may be a corner that no ray of an earlier
-    image went through. A thinner crossing of an occupied corner may be missed, which only blurs the estimate.
+    The ray ends at the border of the volume or at the range. Its steps are half a voxel. Two consecutive steps must be
+    unknown: a single one can be the corner of a voxel that no earlier ray crossed. An occupied corner shorter than a
+    step can be missed, which makes the estimate slightly less precise.
     """
     count, height, width = wanted.shape
     result = np.zeros((count, height, width))

@@ -1,4 +1,4 @@
-"""ActiveGS's share of unexplored voxels in sight of a view, the measure of frontier planners."""
+"""Compute the share of unexplored voxels visible from a view, the exploration score of ActiveGS."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.volume import VoxelVolume
 
-_SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default size, ActiveGS's voxels
+_SIDE = 2  # voxels per side of a tested cell: 0.2 m at the default voxel size, the voxel size of ActiveGS
 
 
 @FEATURES.register("unexplored", unit="share of the voxels", low=0.0, high=1.0)
 def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025).
+    """Return the share of all voxels that are unexplored and visible from the view ([active_gs, code]).
 
-    A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
-    in front of what the map shows there; unexplored is what `VoxelVolume.unobserved` says. Where 2 x 2 x 2 voxels are
-    all unexplored they are tested as one, by their common centre.
-    Source: [active_gs, code].
+    A voxel is visible if its centre projects into the image, within the integration range of the volume and in front of
+    the rendered surface. It is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored voxels is
+    tested once, at its centre.
     """
     return context.once(_shares)
 
@@ -32,7 +31,7 @@ def _shares(context: FeatureContext) -> np.ndarray:  # [K]
 
 
 def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 metres of depth
-    """Where the map shows a surface; where it shows none, or beyond it, as far as the volume takes in depth."""
+    """Return the rendered depth where the map is opaque, else the integration range; at most that range."""
     reach = np.float32(min(context.max_range, context.volume.config.max_range))
     with np.errstate(divide="ignore", invalid="ignore"):
         surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, reach)
@@ -40,10 +39,10 @@ def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 
 
 
 def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
-    """Centres of cells and of voxels that are wholly unobserved, how many voxels each stands for, and of how many.
+    """Return the centres of unobserved cells and single voxels, the voxels in each, and the number of all voxels.
 
-    The volume's outermost layer lies beyond the workspace and is not counted. Only whole cells are taken as one: in a
-    cell at a wall, the known half may hold the centre while the unknown half lies behind the wall.
+    The outermost layer of the volume is outside the workspace and not counted. Only completely unobserved cells are
+    combined. In a cell at a wall, the centre can be in the known part, with the unknown part behind the wall.
     """
     inner = volume.unobserved[1:-1, 1:-1, 1:-1]
     x, y, z = (size // _SIDE for size in inner.shape)
@@ -62,9 +61,9 @@ def sums_in_front(
     weights: np.ndarray,  # [M]
     surface: np.ndarray,  # [K, h, w] float32 metres of depth
     context: FeatureContext,
-    group: np.ndarray | None = None,  # [M] index of each point's group; all are one if None
+    group: np.ndarray | None = None,  # [M] group index of each point; None: one group
 ) -> np.ndarray:  # [K, groups]
-    """For every view the sum of the weights of the points in front of ``surface``, by group."""
+    """Return the sum of the weights of the points in front of ``surface``, per view and group."""
     groups = np.zeros(len(points), np.int64) if group is None else group
     number = 1 if group is None else int(groups.max(initial=-1)) + 1
     poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
@@ -76,7 +75,7 @@ def _sums(
     points: np.ndarray,  # [M, 3] metres, world
     weights: np.ndarray,  # [M]
     groups: np.ndarray,  # [M] int64
-    number: int,  # of groups
+    number: int,  # number of groups
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     lens: Lens,
     surface: np.ndarray,  # [K, h, w] float32 metres of depth

@@ -1,4 +1,4 @@
-"""The unknown space that a view, and the way to it, would open."""
+"""Compute the unknown volume visible from a view, and from all keyframes of the path to it."""
 
 from __future__ import annotations
 
@@ -15,41 +15,42 @@ from activestructure_gym.motion import is_level
 from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import OCCUPIED, UNKNOWN
 
-MEAN_DEPTH = 1.0  # metres that a ray gets into unknown space, on average, before something stops it
+MEAN_DEPTH = 1.0  # metres, mean free path of a ray in unknown space
 REACH = 6.0  # metres along a ray
-SHORTLIST = 24  # views whose ways are looked along
-_COLUMNS = 40  # of rays in a view, about
-_SHELL = 2  # voxels around anything occupied that further looks do not clear
-_MIN_CHANCE = 0.02  # of a ray to have come so far: it is not followed any longer
-_HALF_TIME = 5.0  # frames after which a view counts half for the shortlist, as in the shared travel term
+SHORTLIST = 24  # views whose paths are evaluated
+_COLUMNS = 40  # approximate number of ray columns per view
+_SHELL = 2  # voxels around occupied ones whose unknown voxels are not counted: more views would not make them free
+_MIN_CHANCE = 0.02  # probability of visibility below which a ray ends
+_HALF_TIME = 5.0  # frames after which a view counts half in the shortlist, as in the shared travel term
 
 
 @FEATURES.register("unknown_volume", columns=("", "way"), unit="m^3", low=0.0)
 def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
-    """Unknown space that a view would look into, and that the whole way to it would.
+    """Return the expected unknown volume visible from a view, and from all keyframes of the path to it.
 
-    The sum over the voxels of `worth_a_look` of their volume times the chance to see into them: exp(-l / 1 m) for a ray
-    that went through l metres of such voxels before, 0 behind an occupied one; of all rays the largest. So a voxel
-    counts once, however many rays and views of a way meet it. The occlusion-aware information of [delmerico2018] with
-    a chance per metre; that what is seen on the way counts is [bircher2016]'s.
+    The volume is the sum, over the voxels of `target_voxels`, of voxel volume times probability of visibility. On a
+    ray that crossed l metres of target voxels before, this probability is exp(-l / 1 m); behind an occupied voxel it is
+    0. A voxel that several rays cross counts once, with the largest probability. This is the occlusion-aware
+    information of [delmerico2018] with a probability per metre. Counting views along the path follows [bircher2016].
 
-    The way goes through known free space, and its views are the keyframes that the episode would take. The second
-    column is that of the 24 views with the largest first one by frames, 1 / (1 + frames / 5), without revisits; else 0.
-    Nothing of the Gaussian map is rendered. What was tried beside it: docs/notebook/exploration.md.
+    The path goes through known free space; its views are the keyframes that the episode would take. The second column
+    is computed for 24 views without revisits: those with the largest first column times 1 / (1 + frames / 5). It is 0
+    for the others. The Gaussian map is not rendered. Alternatives: docs/notebook/exploration.md.
     """
     poses, agent = context.world_from_camera, context.agent
     found = np.zeros((len(poses), 2))
     if not len(poses):
         return found
     found[:, 0] = opened_volume(context, poses, np.arange(len(poses) + 1))
-    if agent is not None and is_level(agent.pose):  # ways turn by yaw and pitch alone
+    if agent is not None and is_level(agent.pose):  # paths turn by yaw and pitch only
         discount = 1.0 / (1.0 + agent.least_frames(poses) / _HALF_TIME)
         order = np.argsort(-found[:, 0] * discount, kind="stable")
         first = order[~context.revisits[order]][:SHORTLIST]
-        taken = [(row, way) for row, way in zip(first, agent.paths(context.volume, poses[first])) if way is not None]
+        paths = zip(first, agent.paths(context.volume, poses[first]))
+        taken = [(row, path) for row, path in paths if path is not None]
         if taken:
-            starts = np.cumsum([0, *(len(way.keyframes) for _, way in taken)])
-            views = np.concatenate([way.keyframes for _, way in taken])
+            starts = np.cumsum([0, *(len(path.keyframes) for _, path in taken)])
+            views = np.concatenate([path.keyframes for _, path in taken])
             found[[row for row, _ in taken], 1] = opened_volume(context, views, starts)
     return found
 
@@ -57,13 +58,13 @@ def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
 def opened_volume(
     context: FeatureContext,
     world_from_camera: np.ndarray,  # [V, 4, 4]
-    starts: np.ndarray,  # [G + 1], where each group of views begins
+    starts: np.ndarray,  # [G + 1], index of the first view of each group
 ) -> np.ndarray:  # [G] m^3
-    """Unknown space that each group of views would look into together."""
+    """Return the expected unknown volume visible from each group of views together."""
     volume = context.volume
     stride = max(1, round(context.camera.width / _COLUMNS))
     origin, voxel_size, poses, rays = grid_rays(volume, context.camera, world_from_camera, stride)
-    space = _Space(volume.state, context.once(worth_a_look), origin, voxel_size)
+    space = _Space(volume.state, context.once(target_voxels), origin, voxel_size)
     views = _Views(poses, np.asarray(starts, np.int64), rays, min(REACH, context.max_range))
     result = np.zeros(len(starts) - 1)
     threads = max(1, min(default_threads(), len(result)))
@@ -73,51 +74,54 @@ def opened_volume(
 
 
 class _Space(NamedTuple):
-    """The voxel grid."""
+    """Hold the voxel grid."""
 
     state: np.ndarray  # [X, Y, Z] uint8
-    wanted: np.ndarray  # [X, Y, Z] bool, see `worth_a_look`
+    wanted: np.ndarray  # [X, Y, Z] bool, see `target_voxels`
     origin: np.ndarray  # [3] corner of voxel (0, 0, 0)
     voxel_size: float  # metres
 
 
 class _Views(NamedTuple):
-    """Groups of views and the rays of each."""
+    """Hold groups of views, and the rays of a view."""
 
     poses: np.ndarray  # [V, 4, 4] world_from_camera
-    starts: np.ndarray  # [G + 1] int64, where each group begins
+    starts: np.ndarray  # [G + 1] int64, index of the first view of each group
     rays: np.ndarray  # [h, w, 3] camera frame, depth 1
     reach: float  # metres along a ray
 
 
 class _Notes(NamedTuple):
-    """What each thread has found out about the group it is at."""
+    """Hold the voxel probabilities of the group that each of T threads works on."""
 
-    best: np.ndarray  # [T, X, Y, Z] float32, the largest chance so far, where the stamp is the group's
+    best: np.ndarray  # [T, X, Y, Z] float32, largest probability so far; valid where the stamp is that of the group
     stamps: np.ndarray  # [T, X, Y, Z] int32: 1 + group
 
 
-def worth_a_look(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
-    """Voxels that nobody has looked into, and open space that was looked through and is not proven free.
+def target_voxels(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
+    """Return the unobserved voxels, and the observed ones of unknown state away from occupied voxels.
 
-    The second, unknown and more than two voxels away from anything occupied, is what closes a passage that all looks so
-    far grazed: nothing is unobserved behind it, and the agent may not go there until better looks have proven it free.
+    The latter are more than two voxels from any occupied one. They block a passage that was seen only at grazing
+    angles: no voxel behind them is unobserved, but the agent cannot pass until better views make them free.
     """
     volume = context.volume
-    beside = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
-    return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~beside))
+    near_occupied = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
+    return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~near_occupied))
 
 
 @kernel
 def _open(
-    tickets: np.ndarray,  # [2] int64: groups that threads have taken, threads
+    tickets: np.ndarray,  # [2] int64, counters: groups started, threads started
     space: _Space,
     views: _Views,
     mean_depth: float,  # metres
     notes: _Notes,
-    result: np.ndarray,  # [G] voxels, written to
+    result: np.ndarray,  # [G] voxels, set
 ) -> None:
-    """Rays in steps of half a voxel; a chance that rises adds what it rises by, so the sum is that of the largest."""
+    """Trace the rays of each group in steps of half a voxel, and sum the largest probability of each voxel.
+
+    If a ray raises the probability of a voxel, only the increase is added.
+    """
     state, wanted, origin, voxel_size = space
     poses, starts, rays, reach = views
     thread: int = take_ticket(tickets, 1)  # type: ignore[call-arg]

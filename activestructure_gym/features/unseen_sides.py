@@ -1,4 +1,4 @@
-"""The area of surfaces of which a view would see the side that nobody has seen."""
+"""Compute the area of surfaces whose visible side no keyframe has seen."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import REACH, solid_angles, taken_before
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.mapping.density import bucket
-from activestructure_gym.mapping.map_passes import shows_its_back
+from activestructure_gym.mapping.map_passes import faces_away
 from activestructure_gym.splatting.counters import take_ticket
 
-NEAR = 0.06  # metres around a pixel's point within which a disk belongs to its surface; plain ones stand 4.5 cm apart
-_STRIDE = 2  # pixels in both directions between those that are looked at
-_SOLID = 0.5  # alpha from which a pixel has a depth
+NEAR = 0.06  # metres, radius around a surface point that contains its disks; their spacing is at most 4.5 cm
+_STRIDE = 2  # pixels between tested ones, in both directions
+_SOLID = 0.5  # alpha above which a pixel has a depth
 
 
 @FEATURES.register("unseen_sides", unit="m^2", low=0.0)
 def unseen_sides(context: FeatureContext) -> np.ndarray:  # [K]
-    """Sum over pixels that show the back of the map of alpha x solid angle x min(d, 4 m)^2: the area across the ray.
+    """Return the area across the rays of the pixels that show the back of the map.
 
-    A disk's normal points to where it was seen from. Where disks stand around the point that the map shows at a pixel
-    and all of them show their back, the far side of something thin, the inside of what was seen from outside or what
-    stands behind it is looked at, and no keyframe has seen it from there: the map has no hole, and what is there is not
-    what it shows. A view that was a keyframe counts nothing. Balls face everybody.
+    It is the sum of alpha x solid angle x min(d, 4 m)^2. The normal of a disk points towards the camera that seeded it.
+    A pixel shows the back of the map if there are disks around its rendered surface point, and all of them face away
+    from the view. No keyframe has seen this surface from that side: it is the far side of a thin object, or the inside
+    of an object seen from outside. The map is opaque there, so `hole_area` finds no hole. A view close to a keyframe
+    pose counts 0. Balls have no back.
 
-    This project's; that a cell seen from one side is not known from the other is [gavis]'s. What it is worth in
-    episodes: docs/notebook/exploration.md, "The other side of things".
+    The feature is our own; [gavis] also distinguishes the sides of a cell. Its measured effect is in
+    docs/notebook/exploration.md, "The other side of things".
     """
     camera = context.camera
     alpha, depth = context.alpha[:, ::_STRIDE, ::_STRIDE], context.depth[:, ::_STRIDE, ::_STRIDE]
@@ -47,37 +48,37 @@ def unseen_sides(context: FeatureContext) -> np.ndarray:  # [K]
 def shown_from_behind(
     context: FeatureContext,
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
-    depth: np.ndarray,  # [K, h, w] float32 metres; 0 = not asked for
+    depth: np.ndarray,  # [K, h, w] float32 metres; 0 = not tested
 ) -> np.ndarray:  # [K, h, w] bool
-    """Pixels around whose point there are disks, all of which show their back."""
+    """Return which pixels have disks around their surface point that all face away from the camera."""
     gaussians = context.mapper.map
     heads, following = _sorted_into_cells(gaussians.parameters, gaussians.count, NEAR)
     table = _Table(gaussians.parameters, heads, following, NEAR)
     poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
     backs = np.zeros(depth.shape, dtype=bool)
     threads = max(1, min(default_threads(), len(poses)))
-    TEAM.run(_look, (np.zeros(2, np.int64), table, poses, rays, np.ascontiguousarray(depth), backs), threads)
+    TEAM.run(_find_backs, (np.zeros(2, np.int64), table, poses, rays, np.ascontiguousarray(depth), backs), threads)
     return backs
 
 
 class _Table(NamedTuple):
-    """Solid Gaussians by the cell in which their means are."""
+    """Hold a hash table of the opaque Gaussians by the grid cell of their mean."""
 
     parameters: np.ndarray  # [14, capacity] float32
-    heads: np.ndarray  # [buckets] int32, the first Gaussian of a list; -1 = empty
-    following: np.ndarray  # [count] int32, the next one
-    cell: float  # metres
+    heads: np.ndarray  # [buckets] int32, first Gaussian of the bucket's list; -1 = empty
+    following: np.ndarray  # [count] int32, next Gaussian of the list; -1 = end
+    cell: float  # metres, side length of a cell
 
 
 @kernel
 def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
-    """Heads and links of the lists."""
+    """Return heads and links of the lists of Gaussians per bucket."""
     size = 16
     while size < 2 * count:
         size *= 2
     heads, following = np.full(size, -1, np.int32), np.empty(count, np.int32)
     for i in range(count):
-        if parameters[10, i] < 0.0:  # an opacity of less than one half
+        if parameters[10, i] < 0.0:  # opacity below 0.5
             continue
         place = bucket(
             int(np.floor(parameters[0, i] / cell)),
@@ -90,8 +91,8 @@ def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _look(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped-def]
-    """One view per ticket."""
+def _find_backs(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped-def]
+    """Set ``backs`` for one view per ticket."""
     parameters, heads, following, cell = table
     square = cell * cell
     while True:
@@ -117,7 +118,7 @@ def _look(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped
                             while i >= 0 and not front:
                                 dx, dy, dz = parameters[0, i] - x, parameters[1, i] - y, parameters[2, i] - w
                                 if dx * dx + dy * dy + dz * dz <= square:
-                                    if shows_its_back(parameters, i, eye_x, eye_y, eye_z):
+                                    if faces_away(parameters, i, eye_x, eye_y, eye_z):
                                         back = True
                                     else:
                                         front = True

@@ -1,4 +1,4 @@
-"""The Gaussian map, the mapper that grows it from posed RGB-D frames, and its files."""
+"""Build a Gaussian map from posed RGB-D frames, and read and write map files."""
 
 from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
 from activestructure_gym.mapping.config import MapperConfig

@@ -1,4 +1,4 @@
-"""A mapper that has the six names of `MapperProtocol` alone, with what the features ask of a `KeyframeMapper`."""
+"""Adapt a mapper with only the six names of `MapperProtocol` to the interface `KeyframeMapper` that features need."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMES = ("observe", "refine", "render", "render_depth_alpha", "keyframes", "map
 
 
 def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> KeyframeMapper:
-    """Return the mapper, adapted unless it is a `KeyframeMapper`; raise `InputError` if it lacks one of the names."""
+    """Return the mapper, adapted if it is not a `KeyframeMapper`; raise `InputError` if it lacks one of the names."""
     if isinstance(mapper, KeyframeMapper):
         return mapper
     missing = [name for name in _NAMES if not hasattr(mapper, name)]
@@ -30,11 +30,11 @@ def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> Keyfram
 
 
 class AdaptedMapper(KeyframeMapper):
-    """Delegate to a mapper; count its events, and measure the PSNR of its keyframes by its own `render`."""
+    """Delegate to a mapper; count its events, and measure the PSNR of its keyframes with its method `render`."""
 
     def __init__(self, mapper: MapperProtocol, config: BaseMapperConfig) -> None:
         self.adapted = mapper
-        super().__init__(config, np.random.default_rng(0))  # draws nothing
+        super().__init__(config, np.random.default_rng(0))  # the generator is not used
 
     @property
     def map(self) -> GaussianMap:
@@ -46,7 +46,7 @@ class AdaptedMapper(KeyframeMapper):
         pass
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Observe by the adapted mapper, and measure the new keyframe."""
+        """Call `observe` of the adapted mapper, and measure the PSNR of the new keyframe."""
         self.events += 1
         self._before_steps()
         report = self.adapted.observe(frame, iterations=iterations)
@@ -56,7 +56,7 @@ class AdaptedMapper(KeyframeMapper):
         return report
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Refine by the adapted mapper."""
+        """Call `refine` of the adapted mapper."""
         self.events += 1
         self._before_steps()
         report = self.adapted.refine(iterations, keyframe_indices=keyframe_indices)
@@ -64,7 +64,7 @@ class AdaptedMapper(KeyframeMapper):
         return report
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render by the adapted mapper."""
+        """Render with the adapted mapper."""
         return self.adapted.render(camera, world_from_camera)
 
     def render_depth_alpha(
@@ -72,7 +72,7 @@ class AdaptedMapper(KeyframeMapper):
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Render depth [C, H, W] and alpha [C, H, W] by the adapted mapper."""
+        """Render depth [C, H, W] and alpha [C, H, W] with the adapted mapper."""
         return self.adapted.render_depth_alpha(camera, world_from_camera)
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:

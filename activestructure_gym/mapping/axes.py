@@ -1,7 +1,6 @@
-"""A Gaussian map in other axes: our world has z up, most viewers of splats have y up or down.
+"""Rotate a Gaussian map for viewers of other axes: our world has z up, most splat viewers have y up or y down.
 
-The map's colours do not depend on the direction of view (spherical harmonics of degree 0), so only means and
-quaternions turn.
+Colours do not depend on the view direction (spherical harmonics of degree 0), so only means and quaternions rotate.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import MEAN, QUATERNION, GaussianMap
 
 UpInFile = Literal["z", "y", "-y"]
-# File axes from the world's, by what is up in the file; proper rotations about x.
+# Rotation from world axes to file axes, by the up axis of the file; all are rotations about x.
 FILE_FROM_WORLD: MappingProxyType[UpInFile, np.ndarray] = MappingProxyType(
     {
         "z": np.eye(3),
@@ -26,7 +25,7 @@ FILE_FROM_WORLD: MappingProxyType[UpInFile, np.ndarray] = MappingProxyType(
 
 
 def turned_map(gaussians: GaussianMap, rotation: np.ndarray) -> GaussianMap:
-    """The live Gaussians of a map, turned about the origin by a rotation matrix [3, 3]; without moments."""
+    """Return the map rotated about the origin by a rotation matrix [3, 3]; moments are 0."""
     block = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     block[MEAN] = rotation @ block[MEAN]
     block[QUATERNION] = turned(quaternion_of(rotation), block[QUATERNION].T).T

@@ -1,7 +1,7 @@
-"""The interface of a mapper, and the configuration that every mapper has.
+"""Define the interface of a mapper, and the configuration common to all mappers.
 
-A mapper turns posed RGB-D frames into a Gaussian map. An object with the six names of `MapperProtocol` plugs in;
-`adapted` derives from them what features and observations need besides.
+A mapper builds a Gaussian map from posed RGB-D frames. Any object with the six names of `MapperProtocol` can be used;
+`adapted` adds the other methods that features and observations need.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from activestructure_gym.splatting.backends import BACKENDS
 
 @dataclass(frozen=True)
 class MappingReport:
-    """Counts and losses of one mapping event."""
+    """Hold counts and losses of one mapping event."""
 
     added: int  # Gaussians seeded
-    replaced: int  # Gaussians removed because the frame shows their surface from much closer
+    replaced: int  # Gaussians replaced by finer ones, since the frame is much closer to their surface
     pruned: int  # Gaussians removed: transparent, too large or not finite
     left_out: int  # seeds beyond ``max_gaussians``
     count: int  # Gaussians after the event
-    new_share: float  # share of the image's pixels missing in the map; pixels of replaced Gaussians count as missing
-    views: tuple[int, ...]  # keyframe of every iteration
+    new_share: float  # share of the image missing in the map; pixels of replaced Gaussians count as missing
+    views: tuple[int, ...]  # keyframe index of every iteration
     color_loss: float  # mean over the iterations; nan without any
     depth_loss: float  # metres, mean over the iterations
     ssim: float  # mean over the iterations
-    psnr: float  # decibel, of the observed frame after the event; nan for a refinement
+    psnr: float  # dB, of the observed frame after the event; nan for a refinement
 
 
 class MapperProtocol(Protocol):
-    """What a mapper must have. Poses are ``world_from_camera`` [4, 4], metres, x right, y down, z forward."""
+    """Define the names of a mapper. Poses are ``world_from_camera`` [4, 4] in metres: x right, y down, z forward."""
 
     @property
     def map(self) -> GaussianMap:
@@ -52,10 +52,36 @@ class MapperProtocol(Protocol):
         """Return every observed frame, in order; a mapper may store fewer pixels."""
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe and optimise the map; ``iterations`` defaults to those of the configuration."""
+        """Add a keyframe and optimise the map.
+
+        Parameters
+        ----------
+        frame : Frame
+            Colours, depths in metres, pose and camera.
+        iterations : int, optional
+            Optimisation steps; None means `BaseMapperConfig.iterations`.
+
+        Returns
+        -------
+        MappingReport
+            Counts and losses of the event.
+        """
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes, or over the given ones, without adding any."""
+        """Optimise the map without adding a keyframe.
+
+        Parameters
+        ----------
+        iterations : int
+            Optimisation steps.
+        keyframe_indices : sequence of int, optional
+            Keyframes to use; None means all.
+
+        Returns
+        -------
+        MappingReport
+            Counts and losses of the event.
+        """
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
         """Render the map: colour [H, W, 3] in 0..1, accumulated depth [H, W] in metres, alpha [H, W] in 0..1."""
@@ -65,23 +91,23 @@ class MapperProtocol(Protocol):
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Render accumulated depth [C, H, W] in metres and alpha [C, H, W] from many poses."""
+        """Render accumulated depth [C, H, W] in metres and alpha [C, H, W] in 0..1 from C poses."""
 
 
 @dataclass(frozen=True)
 class BaseMapperConfig:
-    """Configure a mapper: the fields that every mapper has.
+    """Configure a mapper: the fields common to all mappers.
 
-    A subclass adds its own constants, and names its mapper by `made_by` or overrides `make`.
+    A subclass adds its own constants, and names its mapper in `made_by` or overrides `make`.
     """
 
-    made_by: ClassVar[str] = ""  # package.module:Class, imported when the mapper is made: it may load torch
+    made_by: ClassVar[str] = ""  # package.module:Class; imported only when a mapper is made, since it can load torch
 
     name: str = ""  # registered name of the mapper, or package.module:Name
     backend: str = "cpu"  # cpu (our kernels), gsplat (CUDA), reference (torch), or package.module:Name
-    iterations: int = 5  # per observed frame (row C15; 15 for quality)
-    keyframe_reduction: int = 1  # stored keyframes have this factor fewer pixels a side; seeds use all pixels
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)  # of the pose of every keyframe; off by default
+    iterations: int = 5  # per keyframe (row C15; 15 for higher quality)
+    keyframe_reduction: int = 1  # factor on the image size of stored keyframes, per side; seeds use all pixels
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)  # tracking of keyframe poses; off by default
 
     def __post_init__(self) -> None:
         BACKENDS.get(self.backend)
@@ -90,16 +116,24 @@ class BaseMapperConfig:
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
         """Return an empty mapper: an object of the class `made_by`, from this configuration, ``rng`` and ``bounds``.
 
-        Raises `InputError` without such a class.
-
         Parameters
         ----------
-        rng
+        rng : numpy.random.Generator
             The only source of randomness.
-        bounds
+        bounds : ndarray
             [2, 3] metres, the box around the scene.
-        depth_noise_scale
-            Factor on a Kinect's axial depth noise that the sensor has; 0 without noise.
+        depth_noise_scale : float
+            Depth noise of the sensor, as a factor on the axial noise of a Kinect; 0 without noise.
+
+        Returns
+        -------
+        MapperProtocol
+            The mapper.
+
+        Raises
+        ------
+        InputError
+            `made_by` is empty.
         """
         if not self.made_by:
             raise InputError(

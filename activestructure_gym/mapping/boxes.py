@@ -1,4 +1,4 @@
-"""Boxes around the blocks of a map: `BLOCK` neighbours in its arrays, which mostly lie near each other."""
+"""Bound blocks of a map by boxes; the `BLOCK` Gaussians of a block are consecutive and mostly close in space."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 
 BLOCK = 256  # Gaussians
-_LANES = 16  # of which the capacity of a map is a multiple
+_LANES = 16  # vector width; the capacity of a map is a multiple of it
 
 
 def block_boxes(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
 ) -> np.ndarray:  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
-    """One box per block of `BLOCK` columns; means that are not a number are left out, for nobody sees them."""
+    """Return one box per block of `BLOCK` columns; means that are nan are ignored, since they are not rendered."""
     blocks = -(-count // BLOCK)
     boxes = np.empty((blocks, 7))
     renew_boxes(parameters, count, np.arange(blocks), boxes)
@@ -28,8 +28,8 @@ def renew_boxes(
     blocks: np.ndarray,  # [b] int64
     boxes: np.ndarray,  # [B, 7] as of `block_boxes`
 ) -> None:
-    """Measure the boxes of some blocks anew, in place."""
-    # One extreme per lane first: the compiler makes vectors of comparisons, but not of sums or extremes in sequence.
+    """Compute the boxes of some blocks again, in place."""
+    # One extreme per lane: the compiler vectorises these comparisons, but not a reduction to one extreme.
     least, greatest = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
     for block in blocks:
         first, stop = block * BLOCK, min(count, (block + 1) * BLOCK)
@@ -37,7 +37,7 @@ def renew_boxes(
         for row in (0, 1, 2, 7, 8, 9):
             for lane in range(_LANES):
                 least[lane], greatest[lane] = np.float32(np.inf), np.float32(-np.inf)
-            # Whole vectors: what stands behind the last Gaussian may only make the last box larger.
+            # Whole vectors: unused columns behind the last Gaussian can only enlarge the last box.
             for i in range(first, stop, _LANES):
                 for lane in range(_LANES):
                     value = parameters[row, i + lane]

@@ -1,4 +1,4 @@
-"""Frames of fewer pixels: what the optimiser sees of a large image."""
+"""Downsample frames for the optimiser."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from activestructure_gym.geometry.frame import Frame
 
 
 def reduced(frame: Frame, factor: int) -> Frame:
-    """The same view with ``factor`` times fewer pixels a side.
+    """Return the frame with ``factor`` times fewer pixels per side.
 
-    A pixel's colour is the mean of its block, its depth the (lower) median of the block's returns, so that it lies on
-    one surface, and 0 where less than half of the block has a return. Raises `ValueError` where it does not divide.
+    The colour of a pixel is the mean of its block. Its depth is the (lower) median of the block's returns, which is the
+    depth of one surface. It is 0 if less than half of the block has a return. Raises `ValueError` if the image size is
+    not a multiple of ``factor``.
     """
     if factor == 1:
         return frame
@@ -23,7 +24,7 @@ def reduced(frame: Frame, factor: int) -> Frame:
     rows, columns = height // factor, width // factor
     rgb = frame.rgb.reshape(rows, factor, columns, factor, 3).mean(axis=(1, 3), dtype=np.float32)
     blocks = frame.depth.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
-    blocks = np.sort(blocks, axis=-1)  # those without a return come first
+    blocks = np.sort(blocks, axis=-1)  # pixels without a return come first
     returns = np.count_nonzero(blocks, axis=-1)
     middle = blocks.shape[-1] - returns + np.maximum(returns - 1, 0) // 2
     depth = np.take_along_axis(blocks, np.minimum(middle, blocks.shape[-1] - 1)[..., None], axis=-1)[..., 0]

@@ -1,4 +1,4 @@
-"""Map files of any origin, told apart by what they hold: our npz, SplaTAM's npz, 3DGS PLY."""
+"""Read map files, and detect their kind by content: our npz, SplaTAM's npz, 3DGS PLY."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MapKind = Literal["ply", "splatam", "npz"]
 
 
 def map_kind(path: str | os.PathLike[str]) -> MapKind:
-    """What the file holds, "npz" being ours; raises `InputError` for a file that is none of them."""
+    """Return the kind of a map file, ``"npz"`` for ours; raise `InputError` for any other file."""
     try:
         with open(path, "rb") as file:
             start = file.read(4)
@@ -42,24 +42,24 @@ def map_kind(path: str | os.PathLike[str]) -> MapKind:
 
 
 def read_map(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
-    """The Gaussians of a file of any of these kinds; raises `InputError`.
+    """Read the Gaussians of a map file of any known kind.
 
     Parameters
     ----------
-    path
-        A run's ``map.npz``, a PLY as 3D Gaussian splatting writes it, or SplaTAM's ``params.npz``.
-    world_from_first
-        [4, 4] where the first camera of a SplaTAM map stands in the world; other kinds do not ask for it.
+    path : str or path-like
+        The ``map.npz`` of a run, a PLY file of 3D Gaussian splatting, or SplaTAM's ``params.npz``.
+    world_from_first : ndarray, optional
+        [4, 4] world pose of the first camera of a SplaTAM map; not used for the other kinds.
 
     Returns
     -------
     GaussianMap
-        The Gaussians in the world's frame, metres; without moments.
+        The Gaussians in the world frame, in metres; moments are 0 unless the file is a run's.
 
     Raises
     ------
     InputError
-        There is no such file, or it is none of these.
+        The file is missing, damaged, or of an unknown kind.
 
     Examples
     --------

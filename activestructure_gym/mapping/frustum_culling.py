@@ -1,9 +1,9 @@
-"""The part of a large map that a camera can see, so that rendering costs what is in view and not the whole map.
+"""Find the part of a large map inside the frustum of a camera, so that rendering does not read the whole map.
 
-Gaussians stand in the map in the order in which they were seeded, so a thousand neighbours in the arrays mostly lie
-near each other. Each such block has a box; blocks whose box cannot reach the image are left out, and the others are
-copied together. The bound is that of the rasteriser, so the pictures are the same to the last bit. Where a depth was
-measured, what lies well behind it can be left out, too (`activestructure_gym.mapping.occlusion_culling`).
+Consecutive Gaussians in the arrays were mostly seeded together and are close in space. Each block of them has a box.
+Blocks whose box does not reach the image are left out, and the others are copied into one array. The bound is that of
+the rasteriser, so images are equal bit for bit. With a measured depth, occluded blocks can be left out too
+(`activestructure_gym.mapping.occlusion_culling`).
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from activestructure_gym.mapping.occlusion_culling import behind_the_measured, d
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 
-_WORTHWHILE = 64  # blocks; a smaller map is rendered whole
-_MAX_SHARE = 0.5  # of the blocks; if more are in view, copying them costs more than it saves
-_LANES = 16  # of which the capacity of a map is a multiple
+_MIN_BLOCKS = 64  # a map with at most this number of blocks is rendered as a whole
+_MAX_SHARE = 0.5  # share of the blocks in view above which copying costs more than it saves
+_LANES = 16  # vector width; the capacity of a map is a multiple of it
 _REACH = 3.35  # sigma (the rasteriser stops at 3.34)
-_BLUR_PIXELS = 2.0  # by which its blur of .3 px^2 widens everything: 3.34 sqrt(.3) = 1.83
+_BLUR_PIXELS = 2.0  # enlargement by the blur of 0.3 px^2 of the rasteriser: 3.34 sqrt(0.3) = 1.83
 
 
 class MapParts:
-    """Boxes around the blocks of a map as it is at construction; whatever changes the map makes them invalid.
+    """Hold boxes around the blocks of a map, valid for the map at construction.
 
-    Unless the changes stay small: with ``shift`` and ``growth`` the boxes hold as long as no Gaussian moves further
-    than ``shift`` metres or becomes larger than ``growth`` times its size. ``kept`` takes `GaussianMap.boxes`: as
-    cheap as few blocks have changed, and right where whoever writes into the map says so.
+    They remain valid while no Gaussian moves more than ``shift`` metres or grows by more than the factor ``growth``.
+    ``kept`` uses the stored `GaussianMap.boxes`, which updates changed blocks only. These are correct if all changes of
+    the map were reported by `GaussianMap.touched`.
     """
 
     def __init__(self, gaussians: GaussianMap, *, shift: float = 0.0, growth: float = 1.0, kept: bool = False) -> None:
         self._map = gaussians
         self._boxes: np.ndarray | None = None  # [B, 7]
-        if gaussians.count > _WORTHWHILE * BLOCK and bool(np.isfinite([shift, growth]).all()):
+        if gaussians.count > _MIN_BLOCKS * BLOCK and bool(np.isfinite([shift, growth]).all()):
             boxes = gaussians.boxes() if kept else block_boxes(gaussians.parameters, gaussians.count)
             scale = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, growth])
             self._boxes = boxes * scale + np.array([-shift, -shift, -shift, shift, shift, shift, 0.0])
@@ -47,11 +47,12 @@ class MapParts:
         self,
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [4, 4]
-        depth: np.ndarray | None = None,  # [H, W] float32 metres, measured there; 0 = no return
+        depth: np.ndarray | None = None,  # [H, W] float32 metres, measured; 0 = no return
     ) -> np.ndarray | None:  # [chunks] bool
-        """The rasteriser's chunks without a block that the camera could see; None for a small map.
+        """Return the rasteriser's chunks without a block in the frustum; None for a small map.
 
-        With a measured ``depth`` also those that lie behind it (`hidden`), which a picture may show a trace of.
+        With ``depth``, also the chunks occluded by the measured surface. These can have a small effect on the image if
+        the rendered surface is transparent.
         """
         if self._boxes is None:
             return None
@@ -69,10 +70,10 @@ class MapParts:
         self,
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [4, 4] or [C, 4, 4]
-    ) -> tuple[np.ndarray, int]:  # parameters [14, capacity] float32, how many columns live
-        """All Gaussians that can contribute to some picture of these cameras, in their order in the map.
+    ) -> tuple[np.ndarray, int]:  # parameters [14, capacity] float32, number of columns used
+        """Return the Gaussians that can contribute to an image of these cameras, in map order.
 
-        To be read only: where most of the map is in view, this is the map's own array.
+        The array is read-only: if most of the map is in view, it is the array of the map.
         """
         rows = self._map.parameters
         if self._boxes is None:
@@ -98,18 +99,18 @@ def may_be_seen(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
 ) -> np.ndarray:  # [B] bool
-    """False for blocks that lie behind the camera or whose every Gaussian ends outside one side of the image."""
+    """Return False for blocks behind the camera, and for blocks completely outside one side of the image."""
     sides, wider = _sides(camera)
     return _reaches(boxes, np.ascontiguousarray(sides @ invert_rigid(world_from_camera)), wider)
 
 
 @lru_cache(64)
 def _sides(camera: PinholeCamera) -> tuple[np.ndarray, float]:
-    """The planes of a camera at the origin [5, 4], and how many pixels a sigma of a metre may reach over them."""
+    """Return the frustum planes [5, 4] of a camera at the origin, and the pixels that a sigma of 1 m reaches beyond."""
     view = make_view(camera, np.eye(4))
     slope_x = max(abs(view[layout.LOW_X]), abs(view[layout.HIGH_X]))
     slope_y = max(abs(view[layout.LOW_Y]), abs(view[layout.HIGH_Y]))
-    # An upper bound of the Jacobian's norm times the depth, at the slopes the rasteriser allows.
+    # Upper bound of the norm of the Jacobian times depth, for the slopes allowed by the rasteriser.
     stretch = np.sqrt(camera.fx**2 * (1.0 + slope_x**2) + camera.fy**2 * (1.0 + slope_y**2))
     border = _BLUR_PIXELS
     sides = np.array([
@@ -125,16 +126,16 @@ def _sides(camera: PinholeCamera) -> tuple[np.ndarray, float]:
 @kernel
 def _reaches(
     boxes: np.ndarray,  # [B, 7]
-    sides: np.ndarray,  # [5, 4] float64: the four of the image, then the plane of the camera
-    wider: float,  # pixels a metre: by how many sigmas a box may miss the first four
+    sides: np.ndarray,  # [5, 4] float64: four sides of the image, then the plane of the camera
+    wider: float,  # pixels per metre of sigma by which a box may be outside the first four
 ) -> np.ndarray:  # [B] bool
-    """Boxes with a point on the inner side of every plane."""
+    """Return the boxes that have a point on the inner side of every plane."""
     reaches = np.ones(len(boxes), np.bool_)
     for block in range(len(boxes)):
         for side in range(len(sides)):
             largest = sides[side, 3]
             for k in range(3):
-                # The largest value over a box is at the corner that the side's normal points to.
+                # The maximum over a box is at the corner in the direction of the normal.
                 normal = sides[side, k]
                 largest += normal * (boxes[block, 3 + k] if normal > 0.0 else boxes[block, k])
             if side < 4:

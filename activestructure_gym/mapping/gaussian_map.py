@@ -1,4 +1,4 @@
-"""The Gaussian map: a growing array of coloured ellipsoids and their Adam moments."""
+"""Define the Gaussian map: a growing array of coloured ellipsoids and their Adam moments."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from activestructure_gym.mapping.boxes import BLOCK, renew_boxes
 from activestructure_gym.npz import read_npz
 from activestructure_gym.splatting.workspace import aligned_zeros
 
-# Rows of the parameter array. One row per quantity (structure of arrays) lets the kernels load 16 Gaussians at once.
+# Rows of the parameter array. One row per quantity (structure of arrays): the kernels load 16 Gaussians at once.
 MEAN = slice(0, 3)  # metres, world
-QUATERNION = slice(3, 7)  # wxyz, need not be unit
-LOG_SCALE = slice(7, 10)  # natural logarithm of the standard deviation in metres, along the ellipsoid's own axes
+QUATERNION = slice(3, 7)  # wxyz, of any length
+LOG_SCALE = slice(7, 10)  # natural logarithm of the standard deviation in metres, along the axes of the ellipsoid
 OPACITY_LOGIT = 10
-COLOR = slice(11, 14)  # raw RGB, 0..1 where converged, never clamped
+COLOR = slice(11, 14)  # RGB, about 0..1; not clamped
 ROWS = 14
 
 _LANES = 16  # the kernels' vector width: the capacity is a multiple of it
-_CHUNK = 1024  # Gaussians, the rasteriser's
+_CHUNK = 1024  # Gaussians per chunk of the rasteriser
 _FORMAT_VERSION = 1
-_MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map there may be
+_MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map allowed
 
 
 class GaussianMap:
-    """Gaussians and their Adam moments, stored side by side so that insertions and removals keep them together.
+    """Hold Gaussians and their Adam moments.
 
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
-    are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
-    ``ids`` [capacity] int64 identifies every Gaussian for as long as it lives: its column may change, its id does not.
-    Whoever writes means or scales into ``parameters`` says so by `touched`, for `boxes` measures only what changed.
+    are in use; the values of the others are undefined. Kernels read and write these arrays in place. ``ids`` [capacity]
+    int64 identifies every Gaussian: its column can change, its id cannot. Code that writes means or scales into
+    ``parameters`` must call `touched`, since `boxes` updates changed blocks only.
 
     Parameters
     ----------
-    capacity
-        How many Gaussians there is room for at first; the arrays grow.
+    capacity : int
+        Initial number of Gaussians that fit without growing the arrays.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class GaussianMap:
         self.second_moment = _empty_rows(_rounded_up(capacity))
         self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
         self._boxes, self._stale = _empty_boxes(_rounded_up(capacity))
-        self.next_id = 0  # how many Gaussians there have ever been
+        self.next_id = 0  # number of Gaussians ever added
         self.count = 0
 
     def __len__(self) -> int:
@@ -61,17 +61,17 @@ class GaussianMap:
 
     @property
     def capacity(self) -> int:
-        """Number of Gaussians that fit before the arrays have to grow."""
+        """Return the number of Gaussians that fit without growing the arrays."""
         return self.parameters.shape[1]
 
     @property
     def means(self) -> np.ndarray:  # [N, 3] metres, world
-        """Centres, a copy."""
+        """Return a copy of the centres."""
         return self.parameters[MEAN, : self.count].T.copy()
 
     @property
     def quaternions(self) -> np.ndarray:  # [N, 4] wxyz, unit
-        """Orientations, normalised (zero quaternions become the identity)."""
+        """Return the normalised orientations; a zero quaternion becomes the identity."""
         raw = self.parameters[QUATERNION, : self.count].T
         length = np.linalg.norm(raw, axis=1, keepdims=True)
         identity = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
@@ -79,27 +79,27 @@ class GaussianMap:
 
     @property
     def scales(self) -> np.ndarray:  # [N, 3] metres
-        """Standard deviations along the axes of `quaternions`."""
+        """Return the standard deviations along the axes of `quaternions`."""
         return np.exp(self.parameters[LOG_SCALE, : self.count].T)
 
     @property
     def opacities(self) -> np.ndarray:  # [N] 0..1
-        """Peak opacity of every Gaussian."""
+        """Return the peak opacities."""
         return _sigmoid(self.parameters[OPACITY_LOGIT, : self.count])
 
     @property
     def colors(self) -> np.ndarray:  # [N, 3]
-        """RGB, a copy; clip to 0..1 for display."""
+        """Return a copy of the RGB colours; clip to 0..1 for display."""
         return self.parameters[COLOR, : self.count].T.copy()
 
     def append(self, block: np.ndarray) -> None:
-        """Insert Gaussians (``block`` [14, n]) behind the existing ones, with zero moments."""
+        """Append Gaussians (``block`` [14, n]) with zero moments; raise `ValueError` for another shape."""
         block = np.asarray(block)
         if block.ndim != 2 or block.shape[0] != ROWS:
             raise ValueError(f"a block of Gaussians has the shape (14, n), got {block.shape}")
         start, stop = self.count, self.count + block.shape[1]
         if stop > self.capacity:
-            # Half as much again: the copies stay a constant cost per Gaussian without doubling the memory of a big map.
+            # Grow by half: constant copying cost per Gaussian, without doubling the memory of a large map.
             self._resize(_rounded_up(max(stop, self.capacity + self.capacity // 2)))
         self.parameters[:, start:stop] = block
         self.first_moment[:, start:stop] = 0.0
@@ -110,17 +110,17 @@ class GaussianMap:
         self.count = stop
 
     def keep(self, mask: np.ndarray) -> int:
-        """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False, as `remove`; returns how many went."""
+        """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False; return the number removed."""
         mask = np.asarray(mask)
         if mask.dtype != bool or mask.shape != (self.count,):
             raise ValueError(f"mask must be bool of shape ({self.count},), got {mask.dtype} of shape {mask.shape}")
         return self.remove(np.flatnonzero(~mask))
 
     def remove(self, columns: np.ndarray) -> int:
-        """Remove the Gaussians in these columns ([n] int, rising); returns how many went.
+        """Remove the Gaussians in these columns ([n] int, rising); return the number removed.
 
-        The last survivors move into the gaps, with their moments; all others stay where they are. So the cost is that
-        of what goes and not of the map, and the newest Gaussians take the places of others that mostly lay near them.
+        The last remaining columns move into the gaps, with their moments; the others keep their columns. The cost is
+        proportional to the number removed, not to the size of the map. Raises `ValueError` for invalid columns.
         """
         columns = np.asarray(columns)
         if len(columns) and not (columns[0] >= 0 and columns[-1] < self.count and (np.diff(columns) > 0).all()):
@@ -134,12 +134,12 @@ class GaussianMap:
                 array[:, gaps] = array[:, movers]
             self.ids[gaps] = self.ids[movers]
             self._stale[gaps // BLOCK] = True
-            self._stale[kept // BLOCK] = True  # the last block ends earlier
+            self._stale[kept // BLOCK] = True  # the last block is shorter
             self.count = kept
         return removed
 
     def reorder(self, order: np.ndarray) -> None:
-        """Put the Gaussians into another order ([count] indices, each once), with their moments and ids."""
+        """Sort the Gaussians, their moments and ids by ``order`` ([count] indices, each once)."""
         order = np.asarray(order)
         if order.shape != (self.count,) or not np.array_equal(np.sort(order), np.arange(self.count)):
             raise ValueError(f"order must hold each of 0..{self.count - 1} once, got {order.dtype} of {order.shape}")
@@ -150,21 +150,21 @@ class GaussianMap:
         self.touched()
 
     def touched(self, chunks: np.ndarray | None = None) -> None:
-        """Means or scales of these chunks of 1024 Gaussians ([chunks] bool; None: all) were written to."""
+        """Mark chunks of 1024 Gaussians ([chunks] bool; None: all) whose means or scales were changed."""
         if chunks is None:
             self._stale[:] = True
         else:
             self._stale.reshape(-1, _CHUNK // BLOCK)[: len(chunks)] |= chunks[:, None]
 
-    def boxes(self) -> np.ndarray:  # [B, 7] float64, see `block_boxes`; to be read only
-        """Boxes of all blocks as the map is; costs what changed since they were asked for last."""
+    def boxes(self) -> np.ndarray:  # [B, 7] float64, see `block_boxes`; read-only
+        """Return the boxes of all blocks; only blocks changed since the last call are computed."""
         blocks = -(-self.count // BLOCK)
         renew_boxes(self.parameters, self.count, np.flatnonzero(self._stale[:blocks]), self._boxes)
         self._stale[:blocks] = False
         return self._boxes[:blocks]
 
     def reset_moments(self) -> None:
-        """Forget what Adam has learned: all moments zero, as if every Gaussian were new."""
+        """Set all Adam moments to 0."""
         self.first_moment[:, : self.count] = 0.0
         self.second_moment[:, : self.count] = 0.0
 
@@ -182,7 +182,7 @@ class GaussianMap:
         self._boxes, self._stale = boxes, stale
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
+        """Write parameters and moments, so that mapping can continue from the file. Replaces the file atomically."""
         with replaced(path) as file:
             np.savez(
                 file,
@@ -194,7 +194,7 @@ class GaussianMap:
 
     @classmethod
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
-        """Read what `save_npz` wrote. Never unpickles; anything else raises `InputError`."""
+        """Read a file written by `save_npz`, without pickle; raise `InputError` for any other file."""
         try:
             content = read_npz(path, _MAX_BYTES)
         except FileNotFoundError:
@@ -235,12 +235,13 @@ def learning_rates(
 
 
 def _empty_rows(capacity: int) -> np.ndarray:  # [14, capacity] float32 zeros
-    # Every row begins on a cache line, since the capacity is a multiple of one.
+    # Every row begins on a cache line, since the capacity is a multiple of 16.
     return aligned_zeros(ROWS * capacity).reshape(ROWS, capacity)
 
 
-def _empty_boxes(capacity: int) -> tuple[np.ndarray, np.ndarray]:  # [B, 7] float64, [B] bool: which to measure anew
-    blocks = (capacity // _CHUNK + 1) * (_CHUNK // BLOCK)  # one more than full maps have: where `keep` marks the end
+def _empty_boxes(capacity: int) -> tuple[np.ndarray, np.ndarray]:  # [B, 7] float64, [B] bool: outdated
+    # One chunk more than a full map has, since `remove` marks the block behind the end.
+    blocks = (capacity // _CHUNK + 1) * (_CHUNK // BLOCK)
     return np.empty((blocks, 7)), np.ones(blocks, dtype=bool)
 
 
@@ -249,5 +250,5 @@ def _rounded_up(capacity: int) -> int:
 
 
 def _sigmoid(x: np.ndarray) -> np.ndarray:
-    # Through tanh: no overflow for any finite logit.
+    # By tanh: no overflow for any finite logit.
     return 0.5 * (1.0 + np.tanh(0.5 * x))

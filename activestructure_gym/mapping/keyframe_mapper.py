@@ -1,4 +1,4 @@
-"""A mapper with stored keyframes: what our mapper and the other systems share."""
+"""Define the common part of our mapper and the other systems: a map with stored keyframes."""
 
 from __future__ import annotations
 
@@ -18,68 +18,73 @@ from activestructure_gym.mapping.keyframes import KeyframeStore
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 
-# Keyframes rendered per decision to find the worst mapped ones: an eighth of the pixels that scoring 256 candidates at
-# half the size renders (own choice, docs/notebook/performance.md).
+# Keyframes rendered per decision to find those with the lowest PSNR: an eighth of the pixels of 256 candidates at half
+# the size (own choice, docs/notebook/performance.md).
 PSNR_RENDERS = 8
 
 
 @runtime_checkable
 class StepFollower(Protocol):
-    """An object in `KeyframeMapper.memory` that is called around the steps of every mapping event."""
+    """Define methods of objects in `KeyframeMapper.memory` that are called around the steps of every mapping event."""
 
     def before_steps(self) -> None:
-        """Run after the seeding of an event and before its steps."""
+        """Run after the seeding and before the steps of an event."""
 
     def after_steps(self) -> None:
-        """Run after the steps. Gaussians may have been removed, but none added."""
+        """Run after the steps of an event. Steps can remove Gaussians but not add any."""
 
 
 class KeyframeMapper(ABC):
-    """Keep the Gaussians and the keyframes of a map. Subclasses `observe` and `refine`.
+    """Hold the Gaussians and the keyframes of a map. Subclasses define `observe` and `refine`.
 
     Parameters
     ----------
-    config
-        The mapper's constants.
-    rng
+    config : BaseMapperConfig
+        The constants of the mapper.
+    rng : numpy.random.Generator
         Draws keyframes and seeds.
-    border_share
-        Share of the image width at the border that does not count as seen when keyframes are tested for overlap.
+    border_share : float
+        Share of the image width at each border that is ignored when keyframes are tested for overlap.
+
+    Raises
+    ------
+    InputError
+        The backend cannot run on this machine.
     """
 
     map: GaussianMap
     isotropic = False  # whether every Gaussian has one scale
 
     def __init__(self, config: BaseMapperConfig, rng: np.random.Generator, *, border_share: float = 0.0) -> None:
-        rasterizer(config.backend)  # raises if the backend cannot run here
+        rasterizer(config.backend)  # raises InputError if the backend cannot run here
         self.config = config
         self.map = GaussianMap()
         self._rng = rng
         self._store = KeyframeStore(border_share=border_share)
-        self.events = 0  # observations and refinements so far
-        self.memory: dict[Hashable, Any] = {}  # what features keep of this episode, see `FeatureContext.episode`
+        self.events = 0  # number of observations and refinements
+        self.memory: dict[Hashable, Any] = {}  # state of features, see `FeatureContext.episode`
 
     @abstractmethod
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe and optimise the map; ``iterations`` defaults to those of the configuration."""
+        """Add a keyframe and optimise the map; ``iterations`` defaults to that of the configuration."""
 
     @abstractmethod
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes, or over the given ones, without adding any."""
+        """Optimise over all or the given keyframes, without adding one."""
 
     @property
     def rasterizer(self) -> Rasterizer:
-        """Return the functions that render and optimise the map."""
+        """Return the rasteriser, which renders and optimises the map."""
         return rasterizer(self.config.backend)
 
     @property
     def persistent_map(self) -> GaussianMap:
-        """Return the map, for features that follow its Gaussians by their ids from one event to the next."""
+        """Return the map, for features that identify Gaussians by id over several events."""
         return self.map
 
     @property
     def keyframes(self) -> list[Frame]:
-        """Return every observed frame, in order, with fewer pixels by ``config.keyframe_reduction``."""
+        """Return all observed frames in order, downsampled by ``config.keyframe_reduction``."""
         return self._store.frames
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
@@ -97,18 +102,18 @@ class KeyframeMapper(ABC):
         return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 
     def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
-        """Return the last measured PSNR of every keyframe; ``renders`` of them are measured again first.
+        """Measure the PSNR of ``renders`` keyframes again, and return the last value of every keyframe.
 
-        A quarter of these have the oldest values, so no value is older than ``ceil(T / ceil(renders / 4))`` calls; the
-        others have the lowest. The cost does not grow with the number of keyframes. All values are current with up to
-        ``renders`` keyframes, or with ``renders=None``.
+        A quarter of the rendered keyframes have the oldest values, the others the lowest. No value is therefore older
+        than ``ceil(T / ceil(renders / 4))`` calls, and the cost does not grow with the number of keyframes. All values
+        are current with up to ``renders`` keyframes, or with ``renders=None``.
         """
         count = len(self.keyframes) if renders is None else renders
         self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
 
     def _shuffled_views(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
-        """Return ``iterations`` of the given keyframes (None: all), in shuffled rounds."""
+        """Return ``iterations`` keyframe indices, by repeated shuffling of the given ones (None: all)."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -118,19 +123,19 @@ class KeyframeMapper(ABC):
         return views[:iterations]
 
     def _before_steps(self) -> None:
-        """Notify the objects in `memory`: seeding is done, and the steps of an event begin."""
+        """Notify the objects in `memory` that seeding is done and the steps of an event begin."""
         for kept in self.memory.values():
             if isinstance(kept, StepFollower):
                 kept.before_steps()
 
     def _after_steps(self) -> None:
-        """Notify the objects in `memory`: the steps of an event, and its pruning, are done."""
+        """Notify the objects in `memory` that the steps and the pruning of an event are done."""
         for kept in self.memory.values():
             if isinstance(kept, StepFollower):
                 kept.after_steps()
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
-        """Return the depth behind which Gaussians do not affect a keyframe; None where that is not known."""
+        """Return the depth behind which Gaussians do not affect a keyframe; None if it is unknown."""
         return None
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
@@ -144,9 +149,9 @@ class KeyframeMapper(ABC):
 
 
 def checked_frame(frame: Frame) -> Frame:
-    """Return the frame with every depth that is not finite set to 0, no return (some cameras mark it by nan or inf).
+    """Return the frame with depths that are not finite set to 0, which means no return.
 
-    Raises `ValueError` if image and camera differ in size.
+    Raises `ValueError` if the sizes of image and camera differ.
     """
     shape = (frame.camera.height, frame.camera.width)
     if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
@@ -157,7 +162,7 @@ def checked_frame(frame: Frame) -> Frame:
     return frame if known.all() else replace(frame, depth=np.where(known, frame.depth, np.float32(0.0)))
 
 
-def summed_up(
+def report_of(
     count: int,
     views: list[int],
     losses: np.ndarray,
@@ -187,11 +192,11 @@ def summed_up(
 
 
 def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """Return the colours of a frame in the range that the optimiser compares."""
+    """Return the colours of a frame in the range 0..1."""
     return frame.rgb * np.float32(1.0 / 255.0)
 
 
 def psnr(shown: np.ndarray, true: np.ndarray) -> float:  # any equal shapes, 0..1
-    """Return the PSNR in decibel, at most 100."""
+    """Return the PSNR in dB, at most 100."""
     error = float(np.mean(np.square(shown - true), dtype=np.float64))
     return float(-10.0 * np.log10(max(error, 1e-10)))

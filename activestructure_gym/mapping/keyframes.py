@@ -1,4 +1,4 @@
-"""The keyframes of a map, and which of them an optimisation step renders."""
+"""Store the keyframes of a map, and choose those that optimisation steps render."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame
 
-# Keyframes tested for overlap at once: keeps the intermediate array in the processor's cache.
+# Keyframes per overlap test; the intermediate array fits into the cache of the processor.
 _CHUNK = 16
 
 
 class KeyframeStore:
-    """All keyframes, with the statistics that view selection needs of each.
+    """Hold all keyframes, with the statistics for view selection.
 
-    A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe
-    (`stalest` tells whose is the oldest), ``new_share`` the share of its pixels the map did not cover when it came.
+    A frame uses 7 bytes per pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe.
+    ``new_share`` is the share of its pixels that the map did not cover when it was added.
     """
 
     def __init__(self, *, border_share: float) -> None:
         self.frames: list[Frame] = []
-        self.psnr: list[float] = []  # decibel
+        self.psnr: list[float] = []  # dB
         self.new_share: list[float] = []  # 0..1
         self._border_share = border_share
         self._sides: list[np.ndarray] = []  # per keyframe [4, 4], see `viewing_sides`
-        self._measured: list[int] = []  # per keyframe, how many measurements had been made before its last one
+        self._measured: list[int] = []  # per keyframe, index of its last PSNR measurement; -1 = none
         self._measurements = 0
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def append(self, frame: Frame, *, new_share: float) -> int:
-        """Store a frame (arrays copied, since sensors may reuse theirs); returns its index."""
+        """Store a copy of a frame, since sensors can reuse their arrays; return its index."""
         stored = Frame(
             rgb=np.array(frame.rgb, dtype=np.uint8, order="C"),
             depth=np.array(frame.depth, dtype=np.float32, order="C"),
@@ -50,13 +50,13 @@ class KeyframeStore:
         index: int,
         rng: np.random.Generator,
         *,
-        pixels: int,  # drawn from the frame's pixels with a return
+        pixels: int,  # number of pixels drawn from those with a return
         limit: int,
     ) -> list[int]:
-        """At most ``limit`` other keyframes, drawn uniformly from those that see a point which keyframe ``index`` sees.
+        """Return at most ``limit`` other keyframes, drawn uniformly from those that overlap with keyframe ``index``.
 
-        Seeing means that the point projects into the image (occlusion is not tested). The rule is SplaTAM's, whose
-        ranking by share is undone by the random choice that follows it.
+        Two keyframes overlap if a point of one projects into the image of the other; occlusion is not tested. This is
+        SplaTAM's rule without its ranking by overlap, which has no effect before a random choice.
         """
         frame = self.frames[index]
         measured = np.flatnonzero(frame.depth)
@@ -67,8 +67,8 @@ class KeyframeStore:
         points = np.ones((4, len(drawn)), dtype=np.float32)
         points[:3] = _world_points(frame, drawn).T
         found: list[int] = []
-        # In random order and only until enough are found: with many keyframes around, most are never tested; and not
-        # at all where the points' bounding sphere lies outside of one of the sides.
+        # Keyframes are tested in random order until enough are found. Those with the bounding sphere of the points
+        # outside one side of the image are skipped.
         order = order[(order != index) & self._may_see(points)[order]]
         for start in range(0, len(order), _CHUNK):
             chunk = order[start : start + _CHUNK]
@@ -80,33 +80,33 @@ class KeyframeStore:
         return found[:limit]
 
     def _may_see(self, points: np.ndarray) -> np.ndarray:  # [4, N] homogeneous -> [T] bool
-        """False for keyframes that see none of the points for sure."""
+        """Return False for keyframes that certainly see none of the points."""
         middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
         radius = np.linalg.norm(points - middle[:, None], axis=0).max() * 1.001
         sides = np.stack(self._sides)  # [T, 4, 4]
         return (sides @ middle + radius * np.linalg.norm(sides[..., :3], axis=-1) > 0).all(axis=1)
 
     def record_psnr(self, index: int, psnr: float) -> None:
-        """A new measurement of keyframe ``index``, in decibel."""
+        """Set the PSNR of keyframe ``index``, in dB."""
         self.psnr[index] = psnr
         self._measured[index] = self._measurements
         self._measurements += 1
 
     def stalest(self, count: int) -> list[int]:
-        """The ``count`` keyframes whose PSNR was measured longest ago, never measured ones first."""
+        """Return the ``count`` keyframes with the oldest PSNR measurement; unmeasured ones come first."""
         order = np.argsort(np.array(self._measured, dtype=np.int64), kind="stable")
         return [int(index) for index in order[: max(0, count)]]
 
     def to_measure(self, *, oldest: int, count: int) -> list[int]:
-        """``count`` keyframes: the ``oldest`` stalest, then those whose PSNR was lowest when it was last measured."""
+        """Return ``count`` keyframes: the ``oldest`` ones of `stalest`, then those with the lowest last PSNR."""
         first = self.stalest(min(oldest, count))
         worst = [int(index) for index in np.argsort(self.psnr, kind="stable") if index not in first]
         return first + worst[: max(0, count - len(first))]
 
     def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
-        """The global keyframes: those rendered worse than ``psnr_threshold`` decibel or that opened new space.
+        """Return the global keyframes: those with a PSNR below a threshold (dB), or with many new pixels.
 
-        Both conditions are ActiveGAMER's. Ranking them further (its Matterport3D variant) measured no better.
+        Both conditions are ActiveGAMER's. The ranking of its Matterport3D variant made no measurable difference.
         """
         return [
             k
@@ -119,11 +119,11 @@ def viewing_sides(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     *,
-    border_share: float = 0.0,  # of the image width, not counted as seen on every side
+    border_share: float = 0.0,  # share of the image width ignored on each side
 ) -> np.ndarray:  # [4, 4] float32
-    """The four sides of the viewing pyramid: a world point (x, y, z, 1) is inside iff all four products are above 0.
+    """Return the four side planes of the frustum: a point (x, y, z, 1) is inside if all four products are above 0.
 
-    Being left of the right side and right of the left side already implies a depth above 0.
+    A point between the left and the right side has a depth above 0.
     """
     border = min(border_share * camera.width, 0.49 * min(camera.width, camera.height))
     sides = np.array(
@@ -143,9 +143,9 @@ def draw_views(
     remote: list[int],
     rng: np.random.Generator,
 ) -> list[int]:
-    """Which keyframe each iteration looks at: the first half ``local``, the second half ``remote`` (if there is any).
+    """Return the keyframe of each iteration: the first half from ``local``, the second from ``remote`` if not empty.
 
-    ``local[0]`` is the current frame; it comes first, since nobody else has seen its new Gaussians yet.
+    ``local[0]`` is the current frame. It is used first, since only it has seen its new Gaussians.
     """
     half = iterations if not remote else (iterations + 1) // 2
     views = [local[k] for k in rng.integers(len(local), size=half)] if local else []

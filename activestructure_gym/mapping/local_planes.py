@@ -1,8 +1,8 @@
-"""What a noisy depth image says about the surface: at every pixel a plane through the neighbours that lie on it.
+"""Denoise a depth image by a local plane at every pixel, fitted to the neighbours on the same surface.
 
-Far away the noise of a depth camera is larger than the spacing of Gaussians. Seeded as measured, a wall becomes a cloud
-around itself, and every further look adds another, for nothing of it stands where the wall is measured next. Neighbours
-that show one plane measure it together; those beyond an edge are left out, so edges stay where they are.
+At large distances, the noise of a depth camera exceeds the spacing of Gaussians. Seeds at the measured depth would form
+a cloud around a wall, and each new frame would add another one, since it measures other depths. The plane averages the
+neighbours of a pixel. Neighbours beyond an edge are excluded, so that edges are preserved.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.depth_noise import axial_sigma
 
-_REACHES = (1, 2, 2)  # pixels to each side, round by round (measured: 3 or 4 win nothing and blur what is small)
-_GATE = 3.0  # sigmas from the plane of the round before beyond which a neighbour shows something else (measured: 4)
-_IN_LINE = 6.0  # sigmas by which three pixels in a row may miss one line and still show one surface (measured)
-_MIN_WEIGHT = 2.5  # of all neighbours, of 1 each: below it there is no plane (own choice)
-_MIN_SPREAD = 1e-2  # of their places, pixels^4: below it they are in one line, and no slope is known (own choice)
+_REACHES = (1, 2, 2)  # pixels, window radius per iteration (measured: 3 or 4 is no better and blurs small objects)
+_GATE = 3.0  # sigmas; a neighbour farther from the previous plane is on another surface (measured against 4)
+_IN_LINE = 6.0  # sigmas, largest deviation of three pixels of one surface from a line (measured)
+_MIN_WEIGHT = 2.5  # smallest total weight of the pixels, at most 1 each, for a fit (own choice)
+_MIN_SPREAD = 1e-2  # pixels^4; below it the pixels are collinear, and the slope is undefined (own choice)
 
 
 def on_local_planes(
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
-    noise_scale: float,  # times the axial noise of a Kinect
+    noise_scale: float,  # factor on the axial noise of a Kinect
 ) -> np.ndarray:  # [H, W] float32 metres
-    """Depth of the plane that a pixel and its neighbours show: least squares in 1 / z, which is linear along a plane.
+    """Return the depth of a local plane at each pixel, by iterated weighted least squares in 1 / z.
 
-    Every round goes by the plane of the one before: a neighbour at r sigmas from it has the weight 1 - (r / 3)^2, none
-    from 3 on. The first goes by the plane parallel to the image through the pixel or, if more neighbours are near that
-    one, as on floors, by the slopes to that side of it on which three pixels lie better in one line, across and down.
-    Neighbours in one line give their mean. A pixel that has too few keeps what was measured, as one without a return.
+    1 / z is linear in the image along a plane. A neighbour at r sigmas from the previous plane has the weight
+    1 - (r / 3)^2, and 0 from r = 3. The first plane is parallel to the image, or has one-sided slopes if more
+    neighbours fit those, as on floors. A slope is taken from the side on which three pixels are closer to a line.
+    Collinear neighbours give their mean. A pixel with too few neighbours or without a return is not changed.
     """
     seen = np.where(depth > 0, depth, np.float32(1.0)).astype(np.float64)
     sigma = noise_scale * axial_sigma(seen) / seen**2  # of 1 / z, to first order
@@ -47,7 +47,7 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
             here, least = inverse[row, column], 1.0 / (_GATE * sigma[row, column])
             across, down = _start(inverse, row, column, least)
             for reach in _REACHES:
-                # Sums of weights, places and values of the neighbours: u, v pixels from here, d = 1 / z.
+                # Weighted sums over the neighbours: u, v = offset in pixels, d = 1 / z.
                 n, u, v, d = 0.0, 0.0, 0.0, 0.0
                 uu, uv, vv, ud, vd = 0.0, 0.0, 0.0, 0.0, 0.0
                 for i in range(max(0, row - reach), min(height, row + reach + 1)):
@@ -79,7 +79,7 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
 
 @kernel
 def _start(inverse: np.ndarray, row: int, column: int, least: float) -> tuple[float, float]:
-    """Slopes of 1 / z per pixel, rightwards and downwards, that the first round goes by."""
+    """Return the slopes of 1 / z per pixel, to the right and down, of the first plane."""
     height, width = inverse.shape
     across, down = _slope(inverse, row, column, 0, 1, least), _slope(inverse, row, column, 1, 0, least)
     flat, slanted = 0.0, 0.0
@@ -94,7 +94,7 @@ def _start(inverse: np.ndarray, row: int, column: int, least: float) -> tuple[fl
 
 @kernel
 def _slope(inverse: np.ndarray, row: int, column: int, downwards: int, rightwards: int, least: float) -> float:
-    """Change of 1 / z per pixel to the side on which three pixels lie better in one line; 0 if on neither."""
+    """Return the change of 1 / z per pixel on the side where three pixels are closer to a line; 0 if on neither."""
     height, width = inverse.shape
     best, slope = _IN_LINE / (_GATE * least), 0.0
     for side in (-1, 1):

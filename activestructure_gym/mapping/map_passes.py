@@ -1,6 +1,6 @@
-"""Passes over the whole map that a mapping event needs, compiled: a large map is read once and nothing is written.
+"""Compile the tests of a mapping event that read the whole map.
 
-In numpy each of them makes several temporary arrays as long as the map, which is most of their time.
+The numpy versions spend most of their time on temporary arrays of the size of the map.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.mapping.gaussian_map import ROWS
 
-CHUNK = 1024  # Gaussians whose sums stay in the nearest cache; the rasteriser's chunk
+CHUNK = 1024  # Gaussians whose sums fit into the first cache; the chunk of the rasteriser
 
 
 class MeasuredDepth(NamedTuple):
-    """A depth image and the camera that took it."""
+    """Hold a depth image and its camera."""
 
     depth: np.ndarray  # [H, W] float32 metres; 0 = no return
     camera_from_world: np.ndarray  # [3, 4] float32
@@ -31,7 +31,7 @@ def unfit(
     most_log_scale: float,
     changed: np.ndarray,  # [chunks] bool
 ) -> np.ndarray:  # [n] int64, rising
-    """Which Gaussians are too transparent, too large along some axis or not finite; those not ``changed`` are not."""
+    """Return the Gaussians in ``changed`` chunks that are too transparent, too large along an axis, or not finite."""
     found, at = np.empty(min(count, CHUNK * changed.sum()), np.int64), 0
     total = np.empty(CHUNK, np.float32)
     for first in range(0, count, CHUNK):
@@ -43,7 +43,7 @@ def unfit(
         for row in range(ROWS):
             values = parameters[row, first : first + length]
             for i in range(length):
-                total[i] += values[i]  # whatever is not finite stays so
+                total[i] += values[i]  # a sum with a value that is not finite is not finite
         for i in range(length):
             column = first + i
             fits = (
@@ -60,8 +60,8 @@ def unfit(
 
 
 @kernel
-def shows_its_back(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> bool:
-    """Whether Gaussian i is a disk that faces away from a point [metres, world]: its third axis is its normal."""
+def faces_away(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> bool:
+    """Return whether Gaussian i is a disk facing away from a point (world, metres). Its third axis is the normal."""
     if not parameters[9, i] < parameters[8, i]:
         return False
     p, q, r, s = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
@@ -77,13 +77,13 @@ def shows_its_back(parameters: np.ndarray, i: int, x: float, y: float, z: float)
 def too_wide(
     parameters: np.ndarray,  # [14, n] float32
     count: int,
-    unseen: np.ndarray,  # [chunks] bool, not looked at
+    unseen: np.ndarray,  # [chunks] bool, chunks to skip
     measured_depth: MeasuredDepth,
-    largest: np.ndarray,  # [H, W] float32 metres, middle sigma
+    largest: np.ndarray,  # [H, W] float32 metres, largest allowed middle sigma
 ) -> np.ndarray:  # [count] bool
-    """Which Gaussians on the measured surface in view, within one sigma, are wider than their pixel allows.
+    """Return the Gaussians on the measured surface, within one sigma, that are wider than their pixel allows.
 
-    A disk that shows its back belongs to the other side of something thin.
+    Disks that face away are left out: they belong to the other side of a thin object.
     """
     depth, m, intrinsics = measured_depth
     eye = np.zeros(3, np.float32)
@@ -106,5 +106,5 @@ def too_wide(
             p, q, r = parameters[7, i], parameters[8, i], parameters[9, i]
             middle = np.exp(max(min(p, q), min(max(p, q), r)))
             wide = measured > 0.0 and middle > largest[int(v), int(u)] and abs(z - measured) <= middle
-            found[i] = wide and not shows_its_back(parameters, i, eye[0], eye[1], eye[2])
+            found[i] = wide and not faces_away(parameters, i, eye[0], eye[1], eye[2])
     return found

@@ -1,8 +1,7 @@
-"""The mapper: seed where the map is empty, take a few sparse Adam steps, prune.
+"""Map posed RGB-D frames: seed Gaussians where the map is empty, take a few sparse Adam steps, prune.
 
-Posed RGB-D frames in, Gaussians out. Which recipe it follows (ours, SplaTAM's) is a matter of `MapperConfig`; the
-numbers behind them: docs/notebook/groundwork.md. Rendering and the optimisation step are those of
-`MapperConfig.backend` (`activestructure_gym.splatting.rasterizers`).
+`MapperConfig` selects the recipe (our own or SplaTAM's); measurements are in docs/notebook/groundwork.md. The backend
+`MapperConfig.backend` renders and optimises (`activestructure_gym.splatting.rasterizers`).
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.density import (
-    HELD,
-    WANTED,
+    COVERED,
+    SEED,
     SurfaceSamples,
     chunks_to_skip,
     measured_depth,
@@ -29,15 +28,15 @@ from activestructure_gym.mapping.density import (
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of, unit_rgb
 from activestructure_gym.mapping.keyframes import draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
 from activestructure_gym.splatting import LossWeights
 
-# Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
-# keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
+# Number of Gaussians above which the arrays are sorted spatially, and growth factor of the map until they are sorted
+# again. Late keyframes seed few Gaussians in many places, so blocks in order of insertion span rooms (measured in
 # docs/notebook/map.md, "Large maps").
 _ORDERED_ABOVE = 200_000
 _ORDERED_AGAIN = 1.5
@@ -46,18 +45,17 @@ _ORDERED_AGAIN = 1.5
 class Mapper(KeyframeMapper):
     """Map online from known poses. Equal configuration, generator and frames give equal parameters.
 
-    The map grows with the surface that was seen (`activestructure_gym.mapping.density`). ``max_gaussians`` bounds it
-    for those who must: a frame then gets an even choice of the seeds it asks for, and nothing that is mapped goes
-    unless there is room for all that is to replace it.
+    The map grows with the observed surface (`activestructure_gym.mapping.density`). ``max_gaussians`` limits it: seeds
+    beyond the limit are left out evenly, and Gaussians are replaced only if all their replacements fit.
 
     Parameters
     ----------
-    config
-        Which recipe, and its constants.
-    rng
+    config : MapperConfig
+        The recipe and its constants.
+    rng : numpy.random.Generator
         Draws keyframes and seeds.
-    bounds
-        Unused: the map grows without a box.
+    bounds : ndarray, optional
+        Not used: the map is not limited to a box.
     """
 
     config: MapperConfig
@@ -83,10 +81,10 @@ class Mapper(KeyframeMapper):
 
     @property
     def scene_radius(self) -> float:
-        """Return about half the size of the scene, in metres; limits on lengths are shares of it."""
+        """Return about half the size of the scene in metres, the reference for limits on lengths."""
         if self.config.scene_radius is not None:
             return self.config.scene_radius
-        # The largest depth so far: the first frame may be close to a wall.
+        # The largest depth of all frames, since the first frame can be close to a wall.
         return self._largest_depth / 3.0 if self._largest_depth > 0 else 2.0
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
@@ -100,12 +98,12 @@ class Mapper(KeyframeMapper):
         replaced, added, left_out, new_share = self._seed(frame, unseen)
         index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
         views: list[int] = []
-        if iterations:  # choosing views costs as much as rendering one
+        if iterations:  # choosing views takes as long as rendering one
             views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views)
-        # The new keyframe has no PSNR yet; the others are those with the oldest PSNR.
+        # The new keyframe is unmeasured and comes first, then those with the oldest PSNR.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
-        return summed_up(
+        return report_of(
             self.map.count,
             views,
             losses,
@@ -118,20 +116,20 @@ class Mapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune.
+        """Optimise over all or the given keyframes, shuffled repeatedly, without seeding; then prune.
 
         Only colours are optimised, unless ``config.refine_shapes``.
         """
         views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
         losses, pruned = self._optimize(views, refining=True)
-        return summed_up(self.map.count, views, losses, pruned)
+        return report_of(self.map.count, views, losses, pruned)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
-        """Insert Gaussians where the map lacks them, in place of Gaussians coarser than the new ones.
+        """Insert Gaussians where the map lacks them, and remove Gaussians coarser than the new ones.
 
-        ``unseen``: chunks of the map outside of the frame's view. Returns the numbers of Gaussians removed, added and
-        left out for lack of room, and the share of new pixels.
+        ``unseen`` marks chunks of the map outside the view of the frame. Returns the numbers of Gaussians removed,
+        added, and left out because of ``max_gaussians``, and the share of new pixels.
         """
         config, replaced = self.config, 0
         if config.seed_spacing is None:
@@ -149,7 +147,7 @@ class Mapper(KeyframeMapper):
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             leaving = np.flatnonzero(coarse)
             if len(leaving) and not self._room_for(len(sigma) - len(leaving)):
-                coarse[:], leaving = False, leaving[:0]  # without room for the finer ones a gap would stay
+                coarse[:], leaving = False, leaving[:0]  # without room for the finer ones, removal would leave a gap
                 seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             replaced = self.map.remove(leaving)
         count = len(sigma)
@@ -166,11 +164,11 @@ class Mapper(KeyframeMapper):
         return replaced, len(sigma), count - len(sigma), new_share
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
-        """Return the measured depth: seeds by spacing are opaque from the start and hide all Gaussians behind it."""
+        """Return the measured depth: seeds by spacing are opaque at once and occlude all Gaussians behind it."""
         return None if self.config.seed_spacing is None else frame.depth
 
     def _room_for(self, more: int) -> bool:
-        """Return whether ``max_gaussians`` allows ``more`` further Gaussians."""
+        """Return whether ``max_gaussians`` allows ``more`` additional Gaussians."""
         bound = self.config.max_gaussians
         return bound is None or self.map.count + more <= bound
 
@@ -205,9 +203,9 @@ class Mapper(KeyframeMapper):
         states = states_of_samples(
             samples, spacing, self.map.parameters, self.map.count, frame, unseen=unseen, leaving=leaving
         )
-        wanted = np.flatnonzero(states == WANTED)
+        wanted = np.flatnonzero(states == SEED)
         seeds = SurfaceSamples(*(array[wanted] for array in samples))
-        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != HELD)  # the pixels' own come first
+        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != COVERED)  # samples of pixels come first
         return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / frame.depth.size
 
     def _new_gaussians(self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray) -> np.ndarray:
@@ -250,14 +248,14 @@ class Mapper(KeyframeMapper):
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(refining=refining)
-        with np.errstate(over="ignore"):  # in ten thousands of steps anything may become as large as the world
+        with np.errstate(over="ignore"):  # inf for very many steps
             growth = float(np.exp(farthest[LOG_SCALE].max()))
         return {"shift": float(farthest[MEAN].max()), "growth": growth}
 
     def _optimize(self, views: Sequence[int], *, refining: bool = False) -> tuple[np.ndarray, int]:
         """Take one optimiser step per entry of ``views``, and prune.
 
-        Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and how many Gaussians were pruned.
+        Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and the number of Gaussians pruned.
         """
         config = self.config
         losses = np.full((len(views), 3), np.nan)
@@ -267,8 +265,8 @@ class Mapper(KeyframeMapper):
         own_rates, epsilon = config.learning_rates(refining=refining), config.adam_epsilon
         rates = own_rates
         pruned = 0
-        changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; at first nobody knows
-        parts: MapParts | None = None  # boxes that stay valid for so many steps
+        changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; unknown at first
+        parts: MapParts | None = None  # boxes that remain valid for all remaining steps
         for step, view in enumerate(views):
             if step in config.prune_steps:
                 pruned, parts = pruned + self._prune(changed), None
@@ -278,7 +276,7 @@ class Mapper(KeyframeMapper):
                 parts = MapParts(self.map, **self._slack(len(views), refining=refining), kept=True)
                 changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
             if config.adam_reset:
-                # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
+                # Adam's bias correction by rate and epsilon, since the kernel has none.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
                 rates = own_rates * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
@@ -313,10 +311,10 @@ class Mapper(KeyframeMapper):
     def _prune(self, changed: np.ndarray) -> int:
         """Remove Gaussians that are transparent, too large or not finite.
 
-        ``changed [chunks]``: where to look; elsewhere all have passed before, and the limits only rise.
+        Only ``changed`` chunks [chunks] are tested: the others passed the last test, and the limits only rise.
         """
         threshold = self.config.prune_opacity
-        # At coarse resolution the seeds themselves can be larger than the scene's share; they must survive.
+        # At a coarse resolution, seeds can exceed the share of the scene radius; they must not be removed.
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least_logit = float(np.log(threshold) - np.log1p(-threshold))
@@ -326,7 +324,8 @@ class Mapper(KeyframeMapper):
 def largest_adam_step(beta1: float, beta2: float) -> float:
     """Return an upper bound of |first moment| / sqrt(second moment), the length of a step in units of the rate.
 
-    By Cauchy and Schwarz over all past gradients: (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)); inf where that diverges.
+    The bound is (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)), by the Cauchy-Schwarz inequality over all past gradients. It
+    is inf if the sum diverges.
     """
     rest = 1.0 - beta1**2 / beta2
     return (1.0 - beta1) / np.sqrt((1.0 - beta2) * rest) if rest > 0 else np.inf

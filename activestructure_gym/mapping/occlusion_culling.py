@@ -1,8 +1,8 @@
-"""Blocks of the map that a keyframe cannot show because something nearer was measured all over them.
+"""Find blocks of the map that are occluded by the measured surface of a keyframe.
 
-What stands behind a wall is inside the view of many keyframes and is seen by none. Where every pixel that a block could
-reach has a return nearer than the block's nearest point by more than `MARGIN`, its Gaussians take no part in that
-keyframe. Pixels without a return hide nothing.
+Gaussians behind a wall are inside the frustum of many keyframes without being visible. A block is occluded if every
+pixel that it can affect has a depth return nearer than the block's nearest point by more than `MARGIN`. Pixels without
+a return occlude nothing.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-MARGIN = 0.5  # metres behind the measured surface: more than noise and the fit of the map move anything (own choice)
+MARGIN = 0.5  # metres behind the measured surface: larger than depth noise and map error (own choice)
 _TILE = 8  # pixels
 _REACH = 3.35  # sigma (the rasteriser stops at 3.34)
-_BORDER = 2.0  # pixels by which the rasteriser's blur widens everything
-_MIN_DEPTH_M = 0.05  # metres; a box that comes nearer to the camera's plane is never called hidden
+_BORDER = 2.0  # pixels by which the blur of the rasteriser enlarges a Gaussian
+_MIN_DEPTH_M = 0.05  # metres; a box with a smaller depth is never occluded
 
 
 class DepthTiles(NamedTuple):
-    """How far a depth image sees at most, tile by tile, and the camera that took it."""
+    """Hold the largest depth per tile of a depth image, and its camera."""
 
-    farthest: np.ndarray  # [h, w] float32 metres; inf where a pixel of the tile has no return
+    farthest: np.ndarray  # [h, w] float32 metres; inf if a pixel of the tile has no return
     camera_from_world: np.ndarray  # [3, 4] float64
     intrinsics: np.ndarray  # [4] float64 pixels: fx, fy, cx, cy
     size: tuple[int, int]  # width, height in pixels
@@ -35,7 +35,7 @@ def depth_tiles(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
 ) -> DepthTiles:
-    """The largest depth of every tile of a depth image."""
+    """Return the largest depth of every tile of a depth image, with the camera."""
     height, width = depth.shape
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     pose = np.ascontiguousarray(invert_rigid(world_from_camera)[:3])
@@ -44,7 +44,7 @@ def depth_tiles(
 
 @kernel
 def _farthest(depth: np.ndarray) -> np.ndarray:  # [H, W] float32 -> [h, w]
-    """The largest depth of every tile, inf where a pixel has none."""
+    """Return the largest depth of every tile; inf if a pixel has no return."""
     height, width = depth.shape
     farthest = np.zeros((-(-height // _TILE), -(-width // _TILE)), np.float32)
     for v in range(height):
@@ -60,7 +60,7 @@ def behind_the_measured(
     boxes: np.ndarray,  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
     tiles: DepthTiles,
 ) -> np.ndarray:  # [B] bool
-    """Boxes of which the image shows nothing nearer than `MARGIN` behind the measured surface."""
+    """Return the boxes that are completely more than `MARGIN` behind the measured surface."""
     farthest, m, intrinsics, (width, height) = tiles
     hidden = np.zeros(len(boxes), np.bool_)
     for block in range(len(boxes)):

@@ -1,9 +1,8 @@
-"""Gaussian maps as 3DGS PLY files, the format every splat viewer and converter reads.
+"""Read and write Gaussian maps as 3DGS PLY files, a format of most splat viewers and converters.
 
-Written: binary little endian, one ``vertex`` element of 17 float properties (SH degree 0), normals zero. Axes are the
-map's own: world, z up, metres. The format has no field for it, and viewers that expect y down show such a map lying on
-its back; `turning.turned_map` sets it upright.
-Layout as the programs of [kerbl2023] and [gsplat] write it.
+Files are binary little endian, with one ``vertex`` element of 17 float properties (SH degree 0) and zero normals. The
+axes are those of the map: world, z up, metres. The format has no field for axes. Viewers that expect y down show such a
+map on its back; `axes.turned_map` rotates it. The layout is that of the programs of [kerbl2023] and [gsplat].
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from activestructure_gym.ply_header import (
     read_header,
 )
 
-# The order other tools write; readers go by name.
+# The order in files of other tools; readers use the names.
 PLY_PROPERTIES = (
     *("x", "y", "z"),
     *("nx", "ny", "nz"),
@@ -46,23 +45,30 @@ PLY_PROPERTIES = (
     *("rot_0", "rot_1", "rot_2", "rot_3"),
 )
 
-_SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
-_FLAT = np.log(0.1)  # thickness given to a file's two-axis (2D) Gaussians, as in seeding
+_SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the spherical harmonic of degree 0
+_FLAT = np.log(0.1)  # relative thickness for Gaussians with two scales, as in seeding
 
 
 def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: UpInFile = "z") -> None:
-    """Write the live Gaussians (no moments). Writing what was read back from the file gives the same bytes.
+    """Write the Gaussians to a PLY file, without moments. Reading and writing again gives the same bytes.
 
-    ``up`` is what a comment says of the map's axes; it turns nothing.
+    Parameters
+    ----------
+    gaussians : GaussianMap
+        The map.
+    path : str or path-like
+        The file, which is replaced atomically.
+    up : {"z", "y", "-y"}
+        The up axis that the comment of the file states. The map is not rotated.
     """
-    live = gaussians.parameters[:, : gaussians.count]
+    used = gaussians.parameters[:, : gaussians.count]
     rows = np.zeros((gaussians.count, len(PLY_PROPERTIES)), dtype="<f4")
-    rows[:, 0:3] = live[MEAN].T
-    # In double precision: then the way to the file and back gives the same colour in the file again.
-    rows[:, 6:9] = (live[COLOR].T.astype(np.float64) - 0.5) / _SH_C0
-    rows[:, 9] = live[OPACITY_LOGIT]
-    rows[:, 10:13] = live[LOG_SCALE].T
-    rows[:, 13:17] = live[QUATERNION].T
+    rows[:, 0:3] = used[MEAN].T
+    # In double precision, so that reading and writing again gives the same colour.
+    rows[:, 6:9] = (used[COLOR].T.astype(np.float64) - 0.5) / _SH_C0
+    rows[:, 9] = used[OPACITY_LOGIT]
+    rows[:, 10:13] = used[LOG_SCALE].T
+    rows[:, 13:17] = used[QUATERNION].T
     vertex = PlyElement("vertex", gaussians.count, tuple(PlyProperty(name, "float") for name in PLY_PROPERTIES))
     header = PlyHeader(BINARY_LITTLE_ENDIAN, (vertex,))
     with replaced(path) as file:
@@ -71,12 +77,27 @@ def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: UpInF
 
 
 def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
-    """Read a 3DGS PLY (binary, either byte order), by property name and in any order.
+    """Read a binary 3DGS PLY file of either byte order.
 
-    Unknown properties are ignored, among them normals and the view-dependent colour ``f_rest_*`` (the map holds SH
-    degree 0). A single ``scale_0`` makes balls, ``scale_0`` and ``scale_1`` make thin disks; without ``rot_*`` the
-    axes are the world's. Rows with a value that is not finite are dropped, with a warning that tells how many.
-    Anything that is no such file raises `InputError`.
+    Properties are found by name; unknown ones are ignored, for example normals and the view-dependent colour
+    ``f_rest_*`` (the map has SH degree 0). A file with ``scale_0`` only contains balls, one with ``scale_0`` and
+    ``scale_1`` thin disks. Without ``rot_*``, all rotations are the identity. Gaussians with a value that is not finite
+    are dropped, with a warning.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    GaussianMap
+        The Gaussians, in metres and in the axes of the file; moments are 0.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, or not a Gaussian splatting PLY.
     """
     table = _read_vertices(path)
     names = set(table.dtype.names or ())
@@ -123,7 +144,7 @@ def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, o
     try:
         with open(path, "rb") as file:
             count, dtype = _vertices(read_header(file), path)
-            # Compared before reading: a damaged count must not ask for more memory than the file is long.
+            # Compared before reading: with a damaged count, more memory than the file's size would be allocated.
             announced, present = count * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
             payload = file.read(announced) if announced <= present else b""
     except FileNotFoundError:
@@ -139,7 +160,7 @@ def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, o
 
 
 def _vertices(header: PlyHeader | None, path: str | os.PathLike[str]) -> tuple[int, np.dtype]:
-    """Vertex count and record type, of a header that may be any."""
+    """Return vertex count and record type of a header; raise `InputError` if it is not that of a map."""
     if header is None:
         raise InputError(f"'{path}' is not a PLY file: it does not begin with 'ply'")
     if header.format and header.format not in NUMPY_ORDERS:

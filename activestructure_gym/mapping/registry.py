@@ -1,4 +1,4 @@
-"""The mappers by name: each entry is the configuration of a mapper, which makes it."""
+"""Register mappers by name; an entry is a configuration, which makes the mapper."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ MAPPERS: Registry[BaseMapperConfig | type[BaseMapperConfig]] = Registry(
 
 
 def mapper_config(name: str) -> BaseMapperConfig:
-    """Return the configuration called ``name``; its field ``name`` is that name.
+    """Return the configuration registered as ``name``, with its field ``name`` set to it.
 
-    Raises `InputError` for an unknown name, or an entry that is no mapper's configuration.
+    Raises `InputError` for an unknown name, and for an entry that is not the configuration of a mapper.
     """
     entry = MAPPERS.get(name)
     return replace(entry() if isinstance(entry, type) else entry, name=name)

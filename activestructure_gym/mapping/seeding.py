@@ -1,8 +1,8 @@
-"""New Gaussians from one RGB-D frame: how they lie, and SplaTAM's rule of where the map lacks them.
+"""Create Gaussians from surface samples of a frame, and find missing pixels by SplaTAM's rule.
 
-A seed is a flat disk in the surface's tangent plane. Against one isotropic ball per pixel this needs a quarter of the
-Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe"). Where seeds go by default is
-`activestructure_gym.mapping.density`; SplaTAM's rule and its balls are here for the recipe that follows it.
+A seed is a flat disk in the tangent plane of the surface. Compared with one ball per pixel, disks need a quarter of the
+Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe"). The default recipe takes its
+samples from `activestructure_gym.mapping.density`; the recipe ``splatam`` uses SplaTAM's rule and balls.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
 from activestructure_gym.mapping.density import SurfaceSamples
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
-from activestructure_gym.mapping.surface_boundaries import nearest_borders
+from activestructure_gym.mapping.surface_boundaries import nearest_boundaries
 
 
 def missing_pixels(
@@ -22,21 +22,21 @@ def missing_pixels(
     rendered_depth: np.ndarray,  # [H, W] accumulated: sum of weight * z
     alpha: np.ndarray,  # [H, W] 0..1
     *,
-    covered_alpha: float = 0.5,  # below: nothing of the map stands here
-    error_factor: float = 50.0,  # times the median depth error of the image
+    covered_alpha: float = 0.5,  # pixels with a lower alpha are missing
+    error_factor: float = 50.0,  # factor on the median depth error of the image
     error_floor: float = 0.03,  # metres
     normalised: bool = True,
 ) -> np.ndarray:  # [H, W] bool
-    """Pixels that need new Gaussians: the map is transparent there, or all it shows lies behind a measured surface.
+    """Return the pixels that need new Gaussians: the map is transparent, or behind the measured surface.
 
-    The test against the median error is SplaTAM's; the floor keeps a converged map, whose median error falls below
-    a millimetre, from seeding sensor noise. ``normalised=False`` is SplaTAM to the letter: depth as accumulated, and
-    the median over all pixels, with an error of 0 where nothing was measured.
+    The test against the median error is SplaTAM's. In a converged map the median is below 1 mm; the floor then prevents
+    seeds from sensor noise. ``normalised=False`` is SplaTAM's exact rule: accumulated depth, and the median over all
+    pixels, with error 0 for those without a return.
     """
     measured = depth > 0
     covered = alpha >= covered_alpha
     if normalised:
-        behind = rendered_depth / np.maximum(alpha, 1e-10) - depth  # metres by which the map is too deep
+        behind = rendered_depth / np.maximum(alpha, 1e-10) - depth  # metres, error of the rendered depth
         errors = np.abs(behind[measured & covered])
     else:
         behind = np.where(measured, rendered_depth - depth, 0.0)
@@ -46,7 +46,7 @@ def missing_pixels(
 
 
 def _median(values: np.ndarray) -> float:
-    """`numpy.median` of one or more finite numbers, without its checks, which take longer."""
+    """Return the median of finite numbers, faster than `numpy.median` since nothing is checked."""
     low, high = (values.size - 1) // 2, values.size // 2
     ordered = np.partition(values, (low, high), axis=None)
     return float((ordered[low] + ordered[high]) / 2.0)
@@ -56,11 +56,11 @@ def grid_pixels(
     mask: np.ndarray,  # [H, W] bool
     stride: int,
 ) -> tuple[np.ndarray, np.ndarray]:  # rows [n], columns [n]
-    """The pixels of the seed grid (one per whole ``stride`` x ``stride`` cell, nearest to its middle) inside the mask.
+    """Return the pixels of the seed grid inside the mask: the central pixel of each whole ``stride`` x ``stride`` cell.
 
-    Row by row: neighbours in the image stay neighbours in the map, which the rasteriser's caches like.
+    They are ordered by rows: neighbours in the image become neighbours in the map, which improves cache use.
     """
-    down, right = (min(stride // 2, size - 1) for size in mask.shape)  # of a smaller image its last pixels
+    down, right = (min(stride // 2, size - 1) for size in mask.shape)  # last pixel of an image smaller than a cell
     rows, columns = np.nonzero(mask[down::stride, right::stride])
     return rows * stride + down, columns * stride + right
 
@@ -72,11 +72,11 @@ def surface_steps(
     *,
     min_cosine: float = 0.05,  # of the angle between normal and line of sight
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # per column [n, 3], per row [n, 3], defined [n] bool
-    """Change of the surface point from pixel to pixel: one-sided differences towards the smaller depth jump.
+    """Return the change of the surface point per pixel: one-sided differences towards the smaller depth difference.
 
-    One side is enough on a plane (exact), and beside a depth edge it is the side that stays on the surface. Undefined
-    where a direction has no neighbour with a return, or where the surface would be seen nearly edge-on: that is what
-    a depth edge on both sides of a thin object looks like.
+    This is exact on a plane. At a depth edge, it is the side that remains on the surface. The result is undefined if a
+    direction has no neighbour with a return, or if the angle to the surface is too small, as between two depth edges
+    of a thin object.
     """
     center = points[rows, columns]
     per_column, column_found = _one_sided_difference(points, rows, columns, center, 0, 1)
@@ -110,11 +110,11 @@ def seed_disks(
     thickness: float = 0.1,  # sigma along the normal, as a share of the in-plane sigma
     opacity: float = 0.9,
     min_cosine: float = 0.05,
-    border_sigmas: float | None = None,  # sigmas that fit between a disk's middle and the border of its surface
+    border_sigmas: float | None = None,  # sigmas from the centre of a disk to the boundary of its surface
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One disk per sample, lying on the surface; a ball where the surface's direction is unknown.
+    """Return one disk per sample in the tangent plane; a ball if the normal is unknown.
 
-    Beside a border of the surface it becomes an ellipse, narrow towards the border (`nearest_borders`).
+    Near a boundary of the surface, the disk is an ellipse that is narrow across the boundary (`nearest_boundaries`).
     """
     block = seed_balls(frame, seeds, sigma, opacity=opacity)
     rows, columns = np.divmod(seeds.pixels, frame.camera.width)
@@ -123,14 +123,14 @@ def seed_disks(
     if defined.any():
         axes = _disk_axes(per_column[defined], per_row[defined])
         if border_sigmas is not None:
-            borders = nearest_borders(frame, seeds.pixels, border_sigmas * sigma)
-            beside = defined & np.isfinite(borders.distance)
-            directed, distance = _border_axes(
-                frame, seeds.pixels[beside], borders.direction[beside], axes[beside[defined], :, 2]
+            found = nearest_boundaries(frame, seeds.pixels, border_sigmas * sigma)
+            near = defined & np.isfinite(found.distance)
+            directed, distance = _boundary_axes(
+                frame, seeds.pixels[near], found.direction[near], axes[near[defined], :, 2]
             )
-            axes[beside[defined]] = directed
-            narrow = borders.distance[beside] * distance / border_sigmas
-            block[7, beside] = np.log(np.clip(narrow, thickness * sigma[beside], sigma[beside]))
+            axes[near[defined]] = directed
+            narrow = found.distance[near] * distance / border_sigmas
+            block[7, near] = np.log(np.clip(narrow, thickness * sigma[near], sigma[near]))
         block[QUATERNION, defined] = quaternions(frame.world_from_camera[:3, :3] @ axes).T
     block[9, defined] += np.log(thickness)
     return block
@@ -143,7 +143,7 @@ def seed_balls(
     *,
     opacity: float = 0.5,
 ) -> np.ndarray:  # [14, n] float32
-    """One ball per sample, of the colour that was seen there."""
+    """Return one ball per sample, with the colour of the sample."""
     block = np.empty((ROWS, len(seeds.pixels)), dtype=np.float32)
     block[MEAN] = transform_points(frame.world_from_camera, seeds.points.astype(np.float64)).T
     block[QUATERNION] = [[1.0], [0.0], [0.0], [0.0]]
@@ -154,7 +154,7 @@ def seed_balls(
 
 
 def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> SurfaceSamples:
-    """The surface at some pixels of a frame."""
+    """Return the surface samples of the given pixels of a frame."""
     points = frame.camera.backproject(frame.depth)[rows, columns]
     pixels = rows * frame.camera.width + columns
     return SurfaceSamples(
@@ -164,9 +164,9 @@ def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> Surfac
 
 def _disk_axes(
     per_column: np.ndarray,  # [n, 3]
-    per_row: np.ndarray,  # [n, 3], not parallel to it
+    per_row: np.ndarray,  # [n, 3], not parallel to ``per_column``
 ) -> np.ndarray:  # [n, 3, 3] as columns: long, short, normal
-    """Axes of the ellipse that a circle of pixels becomes on the surface."""
+    """Return the axes of the ellipse on the surface whose projection into the image is a circle."""
     per_column, per_row = per_column.astype(np.float64), per_row.astype(np.float64)
     # Eigenvalues and first eigenvector of the 2 x 2 matrix of inner products, in closed form.
     a = np.einsum("ij,ij->i", per_column, per_column)
@@ -180,19 +180,19 @@ def _disk_axes(
     return np.stack([long, _cross(normal, long), normal], axis=-1)
 
 
-def _border_axes(
+def _boundary_axes(
     frame: Frame,
     pixels: np.ndarray,  # [n] flat index
-    direction: np.ndarray,  # [n, 2] unit vectors in the image, towards the border
+    direction: np.ndarray,  # [n, 2] unit vectors in the image, towards the boundary
     normals: np.ndarray,  # [n, 3] of the surface, camera frame
-) -> tuple[np.ndarray, np.ndarray]:  # [n, 3, 3] as columns: across the border, along it, normal; [n] metres per pixel
-    """Axes of disks beside a border, and how far on the surface a pixel towards it is."""
+) -> tuple[np.ndarray, np.ndarray]:  # [n, 3, 3] as columns: across the boundary, along it, normal; [n] metres per pixel
+    """Return the axes of disks near a boundary, and the length on the surface of a pixel across the boundary."""
     camera = frame.camera
     rows, columns = np.divmod(pixels, camera.width)
     ray = np.stack(
         [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(pixels))], axis=-1
     )
-    # The border's line in the image and the eye span a plane; where that cuts the surface, the border runs.
+    # The image line of the boundary and the camera centre span a plane, which cuts the surface along the boundary.
     line = np.stack([-direction[:, 1] / camera.fx, direction[:, 0] / camera.fy, np.zeros(len(pixels))], axis=-1)
     along = _cross(normals, _cross(ray, line))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -204,7 +204,7 @@ def _border_axes(
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 3]
-    """`numpy.cross` without what it takes for arrays of other shapes."""
+    """Return the cross product of rows, faster than `numpy.cross`, which supports other shapes."""
     result = np.empty_like(a)
     for k in range(3):
         m, n = (k + 1) % 3, (k + 2) % 3

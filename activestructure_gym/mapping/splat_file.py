@@ -1,9 +1,9 @@
-"""Gaussian maps as ``.splat``, the format of antimatter15/splat that web viewers load as it comes.
+"""Write Gaussian maps as ``.splat``, the format of antimatter15/splat that web viewers load progressively.
 
-No header; 32 bytes per Gaussian: mean 3 x float32, standard deviations 3 x float32 in metres, RGB and opacity
-4 x uint8, unit quaternion wxyz 4 x uint8 as 128 + 128 q. Those that matter most come first, so that a viewer can show
-something before it has everything: opacity times volume. Colour and shape lose what 8 bits cannot hold (up to 0.4 % of
-a colour, a degree); PLY keeps them.
+The file has no header. Each Gaussian has 32 bytes: mean 3 x float32 and standard deviations 3 x float32 in metres, RGB
+and opacity 4 x uint8, unit quaternion wxyz 4 x uint8 as 128 + 128 q. Gaussians are sorted by opacity times volume, so
+that a viewer shows the largest ones first. Colours and rotations are rounded to 8 bits: errors up to 0.4 % and about 1
+degree. PLY files keep full precision.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), (
 
 
 def write_splat(gaussians: GaussianMap, path: str | os.PathLike[str]) -> None:
-    """Write the live Gaussians, whole or not at all."""
+    """Write the Gaussians to a file, atomically."""
     records = np.zeros(gaussians.count, RECORD)
     records["mean"], records["scale"] = gaussians.means, gaussians.scales
     records["rgba"][:, :3] = _bytes(255.0 * gaussians.colors)

@@ -1,8 +1,7 @@
-"""Gaussian maps as SplaTAM's ``params.npz``, the checkpoint that its descendants read and write as well.
+"""Read and write Gaussian maps as SplaTAM's ``params.npz``, a checkpoint format that derived programs share.
 
-Keys and conventions: [splatam, code]. The map and all poses lie in the frame
-of the first camera, and no key of the original says where in the world that was; files written here add
-``world_from_first_camera`` [4, 4].
+Keys and conventions are those of [splatam, code]. The map and all poses are in the frame of the first camera, whose
+world pose is not part of the original format. Files written here add it as ``world_from_first_camera`` [4, 4].
 """
 
 from __future__ import annotations
@@ -29,28 +28,28 @@ from activestructure_gym.mapping.gaussian_map import (
 from activestructure_gym.npz import read_npz
 
 _PLACE = "world_from_first_camera"
-_MAX_NUMBER = 1e9  # of a camera's numbers: metres, pixels
+_MAX_NUMBER = 1e9  # largest number of a camera, in metres or pixels
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
 
 
 def write_splatam(
     gaussians: GaussianMap,
     path: str | os.PathLike[str],
-    world_from_camera: np.ndarray,  # [T, 4, 4] the first one's frame becomes the file's
+    world_from_camera: np.ndarray,  # [T, 4, 4]; the frame of the first is that of the file
     camera: PinholeCamera,
     keyframes: np.ndarray,  # [K] indices into the poses
 ) -> None:
-    """Write the live Gaussians and the path they were made along, atomically."""
-    live = gaussians.parameters[:, : gaussians.count].astype(np.float64)
+    """Write the Gaussians and the camera poses, atomically."""
+    used = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     poses = np.asarray(world_from_camera, np.float64)
     first = invert_rigid(poses[0])
     in_first = invert_rigid(poses) @ poses[0]  # camera t from camera 0, [T, 4, 4]
     content = {
-        "means3D": (live[MEAN].T @ first[:3, :3].T + first[:3, 3]).astype(np.float32),
-        "rgb_colors": live[COLOR].T.astype(np.float32),
-        "unnorm_rotations": turned(quaternion_of(first[:3, :3]), live[QUATERNION].T).astype(np.float32),
-        "logit_opacities": live[OPACITY_LOGIT][:, None].astype(np.float32),
-        "log_scales": live[LOG_SCALE].T.astype(np.float32),
+        "means3D": (used[MEAN].T @ first[:3, :3].T + first[:3, 3]).astype(np.float32),
+        "rgb_colors": used[COLOR].T.astype(np.float32),
+        "unnorm_rotations": turned(quaternion_of(first[:3, :3]), used[QUATERNION].T).astype(np.float32),
+        "logit_opacities": used[OPACITY_LOGIT][:, None].astype(np.float32),
+        "log_scales": used[LOG_SCALE].T.astype(np.float32),
         "cam_unnorm_rots": np.stack([quaternion_of(pose[:3, :3]) for pose in in_first], axis=1)[None].astype(
             np.float32
         ),
@@ -69,12 +68,10 @@ def write_splatam(
 
 
 def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
-    """Read a ``params.npz`` into the world's frame, if the file or ``world_from_first`` [4, 4] says where it lies.
+    """Read a ``params.npz`` into the world frame, by ``world_from_first`` [4, 4] or the pose in the file.
 
-    Without either, the map stays in its first camera's frame, with a warning.
-
-    Isotropic scales [N, 1] become balls. Gaussians with a value that is not finite are dropped, with a warning. Raises
-    `InputError` for anything that is no such file.
+    Without either, the map remains in the frame of its first camera, with a warning. Isotropic scales [N, 1] become
+    balls. Gaussians with a value that is not finite are dropped, with a warning. Raises `InputError` for other files.
     """
     content = _read(path)
     for name in _NEEDED:
@@ -119,7 +116,7 @@ def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | No
 def splatam_path(
     path: str | os.PathLike[str], world_from_first: np.ndarray | None = None
 ) -> dict[str, np.ndarray] | None:
-    """Poses and camera of a ``params.npz`` as the arrays of a ``trajectory.npz``; None where the file has none."""
+    """Return poses and camera of a ``params.npz`` as the arrays of a ``trajectory.npz``; None if the file has none."""
     content = _read(path)
     needed = ("gt_w2c_all_frames", "intrinsics", "org_width", "org_height", "keyframe_time_indices")
     if any(name not in content for name in needed):
@@ -146,9 +143,9 @@ def splatam_path(
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """``world_from_first``: as given, else by the file's own key, else by true poses that do not start at the identity.
+    """Return ``world_from_first``: the given one, else that of the file, else from poses that start off the identity.
 
-    Raises `InputError` where that is no rigid motion.
+    Raises `InputError` if it is not a rigid motion.
     """
     if given is not None:
         return np.asarray(given, np.float64)

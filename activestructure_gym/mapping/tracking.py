@@ -1,18 +1,21 @@
-"""Pose tracking: the pose of a frame, found by aligning it with earlier keyframes.
+"""Track the pose of a frame by aligning it with earlier keyframes.
 
-The reported pose is the start and a prior. Every point of the reference keyframes is moved into the frame's camera,
-p = T P, and compared with the frame at the pixel where it appears, by two residuals:
+The reported pose is the start value and a prior. Every point P of the reference keyframes is transformed into the
+camera, p = T P, and compared with the frame at its pixel, by two residuals:
 
-    depth   n . (q - p)    q the point measured at that pixel, n the reference's normal (point to plane)
-    colour  C - I(p)       the reference's colour and the frame's, smoothed less from step to step
+    depth   n . (q - p)    the point-to-plane distance
+    colour  C - I(p)
 
-With camera_from_world T <- Exp(xi) T, xi = (rho, phi), a point moves by rho + phi x p, and the rows of the Gauss-Newton
-system are [n, p x n] and [g, p x g], g the slope of the brightness per metre. Depth alone fixes the three to five
-degrees of freedom that the planes in view determine; colour fixes the others.
+Here q is the point measured at that pixel, n the normal and C the colour of the reference, and I the frame's image.
+Both images are smoothed, less in each step.
 
-The references are the frames themselves and not what the map shows: a map of a few steps per keyframe is off by
-millimetres to a centimetre at slanted walls and edges, always to the same side, and the pose follows it (measured: 2 to
-3 cm against the rendered map, below 2 mm against keyframes).
+The update is camera_from_world T <- Exp(xi) T with xi = (rho, phi). A point moves by rho + phi x p. The rows of the
+Gauss-Newton system are therefore [n, p x n] and [g, p x g], where g is the gradient of the colour per metre. Depth
+determines the three to five degrees of freedom that the visible planes constrain; colour determines the others.
+
+The references are keyframes, not renderings of the map. After few steps per keyframe, the map has systematic errors of
+millimetres to a centimetre at slanted walls and edges, which bias the pose. Measured errors are 2 to 3 cm with the
+rendered map, and below 2 mm with keyframes.
 """
 
 from __future__ import annotations
@@ -27,8 +30,8 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp, t
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import check_ranges
 
-_NEAR = 0.05  # metres
-_PROBES = 400  # pixels of the frame by which references are chosen
+_NEAR = 0.05  # metres, smallest depth
+_PROBES = 400  # pixels of the frame that test which keyframes overlap
 _RANGES = {
     "iterations": "[0, 10000]",
     "references": "[1, 100000]",
@@ -42,18 +45,18 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """Constants of `track_pose`. All choices are our own; "measured": as in the project's docs, method."""
+    """Configure `track_pose`. All values are our own choice; measurements are in docs/notebook/method.md."""
 
-    iterations: int = 0  # Gauss-Newton steps at most; 0 = believe the reported pose. 20 is a good number
-    references: int = 10  # keyframes compared with: those that share most with the frame (measured: 6 double the error)
-    pixels: int = 3600  # of every reference, on a grid; fewer in smaller images
-    blurs_deg: tuple[float, ...] = (1.8, 1.4, 1.1, 0.7, 0.35)  # of view, sigma of the smoothing per step, last repeats
-    reaches: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)  # metres, more apart is another surface; per step, last repeats
-    depth_sigma: float = 0.001  # metres, least scale of the depth residual (the residuals' own spread if larger)
-    color_sigma: float = 0.02  # of the 0..1 range, least scale of the colour residual, as above
-    huber: float = 1.345  # scales beyond which a residual counts linearly (95 % efficient on Gaussian noise)
-    converged: float = 1e-4  # metres and radians; a shorter step is the last
-    gate: float = 4.0  # times the expected error; a pose further from the reported one is not believed
+    iterations: int = 0  # Gauss-Newton steps, at most; 0 = no tracking. 20 works well
+    references: int = 10  # keyframes with the largest overlap (measured: 6 double the error)
+    pixels: int = 3600  # pixels per reference, on a grid; fewer in smaller images
+    blurs_deg: tuple[float, ...] = (1.8, 1.4, 1.1, 0.7, 0.35)  # smoothing sigma per step; the last one repeats
+    reaches: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)  # metres, largest residual per step; the last repeats
+    depth_sigma: float = 0.001  # metres, smallest scale of the depth residual (its measured spread if larger)
+    color_sigma: float = 0.02  # 0..1, smallest scale of the colour residual, as above
+    huber: float = 1.345  # residual, in scales, above which the loss is linear (95 % efficiency for Gaussian noise)
+    converged: float = 1e-4  # metres and radians; the first shorter step is the last
+    gate: float = 4.0  # largest deviation from the reported pose, as a factor on the expected error
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES, "tracking ")
@@ -61,12 +64,12 @@ class TrackingConfig:
 
 @dataclass(frozen=True)
 class TrackedPose:
-    """The result of `track_pose`."""
+    """Hold the result of `track_pose`."""
 
     world_from_camera: np.ndarray  # [4, 4]
     steps: int  # Gauss-Newton steps taken
-    points: int  # reference points compared in the last one
-    believed: bool  # False: too little in common, or too far from the reported pose, which then stands
+    points: int  # reference points compared in the last step
+    believed: bool  # False: too little overlap, or too far from the reported pose, which is then returned
 
 
 @dataclass(frozen=True)
@@ -77,17 +80,35 @@ class _References:
 
 
 def track_pose(
-    frame: Frame,  # its pose is the reported one
-    keyframes: Sequence[Frame],  # with the poses they were mapped from
+    frame: Frame,  # with the reported pose
+    keyframes: Sequence[Frame],  # with the poses used for mapping
     config: TrackingConfig,
     *,
     sigma_m: float,  # metres per axis, expected error of the reported position
     sigma_deg: float,  # degrees per axis, as above for the rotation
 ) -> TrackedPose:
-    """Align ``frame`` with the keyframes it shares most with.
+    """Align a frame with the keyframes that overlap with it most.
 
-    The reported pose is returned unchanged where there is nothing to compare with, or if the result lies further from
-    it than ``config.gate`` expected errors.
+    The reported pose is returned without overlap, or if the result deviates from it by more than ``config.gate``
+    expected errors.
+
+    Parameters
+    ----------
+    frame : Frame
+        The frame; its pose is the reported one.
+    keyframes : sequence of Frame
+        The keyframes, with the poses used for mapping.
+    config : TrackingConfig
+        The constants.
+    sigma_m : float
+        Expected error of the reported position per axis, in metres.
+    sigma_deg : float
+        Expected error of the reported rotation per axis, in degrees.
+
+    Returns
+    -------
+    TrackedPose
+        The pose, and whether it was tracked.
     """
     camera, reported = frame.camera, invert_rigid(frame.world_from_camera)
     chosen = shared_keyframes(frame, keyframes, limit=config.references, reach=config.reaches[0])
@@ -128,7 +149,7 @@ def track_pose(
 
 
 def shared_keyframes(frame: Frame, keyframes: Sequence[Frame], *, limit: int, reach: float) -> list[int]:
-    """The ``limit`` keyframes that see most of what ``frame`` sees: same pixel, depths within ``reach`` metres."""
+    """Return the ``limit`` keyframes with the largest overlap: same surface point, depths within ``reach`` metres."""
     measured = np.flatnonzero(frame.depth)
     if not len(measured):
         return []
@@ -147,7 +168,7 @@ def shared_keyframes(frame: Frame, keyframes: Sequence[Frame], *, limit: int, re
 
 
 def _pixels(points: np.ndarray, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row, column (0 where outside) and whether inside, of points [n, 3] in the camera's frame."""
+    """Return row, column (0 outside) and whether inside the image, for points [n, 3] in the camera frame."""
     z = points[:, 2]
     safe = np.where(z > _NEAR, z, 1.0)
     column = np.floor(camera.fx * points[:, 0] / safe + camera.cx)
@@ -175,9 +196,9 @@ def surface_normals(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
     camera: PinholeCamera,
     *,
-    most_bend: float = 0.02,  # of the depth: second difference of the inverse depth, which is linear on planes
+    most_bend: float = 0.02,  # relative second difference of the inverse depth, which is linear on planes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # points [H, W, 3], normals [H, W, 3], defined [H, W] bool
-    """Points and normals (towards the camera) from central differences; undefined at borders, edges and holes."""
+    """Return points and normals (towards the camera) by central differences; undefined at borders, edges and holes."""
     points = camera.backproject(depth)
     inverse = np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0), 0.0)
     middle, after, before = slice(1, -1), slice(2, None), slice(None, -2)
@@ -200,7 +221,7 @@ def surface_normals(
 def _seen(
     pose: np.ndarray, references: _References, frame: Frame, rays: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The reference points that the frame sees: index [n], place [n, 3] in the camera, pixel [n, 2], residual [n]."""
+    """Return visible reference points: index [n], position in the camera [n, 3], pixel [n, 2], depth residual [n]."""
     camera = frame.camera
     place = transform_points(pose, references.points)
     row, column, inside = _pixels(place, camera)
@@ -234,18 +255,18 @@ def _color_terms(
 
 
 def _rows(direction: np.ndarray, place: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 6]
-    """Derivative of direction . (rho + phi x place) by (rho, phi)."""
+    """Return the derivative of direction . (rho + phi x place) by (rho, phi)."""
     return np.concatenate([direction, np.cross(place, direction)], axis=1)
 
 
 def _robust_weights(residuals: np.ndarray, least: float, huber: float) -> np.ndarray:
-    """Huber's weights over the variance; the scale is the median absolute residual's, at least ``least``."""
+    """Return Huber weights over the variance; the scale is from the median absolute residual, at least ``least``."""
     scale = max(least, 1.4826 * float(np.median(np.abs(residuals))))
     return np.minimum(1.0, huber * scale / np.maximum(np.abs(residuals), 1e-12)) / scale**2
 
 
 def _smoothed(frame: Frame, blur_deg: float) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """Blurred by an angle: a keyframe with fewer pixels than the frame it is compared with shows as much detail."""
+    """Return the image smoothed by an angle, so that images of different sizes show the same detail."""
     import cv2
 
     sigma = blur_deg * np.pi / 180.0 * frame.camera.fx  # pixels
@@ -269,6 +290,6 @@ def _bilinear(image: np.ndarray, at: np.ndarray) -> np.ndarray:  # [H, W, c], [n
 
 
 def _tangent(motion: np.ndarray) -> np.ndarray:  # [6] (rho, phi)
-    """Logarithm of a small rigid motion, to the first order of the rotation (inverse of `se3_exp` up to phi^2 rho)."""
+    """Return the logarithm of a small rigid motion, to first order in the rotation (inverse of `se3_exp`)."""
     phi = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
     return np.concatenate([motion[:3, 3] - 0.5 * np.cross(phi, motion[:3, 3]), phi])

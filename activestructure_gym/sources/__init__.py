@@ -1,4 +1,4 @@
-"""Candidate sources: where the views on offer come from, by name.
+"""Propose candidate views by named sources.
 
 A source is a frozen dataclass derived from `Source`. Its fields are its options, and `propose` returns views, best
 first::
@@ -11,10 +11,10 @@ first::
         def propose(self, context):
             return Proposals(np.tile(context.agent.pose, (8, 1, 1)))
 
-``views.stages`` of the configuration names those that are offered together: ``(("pool", "mine"),)``. Several stages are
-several tables, of which a policy asks for another one by choosing a row.
+A stage is a group of sources that are offered together; ``views.stages`` of the configuration lists the stages, for
+example ``(("pool", "mine"),)``. With several stages, a policy switches to another one by choosing a row of the table.
 
-This room holds the sources that two planners or more use; `SOURCES` finds them and those in the planners' folders.
+This package holds the sources that at least two planners use; `SOURCES` also finds those in the planners' folders.
 """
 
 from activestructure_gym.sources.base import (

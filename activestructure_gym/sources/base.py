@@ -1,4 +1,4 @@
-"""What a candidate source is: it sees what a feature may see, and proposes views."""
+"""Define candidate sources, which propose views from the reconstruction that features may read."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ MAX_ROWS = 65536
 
 @dataclass(frozen=True)
 class SourceContext:
-    """The reconstruction in which views are proposed.
+    """Hold the reconstruction for which views are proposed.
 
-    No scene is in here: no source can reach ground truth but where the agent stands.
+    It has no scene: the true pose of the agent is the only ground truth that a source can reach.
     """
 
     mapper: KeyframeMapper  # the Gaussian map and its keyframes
-    volume: VoxelVolume  # known free, occupied and unknown space
+    volume: VoxelVolume  # free, occupied and unknown voxels
     planes: PlaneSceneGraph  # as of the last keyframe
-    camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`
+    camera: PinholeCamera  # the sensor's camera, reduced by `ViewConfig.scoring_scale`
     bounds: np.ndarray  # [2, 3] metres, the workspace
-    max_range: float  # metres, the sensor's
-    agent: Agent  # where it stands, how it gets to a place, where each decision has ended
-    start: np.ndarray  # [3] metres, where the episode began
-    clearance_m: float  # what a view keeps from all that is not known to be free
-    decision: int  # how many there have been
-    pool: CandidatePool  # the shared pool, as it is now
-    revisits: np.ndarray  # [R, 4, 4] keyframe poses, worst rendered first
-    room: int  # rows that are left for this source
-    rng: np.random.Generator  # of this source at this decision, from the episode's seed
+    max_range: float  # metres, range of the sensor
+    agent: Agent  # its pose, path lengths, and the final pose of each decision
+    start: np.ndarray  # [3] metres, start position of the episode
+    clearance_m: float  # metres, smallest distance of a view to space not known to be free
+    decision: int  # number of previous decisions
+    pool: CandidatePool  # the shared pool
+    revisits: np.ndarray  # [R, 4, 4] keyframe poses, lowest PSNR first
+    room: int  # rows available to this source
+    rng: np.random.Generator  # for this source and decision, from the seed of the episode
 
 
 @dataclass(frozen=True)
 class Proposals:
-    """Views that a source would offer, those it wants most first: the table takes the first that can be reached."""
+    """Hold the views that a source proposes, best first; the table takes the first reachable ones."""
 
     world_from_camera: np.ndarray  # [n, 4, 4]
-    look_at: np.ndarray | None = None  # [n, 3] metres: the point that the camera keeps in its axis on the way
-    stay: int = 0  # rounds of optimisation in place instead of a way
-    ends: bool = False  # choosing one of them ends the episode
-    ids: np.ndarray | None = None  # [n] those of the shared pool
-    revisit: np.ndarray | None = None  # [n] bool: a stored keyframe's pose
+    look_at: np.ndarray | None = None  # [n, 3] metres: point that the camera looks at along the path
+    stay: int = 0  # rounds of optimisation in place instead of a path; 0 = none
+    ends: bool = False  # whether choosing a view ends the episode
+    ids: np.ndarray | None = None  # [n] ids of the shared pool
+    revisit: np.ndarray | None = None  # [n] bool: pose of a stored keyframe
 
     def __post_init__(self) -> None:
         shape = np.shape(self.world_from_camera)
@@ -70,17 +70,17 @@ class Proposals:
 
 
 class Source(ABC):
-    """Proposes candidate views. Fields of a subclass, a frozen dataclass, are its options: ``name?key=value``."""
+    """Propose candidate views. A subclass is a frozen dataclass; its fields are the options in ``name?key=value``."""
 
-    rows: int = 64  # most views that the table takes of it
+    rows: int = 64  # largest number of views in the table
 
     @abstractmethod
     def propose(self, context: SourceContext) -> Proposals:
-        """The views that are wanted now, best first; those that cannot be reached are left out of the table."""
+        """Return the proposed views, best first; unreachable ones are left out of the table."""
 
 
 def is_source(kind: object) -> TypeGuard[type[Source]]:
-    """Whether it is a class of sources."""
+    """Return whether the object is a subclass of `Source`."""
     return isinstance(kind, type) and issubclass(kind, Source)
 
 
@@ -94,9 +94,22 @@ SOURCES: Registry[type[Source]] = Registry(
 
 
 def make_source(spec: str) -> Source:
-    """The source that ``spec`` names: ``pool``, ``lattice?spacing_m=1&directions=5``, ``package.module:Mine?depth=3``.
+    """Return the source that a text names.
 
-    Raises `InputError` for an unknown name or option, and for a value that the source refuses.
+    Parameters
+    ----------
+    spec : str
+        Name and options: ``pool``, ``lattice?spacing_m=1&directions=5``, ``package.module:Mine?depth=3``.
+
+    Returns
+    -------
+    Source
+        The source with these options.
+
+    Raises
+    ------
+    InputError
+        The name or an option is unknown, or the source refuses a value.
     """
     parsed = Spec.of(spec)
     kind = SOURCES.get(parsed.name)
@@ -109,7 +122,18 @@ def make_source(spec: str) -> Source:
 
 
 def sources_in(overrides: Mapping[str, Any]) -> Iterator[str]:
-    """Names of the sources in overrides of a configuration, however it was nested; nothing is loaded."""
+    """Yield the names of sources in overrides of a configuration, nested or dotted, without loading them.
+
+    Parameters
+    ----------
+    overrides : mapping
+        Overrides of a configuration, by field name.
+
+    Yields
+    ------
+    str
+        The name of a source, without options.
+    """
     views = overrides.get("views")
     given = [overrides.get("views.stages"), views.get("stages") if isinstance(views, Mapping) else None]
     for stages in given:

@@ -1,4 +1,4 @@
-"""Sources of views that face something: the frontier of what is known, and surface that the map is not sure of."""
+"""Propose views that face the frontier of unobserved space, or badly rendered surface."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
-SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
-_MAX_REGIONS = 1000  # the foremost ones, of which views are sought
-_TRIES = 8  # regions of a cube of side `apart_m` of which views are sought, until one has some
+SIDE = 2  # voxels per side of a region: 0.2 m at the default voxel size, the voxel size of ActiveGS
+_MAX_REGIONS = 1000  # regions tested, first ones first
+_TRIES = 8  # regions tested per cube of side `apart_m`, until one has views
 
 
 @dataclass(frozen=True)
 class Facing(Source):
-    """Views of regions, the nearest first: from free places 0.3 to 2 m away, within 60 degrees of their normal.
+    """Propose views of regions, nearest first, from free positions within 60 degrees of the region's normal.
 
-    With ``apart_m`` one region of every cube of that side has views, so that they spread as far as anything is known.
+    The positions are 0.3 to 2 m away by default. With ``apart_m``, only one region per cube of that side (metres) has
+    views, so that they spread over the known space.
     """
 
     nearest_m: float = 0.3
@@ -38,11 +39,11 @@ class Facing(Source):
         check_ranges(self, {**ranges, "rows": f"[1, {MAX_ROWS}]"})
 
     def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-        """Which cells are to be looked at."""
+        """Return the cells that views should face."""
         raise NotImplementedError
 
     def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
-        """Centres of the regions and where the free space is from there, in the order in which they are faced."""
+        """Return centres and normals (towards free space) of the regions, in order of priority."""
         volume = context.volume
         free = np.asarray(_coarse(volume.state == FREE).all(axis=-1))
         centres, normals = _facing_free(self.regions(context), free, volume)
@@ -50,7 +51,7 @@ class Facing(Source):
         return centres[order], normals[order]
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Up to ``per_region`` random places of every region."""
+        """Return views from up to ``per_region`` random positions per region."""
         volume, rng = context.volume, context.rng
         centres, normals = self.foremost(context)
         order = np.arange(len(centres))
@@ -60,7 +61,7 @@ class Facing(Source):
             cube = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
             order = order[_rank_within(cube[order]) < _TRIES]
         done: set[int] = set()
-        places = standing_places(context)
+        places = camera_positions(context)
         found: list[np.ndarray] = []
         if len(places):
             tree = cKDTree(places)
@@ -74,7 +75,7 @@ class Facing(Source):
                 chosen = places[near[good]]
                 if len(chosen) > self.per_region:
                     chosen = chosen[np.sort(rng.choice(len(chosen), self.per_region, replace=False))]
-                chosen = chosen[volume.sight_free(chosen, centres[region])] if len(chosen) else chosen
+                chosen = chosen[volume.line_of_sight_free(chosen, centres[region])] if len(chosen) else chosen
                 if len(chosen):
                     found.append(looking(chosen, centres[region] - chosen))
                     if self.apart_m:
@@ -87,23 +88,23 @@ class Facing(Source):
 @SOURCES.register("frontier_facing")
 @dataclass(frozen=True)
 class FrontierFacing(Facing):
-    """Views that face the frontier: unobserved space that has free space beside it."""
+    """Propose views that face the frontier: unobserved space next to free space."""
 
     def regions(self, context: SourceContext) -> np.ndarray:
-        """Cells of which half or more is unobserved."""
+        """Return the cells of which at least half is unobserved."""
         return frontier_cells(context.volume)
 
 
 @SOURCES.register("unsure_facing")
 @dataclass(frozen=True)
 class UnsureFacing(Facing):
-    """Views that face surface whose colour is rendered worse than the mean, the worst first.
+    """Propose views that face surface with a colour error above the mean, largest error first.
 
-    By the mean squared colour error of keyframes in every voxel, as the feature `aiisrfe`.
+    The error is the mean squared colour error of keyframes per voxel, as in the feature `aiisrfe`.
     """
 
     def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:
-        """The voxels with an error above the mean of those that have one, the largest first."""
+        """Return centres and normals of voxels with an error above the mean of the positive errors, largest first."""
         volume, errors = context.volume, voxel_colour_errors(context.mapper, context.volume)
         voxels = np.argwhere(errors > errors[errors > 0].mean() if errors.any() else errors > 0)
         voxels = voxels[np.argsort(-errors[tuple(voxels.T)], kind="stable")]
@@ -112,7 +113,7 @@ class UnsureFacing(Facing):
         return volume.center_of(voxels[known]), normals[known]
 
 
-def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] how many of the same group stand before each
+def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] number of previous entries of the same group
     order = np.argsort(group, kind="stable")
     rank = np.empty(len(group), dtype=np.int64)
     rank[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
@@ -120,14 +121,14 @@ def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] how many of the
 
 
 def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-    """Cells of which half or more is unobserved, without the outermost layer, which lies beyond the workspace."""
+    """Return the cells of which at least half is unobserved, without the outermost voxels outside the workspace."""
     inner = np.zeros(volume.shape, dtype=bool)
     inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
     return np.asarray(_coarse(inner).mean(axis=-1) >= 0.5)
 
 
-def standing_places(context: SourceContext) -> np.ndarray:  # [P, 3] metres
-    """Reachable places with a view's clearance at the heights that cameras may have, a cell apart."""
+def camera_positions(context: SourceContext) -> np.ndarray:  # [P, 3] metres
+    """Return reachable positions with the clearance of a view, at the heights of the pool, one per cell."""
     volume = context.volume
     low, high = (
         context.start[2] + end for end in (min(context.pool.config.heights_m), max(context.pool.config.heights_m))
@@ -141,7 +142,7 @@ def standing_places(context: SourceContext) -> np.ndarray:  # [P, 3] metres
 
 
 def _coarse(grid: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [X / 2, Y / 2, Z / 2, 8]
-    """The voxels of every whole cell."""
+    """Return the 8 voxels of every complete cell."""
     x, y, z = (size // SIDE for size in grid.shape)
     cells = grid[: x * SIDE, : y * SIDE, : z * SIDE].reshape(x, SIDE, y, SIDE, z, SIDE)
     return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, SIDE**3)
@@ -152,15 +153,15 @@ def _facing_free(
     free: np.ndarray,  # [X, Y, Z] bool
     volume: VoxelVolume,
 ) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
-    """Centres of those cells that have free ones among their 26 neighbours, and the mean direction to these."""
+    """Return the centres of cells with free cells among their 26 neighbours, and the mean direction to these."""
     at = np.argwhere(cells & ~free)
     padded = np.pad(free, 1)
     towards = np.zeros((len(at), 3))
     for step in np.ndindex(3, 3, 3):
         offset = np.array(step) - 1
         if offset.any():
-            beside = padded[tuple((at + step).T)]
-            towards += beside[:, None] * (offset / np.linalg.norm(offset))
+            neighbour = padded[tuple((at + step).T)]
+            towards += neighbour[:, None] * (offset / np.linalg.norm(offset))
     length = np.linalg.norm(towards, axis=1)
     kept = length > 1e-6
     centres = volume.origin + (at[kept] + 0.5) * SIDE * volume.voxel_size

@@ -1,4 +1,4 @@
-"""The candidate table of a stage: what its sources propose and can be reached, and rows that ask for other stages."""
+"""Build the candidate table of a stage from reachable proposals, and rows that switch to other stages."""
 
 from __future__ import annotations
 
@@ -16,13 +16,28 @@ Stages = tuple[tuple[str, ...], ...]
 
 
 def make_stages(names: Stages, rows: int) -> dict[str, Source]:
-    """The sources of all stages by what they are called there.
+    """Return the sources of all stages, by their text in the configuration.
 
-    Raises `InputError` for what `make_source` refuses, and for a stage that does not fit into ``rows``.
+    Parameters
+    ----------
+    names : tuple of tuple of str
+        The stages, each a tuple of sources with their options.
+    rows : int
+        Rows of the candidate table.
+
+    Returns
+    -------
+    dict of str to Source
+        The sources.
+
+    Raises
+    ------
+    InputError
+        `make_source` refuses a source, or a stage needs more than ``rows``.
     """
     made = {name: make_source(name) for stage in names for name in stage}
     for stage in names:
-        # The shared pool takes what is left; one row is the least.
+        # The shared pool takes the remaining rows, at least one.
         needed = sum(1 if made[name].rows == MAX_ROWS else made[name].rows for name in stage) + len(names) - 1
         if needed > rows:
             raise InputError(
@@ -33,7 +48,22 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
 
 
 def random_of(seed: int, decision: int, name: str) -> np.random.Generator:
-    """The generator of the source called ``name`` at one decision of the episode with this seed."""
+    """Return the random generator of a source at one decision.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the episode's sources.
+    decision : int
+        Number of previous decisions.
+    name : str
+        The source, with its options.
+
+    Returns
+    -------
+    numpy.random.Generator
+        The generator; equal arguments give equal draws.
+    """
     return np.random.default_rng([seed, decision, zlib.crc32(name.encode())])
 
 
@@ -43,15 +73,39 @@ def offer(
     context: Callable[[str, int], SourceContext],  # name, room
     *,
     rows: int,
-    asks: Iterable[int] = (),  # the stages that may be asked for
+    asks: Iterable[int] = (),  # stages to which a row can switch
 ) -> CandidateTable:
-    """The table: the sources in their order, then a row for every stage in ``asks``."""
+    """Return the candidate table of a stage: its sources in order, then a row per stage in ``asks``.
+
+    Parameters
+    ----------
+    stage : sequence of str
+        Sources of the stage.
+    made : dict of str to Source
+        All sources, see `make_stages`.
+    context : callable
+        Returns the `SourceContext` for the name of a source and its number of rows.
+    rows : int
+        Largest number of rows of the table.
+    asks : iterable of int
+        Stages to which a row can switch.
+
+    Returns
+    -------
+    CandidateTable
+        At most ``rows`` rows.
+
+    Raises
+    ------
+    InputError
+        A source returns something else than `Proposals`, or poses that are not rotations or have roll.
+    """
     asks, names = list(asks), list(made)
     parts: list[CandidateTable] = []
     left = rows - len(asks)
     for place, name in enumerate(stage):
         source = made[name]
-        # What the later sources may need stays free.
+        # Rows reserved for the later sources.
         kept = sum(1 if made[later].rows == MAX_ROWS else made[later].rows for later in stage[place + 1 :])
         room = min(left - kept, source.rows)
         seen = context(name, room)
@@ -66,12 +120,12 @@ def offer(
 def _checked(
     name: str,
     proposed: object,
-    present: np.ndarray,  # [4, 4] the agent's pose
+    present: np.ndarray,  # [4, 4] pose of the agent
 ) -> Proposals:
-    """What the source called ``name`` returned, if it is what the table can take.
+    """Return the proposals of the source ``name``; raise `InputError` for other objects and for invalid poses.
 
-    Raises `InputError` where it is no `Proposals`, and for poses that no camera on a level base can take. A camera that
-    is led along somebody's path may roll: its keyframes, which the pool offers again, and where it is now.
+    Poses must be level, with two exceptions that can have roll after a given trajectory: the present pose, and keyframe
+    poses that the pool offers again.
     """
     if not isinstance(proposed, Proposals):
         raise InputError(f"propose() of the source '{name}' must return Proposals, got {type(proposed).__name__}")
@@ -90,12 +144,12 @@ def _checked(
 
 
 def _reachable(proposed: Proposals, context: SourceContext, room: int, source: int) -> CandidateTable:
-    """The first proposals that can be reached, as rows."""
+    """Return the first ``room`` reachable proposals as rows."""
     poses, distances = np.asarray(proposed.world_from_camera, dtype=np.float64), context.agent.distances
     places = poses[:, :3, 3]
     lengths = distances.at(places) if len(poses) else np.zeros(0, np.float32)
     good = np.isfinite(lengths)
-    if proposed.ids is None:  # the pool has looked already, and a keyframe's pose may be where it is narrow
+    if proposed.ids is None:  # the pool has tested its views, and a keyframe pose can have less clearance
         good &= (context.volume.clearance_at(places) >= context.clearance_m) | (
             np.linalg.norm(places - distances.start, axis=1) < 1e-6
         )

@@ -1,4 +1,4 @@
-"""Sources of views by place alone: a lattice of their own, around the agent, and where it stands."""
+"""Propose views by position only: on a lattice, around the agent, and at its position."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.views import CandidatePool, ViewConfig
 
-_TRIES = 16  # places that are drawn for each row: most of them lie in walls or in what is unknown
+_TRIES = 16  # positions drawn per row, since most are in walls or unknown space
 
 
 @SOURCES.register("lattice")
 @dataclass(frozen=True)
 class Lattice(Source):
-    """Every free place of a lattice times Fibonacci directions, without those where a decision has ended.
+    """Propose every free position of a lattice times Fibonacci directions, without visited views.
 
-    ActiveGAMER's coarse stage has ``spacing_m=1&directions=5`` at 1.75 m above the floor, its fine one
-    ``spacing_m=0.5&directions=15`` at 1 and 2.5 m ([activegamer, code]). More than ``rows`` are drawn from as from the
-    shared pool.
+    ActiveGAMER's coarse stage is ``spacing_m=1&directions=5`` at 1.75 m above the floor. Its fine stage is
+    ``spacing_m=0.5&directions=15`` at 1 and 2.5 m ([activegamer, code]). With more than ``rows`` views, a random draw
+    is taken, as in the shared pool.
     """
 
     spacing_m: float = 1.0
     directions: int = 5
-    heights_m: tuple[float, ...] = (0.0,)  # above the camera at the start
-    from_floor: bool = False  # the heights are above the workspace's floor instead
+    heights_m: tuple[float, ...] = (0.0,)  # metres above the start camera
+    from_floor: bool = False  # whether heights are above the floor of the workspace instead
     rows: int = 1024
 
     def __post_init__(self) -> None:
@@ -36,8 +36,8 @@ class Lattice(Source):
 
     def _layout(
         self,
-        shared: ViewConfig,  # what counts as visited is as there
-        camera_m: float,  # height of the camera at the start above where heights count from
+        shared: ViewConfig,  # gives the limits of visited views
+        camera_m: float,  # metres, height of the start camera above the origin of ``heights_m``
     ) -> ViewConfig:
         return replace(
             shared,
@@ -50,7 +50,7 @@ class Lattice(Source):
         )
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Views of the lattice that were not visited and can be reached."""
+        """Return the views of the lattice that are reachable and not visited."""
         seed = int(context.rng.integers(2**31))
         camera_m = float(context.start[2] - context.bounds[0, 2]) if self.from_floor else 0.0
         layout = self._layout(context.pool.config, camera_m)
@@ -70,9 +70,9 @@ class Lattice(Source):
 @SOURCES.register("around")
 @dataclass(frozen=True)
 class Around(Source):
-    """Random places within a ball around the agent with random directions, as ActiveGS draws them.
+    """Propose random positions in a ball around the agent with random view directions ([active_gs, code]).
 
-    Places are uniform in the ball, yaws in the circle, pitches within ``pitch_deg`` up and down ([active_gs, code]).
+    Positions are uniform in the ball, yaw angles in the circle, and pitch angles within ``pitch_deg`` up and down.
     """
 
     radius_m: float = 0.5
@@ -83,7 +83,7 @@ class Around(Source):
         check_ranges(self, {"radius_m": "(0, 100]", "pitch_deg": "[0, 90]", "rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """More places than rows: the environment leaves out what cannot be reached."""
+        """Return more views than rows, since the environment leaves out unreachable ones."""
         count, rng = self.rows * _TRIES, context.rng
         offset = rng.standard_normal((count, 3))
         offset *= self.radius_m * rng.random((count, 1)) ** (1 / 3) / np.linalg.norm(offset, axis=1, keepdims=True)
@@ -97,7 +97,7 @@ class Around(Source):
 @SOURCES.register("turns")
 @dataclass(frozen=True)
 class Turns(Source):
-    """The place of the agent with ``count`` yaws all around, the first one straight ahead."""
+    """Propose views at the position of the agent, with ``count`` yaw angles from the present one."""
 
     count: int = 8
     pitch_deg: float = 0.0
@@ -107,11 +107,11 @@ class Turns(Source):
 
     @property
     def rows(self) -> int:  # type: ignore[override]
-        """One for each yaw."""
+        """Return the number of yaw angles."""
         return self.count
 
     def propose(self, context: SourceContext) -> Proposals:
-        """All yaws."""
+        """Return one view per yaw angle."""
         ahead = context.agent.pose[:3, 2]
         yaw = np.arctan2(ahead[1], ahead[0]) + 2 * np.pi * np.arange(self.count) / self.count
         pitch = np.full(self.count, np.radians(self.pitch_deg))
@@ -119,11 +119,11 @@ class Turns(Source):
 
 
 def directions(yaw: np.ndarray, pitch: np.ndarray) -> np.ndarray:  # [n] radians x2 -> [n, 3] unit, world
-    """Viewing directions of yaw around world z (0 = +x) and pitch (above 0 = up)."""
+    """Return view directions from yaw about world z (0 = +x) and pitch (positive = up)."""
     return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)], axis=-1)
 
 
 def looking(places: np.ndarray, along: np.ndarray) -> np.ndarray:  # [n, 3] x2 -> [n, 4, 4] world_from_camera
-    """Cameras at the places that look along the directions, without roll."""
+    """Return camera poses at the positions with these view directions, without roll."""
     poses = [look_along(place, direction) for place, direction in zip(places, along)]
     return np.array(poses).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""The source that all planners share: the persistent pool of the environment and the worst rendered keyframes."""
+"""Propose the views of the shared pool, and the keyframes with the lowest PSNR."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Sourc
 @SOURCES.register("pool")
 @dataclass(frozen=True)
 class Pool(Source):
-    """`CandidatePool`: free lattice places times Fibonacci directions, as many as there are rows left."""
+    """Propose the views of `CandidatePool`: free lattice positions times Fibonacci directions, up to the free rows."""
 
     rows: int = MAX_ROWS
 
     def propose(self, context: SourceContext) -> Proposals:
-        """All that is open and reachable, or a neutral draw of it, then the revisits."""
+        """Return all open, reachable views or a random draw of them, then the revisits."""
         room = min(context.room, self.rows)
         distances = context.agent.distances
         table = context.pool.offer(context.volume, distances, context.decision, context.revisits, room=room)

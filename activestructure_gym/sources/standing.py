@@ -1,4 +1,4 @@
-"""Sources without a way: stay and optimise the map, or end the episode."""
+"""Propose actions without a path: optimise the map in place, or end the episode."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from activestructure_gym.sources.base import SOURCES, Proposals, Source, SourceC
 @SOURCES.register("stay")
 @dataclass(frozen=True)
 class Stay(Source):
-    """One row: the own pose, and ``rounds`` rounds of optimisation over all keyframes instead of a way.
+    """Propose the present pose, with ``rounds`` rounds of optimisation over all keyframes instead of a path.
 
-    A round has the mapper's iterations and costs the frames between two keyframes, as on a way.
+    A round has the iterations of one keyframe, and uses the frames between two keyframes.
     """
 
     rounds: int = 1
@@ -23,16 +23,16 @@ class Stay(Source):
         check_ranges(self, {"rounds": "[1, 1000]", "rows": "[1, 1]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Where the agent stands."""
+        """Return the pose of the agent."""
         return Proposals(context.agent.pose[None], stay=self.rounds)
 
 
 @SOURCES.register("finish")
 @dataclass(frozen=True)
 class Finish(Source):
-    """One row that ends the episode: no frame more is paid, and its ``frames`` are those that are given up.
+    """Propose one row that ends the episode. Its ``frames`` are the remaining ones, and its features are 0.
 
-    Its features are 0. Not offered before a frame was paid for a decision.
+    It is not offered before the agent has used a frame.
     """
 
     rows: int = 1
@@ -41,6 +41,6 @@ class Finish(Source):
         check_ranges(self, {"rows": "[1, 1]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Where the agent stands."""
+        """Return the pose of the agent; nothing in the first frame."""
         begun = int(context.agent.frames > 1)
         return Proposals(context.agent.pose[None][:begun], ends=True)

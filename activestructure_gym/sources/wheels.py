@@ -1,4 +1,4 @@
-"""Sources of views for a robot on wheels: one height, that of the start, and yaws all around."""
+"""Propose views for a robot on wheels: at the start height, with evenly spaced yaw angles."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from activestructure_gym.sources.places import directions, looking
 
 @dataclass(frozen=True)
 class OnWheels(Source):
-    """Places at the height of the start, the same yaws at each; an even choice of places where all do not fit.
+    """Propose views at the start height, with the same yaw angles at each position.
 
-    A view that was had is left out until there is no other.
+    If not all fit, positions are chosen evenly. Visited views are left out while there are others.
     """
 
     yaws: int = 12
@@ -26,15 +26,15 @@ class OnWheels(Source):
         check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MAX_ROWS}]"})
 
     def places(self, context: SourceContext) -> np.ndarray:  # [P, 2] metres
-        """Where the robot may stand, as seen from above."""
+        """Return the horizontal positions for the robot."""
         raise NotImplementedError
 
     def spent(self, context: SourceContext) -> np.ndarray:  # [S, 4, 4]
-        """Views that are left out, by the distance and the angle of the shared pool: where every decision has ended."""
+        """Return the visited poses; views within the shared pool's distance and angle of them are left out."""
         return context.agent.stops
 
     def propose(self, context: SourceContext) -> Proposals:
-        """The views of the reachable places, the nearest place first."""
+        """Return the views at reachable positions, nearest position first."""
         flat = self.places(context)
         places = np.column_stack([flat, np.full(len(flat), context.start[2])])
         far = context.agent.distances.at(places) if len(places) else np.zeros(0)
@@ -56,7 +56,7 @@ class OnWheels(Source):
 @SOURCES.register("floor")
 @dataclass(frozen=True)
 class Floor(OnWheels):
-    """A square lattice of places around the start."""
+    """Propose views on a square lattice around the start position."""
 
     spacing_m: float = 1.0
 
@@ -65,7 +65,7 @@ class Floor(OnWheels):
         check_ranges(self, {"spacing_m": "[0.05, 100]"})
 
     def places(self, context: SourceContext) -> np.ndarray:
-        """The lattice within the workspace."""
+        """Return the lattice positions inside the workspace."""
         low, high = (np.trunc((end - context.start)[:2] / self.spacing_m) for end in context.bounds)
         steps = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij"), axis=-1)
         return np.asarray(context.start[:2] + self.spacing_m * steps.reshape(-1, 2))

@@ -39,10 +39,10 @@ def visible_planes(
     points = np.array([plane.spread(SAMPLES) for plane in planes])  # [P, S, 3]
     normals = np.array([plane.normal for plane in planes])  # [P, 3]
     enough = int(np.ceil(MIN_SHARE * SAMPLES))
-    return cosines_in_sight(points, normals, camera, world_from_camera, volume, enough=enough)[1] == enough
+    return visible_cosines(points, normals, camera, world_from_camera, volume, enough=enough)[1] == enough
 
 
-def cosines_in_sight(
+def visible_cosines(
     points: np.ndarray,  # [P, S, 3] metres, world
     normals: np.ndarray,  # [P, 3] unit, one for all S points of a row
     camera: PinholeCamera,
@@ -74,7 +74,7 @@ def cosines_in_sight(
     )
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64)
     arguments = (np.zeros(1, np.int64), targets, poses, eyes, lens, blocking, cosines, counts)
-    TEAM.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
+    TEAM.run(_visible_cosines, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
     return cosines, counts
 
 
@@ -89,7 +89,7 @@ class _Targets(NamedTuple):
 
 
 @kernel
-def _cosines_in_sight(
+def _visible_cosines(
     tickets: np.ndarray,  # [1] int64, number of candidates taken by threads
     targets: _Targets,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -99,7 +99,7 @@ def _cosines_in_sight(
     cosines: np.ndarray,  # [K, P, S], zeros, written to
     counts: np.ndarray,  # [K, P], zeros, written to
 ) -> None:
-    """Compute `cosines_in_sight`: cheap tests first, the line of sight last. Compiled, since every step needs it."""
+    """Compute `visible_cosines`: cheap tests first, the line of sight last. Compiled, since every step needs it."""
     points, normals, ends, farthest, enough = targets
     samples = points.shape[1]
     while True:

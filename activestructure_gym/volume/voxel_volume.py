@@ -333,7 +333,7 @@ class VoxelVolume:
             self.clearance, self._grid_coordinates(starts), self._grid_coordinates(ends), min_clearance, step_voxels
         )
 
-    def sight_free(
+    def line_of_sight_free(
         self,
         starts: np.ndarray,  # [N, 3] metres, or [3] for all
         ends: np.ndarray,  # [N, 3], or [3]

@@ -7,8 +7,8 @@ import numpy as np
 from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.sightings import REACH, Sightings, sightings
 from activestructure_gym.features.unexplored import unexplored
+from activestructure_gym.features.view_directions import REACH, ViewDirections, view_directions
 
 EXPLORATION = 1000.0  # lambda: weight of the share of unexplored voxels against the mean doubt of the pixels
 UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
@@ -22,7 +22,7 @@ def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
     without coverage has C = 0 and D = 2.5 m; a pixel deeper than 5 m counts 0. Source: [active_gs, code].
     """
     alpha, covered = context.alpha, context.alpha > context.coverage_alpha
-    values = gaussian_confidence(sightings(context.mapper)).astype(np.float32)
+    values = gaussian_confidence(view_directions(context.mapper)).astype(np.float32)
     safe = np.maximum(alpha, 1e-6)
     sure = np.where(covered, np.minimum(blended(context, values) / safe, 1.0), 0.0)
     depth = np.where(covered, context.depth / safe, UNSEEN_DEPTH)
@@ -30,7 +30,7 @@ def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
     return EXPLORATION * unexplored(context) + doubt.mean(axis=(1, 2))
 
 
-def gaussian_confidence(seen: Sightings) -> np.ndarray:  # [N] 0..1
+def gaussian_confidence(seen: ViewDirections) -> np.ndarray:  # [N] 0..1
     """Return the confidence C = min(e^(1 - |mean v|) s, 1) of each Gaussian.
 
     v is the unit direction to a keyframe that sees the Gaussian. s sums over these keyframes and is larger for near and

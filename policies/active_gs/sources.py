@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.features.sightings import sightings
+from activestructure_gym.features.view_directions import view_directions
 from activestructure_gym.policies.active_gs.features import gaussian_confidence
 from activestructure_gym.sources.base import SOURCES, SourceContext
 from activestructure_gym.sources.facing import SIDE, Facing, frontier_cells
@@ -25,7 +25,7 @@ class RegionsOfInterest(Facing):
         """Return which cells [X, Y, Z] are frontier or hold surface with low confidence."""
         cells = frontier_cells(context.volume)
         gaussians, volume = context.mapper.map, context.volume
-        doubtful = (gaussian_confidence(sightings(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)
+        doubtful = (gaussian_confidence(view_directions(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)
         inside = volume.voxel_of(gaussians.means[doubtful]) // SIDE
         inside = inside[((inside >= 0) & (inside < np.array(cells.shape))).all(axis=1)]
         count = np.zeros(cells.shape, dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import REACH, largest_area
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.views.visibility import cosines_in_sight
+from activestructure_gym.views.visibility import visible_cosines
 
 
 @FEATURES.register("deficiency", unit="as hole_area", low=0.0, high=1.0)
@@ -30,7 +30,7 @@ def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
         return np.zeros(len(poses))
     taken = np.array([frame.world_from_camera for frame in context.mapper.keyframes]).reshape(-1, 4, 4)
     views = np.concatenate([poses, taken])
-    cosines, _ = cosines_in_sight(
+    cosines, _ = visible_cosines(
         holes.centres[:, None], holes.normals, camera, views, context.volume,
         farthest=np.minimum(refining_distance(context, holes.sizes), REACH),
     )  # fmt: skip

@@ -9,7 +9,7 @@ from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import sums_in_front, surface_within
-from activestructure_gym.features.unknown_volume import worth_a_look
+from activestructure_gym.features.unknown_volume import target_voxels
 from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.volume import FREE
 
@@ -63,7 +63,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
 def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F] cluster
     """Return the centres of the frontier voxels, and the index of the cluster of each, cut into cubes."""
     volume = context.volume
-    wanted = context.once(worth_a_look)
+    wanted = context.once(target_voxels)
     edge = (volume.state == FREE) & ndimage.binary_dilation(wanted, np.ones((3, 3, 3), bool))
     labels, _ = ndimage.label(edge, np.ones((3, 3, 3), bool))
     voxels = np.argwhere(edge)

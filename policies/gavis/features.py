@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.sightings import Sightings, sightings
+from activestructure_gym.features.view_directions import ViewDirections, view_directions
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.frustum_culling import MapParts, may_be_seen
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, ROWS, GaussianMap
@@ -39,7 +39,7 @@ def gavis(context: FeatureContext) -> np.ndarray:  # [K]
     parameters, count = everything.parameters, everything.count
     brightness = context.mapper.map.parameters[COLOR, :real].mean(axis=0)
     parameters[COLOR] = 0.0
-    moments = _view_moments(sightings(context.mapper))
+    moments = _view_moments(view_directions(context.mapper))
     boxes, parts = block_boxes(parameters, real), MapParts(everything)
     red, green, blue = parameters[COLOR]
     gains = np.zeros(len(context.world_from_camera))
@@ -110,7 +110,7 @@ class ViewMoments(NamedTuple):
     factors: np.ndarray  # [3] factors of degree 0, 1 and 2, including zeta
 
 
-def _view_moments(seen: Sightings) -> ViewMoments:
+def _view_moments(seen: ViewDirections) -> ViewMoments:
     return ViewMoments(seen.count.astype(np.float64), seen.sum, seen.products, seen.keyframes, degree_factors(KAPPA))
 
 

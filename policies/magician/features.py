@@ -10,7 +10,7 @@ from scipy import ndimage
 from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.unknown_volume import worth_a_look
+from activestructure_gym.features.unknown_volume import target_voxels
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneNode
@@ -49,7 +49,7 @@ def magician(context: FeatureContext) -> np.ndarray:  # [K, 2]
 
 def imagined(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
     """Return the voxels of imagined surface: extensions of planes in unseen space."""
-    wanted = worth_a_look(context)
+    wanted = target_voxels(context)
     found = np.zeros_like(wanted)
     for node in context.planes.nodes:
         centres = continuation(node, context.volume, wanted)

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.policies.naruto.features import LISTED, targets_from
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
-from activestructure_gym.sources.facing import standing_places
+from activestructure_gym.sources.facing import camera_positions
 from activestructure_gym.sources.places import looking
 
 _MAX_PLACES = 600  # places whose score is computed; of more places, an even part is used
@@ -31,7 +31,7 @@ class TargetFacing(Source):
 
     def propose(self, context: SourceContext) -> Proposals:
         """Return turns on the spot, then goals, the best first."""
-        places = standing_places(context)
+        places = camera_positions(context)
         step = max(1, -(-len(places) // _MAX_PLACES))
         here = context.agent.pose[:3, 3]
         places = np.concatenate([here[None], places[::step]])

@@ -8,7 +8,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.sightings import DIRECTIONS, sightings
+from activestructure_gym.features.view_directions import DIRECTIONS, view_directions
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.frustum_culling import may_be_seen
@@ -22,7 +22,7 @@ def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     a keyframe saw it. Coverage is blended like a colour over 0, so a pixel without a map has coverage 0.
     Source: [cover, code].
     """
-    gaussians, camera, bins = context.mapper.map, context.camera, sightings(context.mapper).bins
+    gaussians, camera, bins = context.mapper.map, context.camera, view_directions(context.mapper).bins
     boxes = block_boxes(gaussians.parameters, gaussians.count)
     directions = fibonacci_directions(DIRECTIONS)
 

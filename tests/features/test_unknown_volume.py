@@ -17,8 +17,8 @@ from activestructure_gym.features.unknown_volume import (
     REACH,
     SHORTLIST,
     opened_volume,
+    target_voxels,
     unknown_volume,
-    worth_a_look,
 )
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
@@ -55,7 +55,7 @@ def together(space: VoxelVolume, *poses: np.ndarray) -> float:
 
 def by_the_definition(space: VoxelVolume, *poses: np.ndarray) -> float:
     """The same sum in plain Python, ray by ray, from a table of the best chance of every voxel."""
-    size, wanted = space.voxel_size, worth_a_look(context(space))
+    size, wanted = space.voxel_size, target_voxels(context(space))
     best: dict[tuple[int, ...], float] = {}
     for pose, row, column in itertools.product(poses, range(NARROW.height), range(NARROW.width)):
         ray = pose[:3, :3] @ NARROW.rays()[row, column].astype(np.float64)
@@ -110,7 +110,7 @@ def test_what_was_looked_through_counts_only_away_from_what_is_occupied() -> Non
     assert not space.unobserved.any()
     assert alone(space, EAST)[0] > 0.1
     space.state[20, 20, 20] = OCCUPIED
-    wanted = worth_a_look(context(space))
+    wanted = target_voxels(context(space))
     assert (~wanted).sum() == 5**3 and not wanted[18:23, 18:23, 18:23].any()
     space.state[wanted] = FREE
     assert alone(space, EAST)[0] == 0.0  # the shell of the occupied voxel stays, and is worth nothing

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.in_horizon import last_on_the_way
+from activestructure_gym.features.in_horizon import last_moved
 from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
@@ -86,10 +86,10 @@ def test_in_horizon_needs_a_free_way_and_the_box_of_a_frame() -> None:
 def test_the_box_is_that_of_the_last_frame_on_the_way_wherever_it_looked_since() -> None:
     start = frame(WEST - [0.5, 0.0, 0.0], depth=6.0)
     looks = [start, frame(WEST, depth=1.5), frame(WEST, -X), frame(WEST + [0.04, 0.0, 0.0], -X)]
-    assert last_on_the_way(looks) is looks[1]
+    assert last_moved(looks) is looks[1]
     np.testing.assert_array_equal(column("in_horizon", context(PLACES, looks)), [1, 0, 0, 0, 0, 1])
-    assert last_on_the_way(looks[:1]) is start
-    assert last_on_the_way(looks[1:3]) is looks[2]  # it never moved
+    assert last_moved(looks[:1]) is start
+    assert last_moved(looks[1:3]) is looks[2]  # it never moved
 
 
 def test_without_a_node_in_the_box_all_free_ways_count() -> None:

@@ -14,10 +14,10 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.mapping.density import (
-    HELD,
-    SPARED,
-    WANTED,
-    joined,
+    COVERED,
+    REDUNDANT,
+    SEED,
+    same_surface,
     states_of_samples,
     surface_samples,
     wanted_spacing,
@@ -154,7 +154,7 @@ def fine(frame: Frame) -> np.ndarray:  # [H, W] bool
 )
 def test_a_plane_joins_two_pixels_unless_the_other_side_shows_one_that_does_not(depths, expected, turned) -> None:
     column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
-    assert joined(column, 2, 0, 1, 0) == joined(np.ascontiguousarray(column.T), 0, 2, 0, 1) == expected
+    assert same_surface(column, 2, 0, 1, 0) == same_surface(np.ascontiguousarray(column.T), 0, 2, 0, 1) == expected
 
 
 # Coverage
@@ -354,15 +354,15 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     holding = (rows[10, :count] >= 0) & ~leaving & (facing | ~(rows[9, :count] < rows[8, :count]))
     nearest = cKDTree(means[holding]).query(points)[0]
     clear = np.abs(nearest - reach) > 1e-5  # float32
-    assert np.array_equal((states == HELD)[clear], (nearest <= reach)[clear])
-    assert min((states == state).sum() for state in (HELD, WANTED, SPARED)) > 5
+    assert np.array_equal((states == COVERED)[clear], (nearest <= reach)[clear])
+    assert min((states == state).sum() for state in (COVERED, SEED, REDUNDANT)) > 5
 
-    wanted = np.flatnonzero(states == WANTED)
+    wanted = np.flatnonzero(states == SEED)
     assert (np.diff(wanted) > 0).all()
     apart = np.linalg.norm(points[wanted, None] - points[None, wanted], axis=2)
     earlier = np.tri(len(wanted), k=-1, dtype=bool)  # [later, earlier]
     assert (apart > reach[wanted, None] - 1e-5)[earlier].all()
-    spared = np.flatnonzero(states == SPARED)
+    spared = np.flatnonzero(states == REDUNDANT)
     near = np.linalg.norm(points[spared, None] - points[None, wanted], axis=2) <= reach[spared, None] + 1e-5
     assert (near & (wanted[None] < spared[:, None])).any(axis=1).all()
 
@@ -372,8 +372,8 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     holding[CHUNK : 2 * CHUNK] = False
     nearest = cKDTree(means[holding]).query(points)[0]
     clear = np.abs(nearest - reach) > 1e-5
-    assert np.array_equal((fewer == HELD)[clear], (nearest <= reach)[clear])
-    assert not (states_of_samples(samples, spacing, NOBODY, 0, frame) == HELD).any()
+    assert np.array_equal((fewer == COVERED)[clear], (nearest <= reach)[clear])
+    assert not (states_of_samples(samples, spacing, NOBODY, 0, frame) == COVERED).any()
 
 
 @pytest.mark.parametrize("fov", [60.0, 90.0, 120.0])
@@ -393,7 +393,7 @@ def test_a_mean_beside_the_image_holds_the_places_at_its_rim(fov: float, side: t
         mean = point + distance * outwards / np.linalg.norm(outwards)
         block[:3, 0], block[3], block[10] = wall.world_from_camera[:3] @ [*mean, 1.0], 1.0, 1.0
         state = states_of_samples(samples, spacing, block, 1, wall)[np.flatnonzero(samples.pixels == index)[0]]
-        assert (state == HELD) == held
+        assert (state == COVERED) == held
 
 
 def test_of_no_samples_there_are_no_states() -> None:

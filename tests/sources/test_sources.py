@@ -21,8 +21,8 @@ from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContex
 from activestructure_gym.sources.facing import (
     UnsureFacing,
     _rank_within,
+    camera_positions,
     frontier_cells,
-    standing_places,
 )
 from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import FREE
@@ -158,7 +158,7 @@ def test_views_of_the_frontier_face_unobserved_space_and_see_it() -> None:
         away = centres - pose[:3, 3]
         far = np.linalg.norm(away, axis=1)
         ahead = (far >= 0.3) & (far <= 2.0 + 1e-9) & (away @ pose[:3, 2] >= far * (1 - 1e-9))
-        assert ahead.any() and volume.sight_free(pose[:3, 3], centres[ahead]).any()
+        assert ahead.any() and volume.line_of_sight_free(pose[:3, 3], centres[ahead]).any()
 
 
 def test_places_to_stand_keep_to_the_heights_of_cameras() -> None:
@@ -170,7 +170,7 @@ def test_places_to_stand_keep_to_the_heights_of_cameras() -> None:
         rows: int = 1
 
         def propose(self, context):
-            seen["places"] = standing_places(context)
+            seen["places"] = camera_positions(context)
             return Proposals(context.agent.pose[None])
 
     run._sources = {"turns": Look()}

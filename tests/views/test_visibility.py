@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import visibility, visible_planes
-from activestructure_gym.views.visibility import SAMPLES, cosines_in_sight
+from activestructure_gym.views.visibility import SAMPLES, visible_cosines
 from activestructure_gym.volume import OCCUPIED, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -58,11 +58,11 @@ def test_stopping_early_changes_no_answer(rng: np.random.Generator) -> None:
     points, normals = rng.uniform(-3, 3, (40, 1, 3)) + rng.normal(0, 0.3, (40, 16, 3)), rng.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     poses = np.stack([look_along(rng.uniform(-1, 1, 3), rng.normal(size=3)) for _ in range(30)])
-    cosines, counts = cosines_in_sight(points, normals, CAMERA, poses, volume)
+    cosines, counts = visible_cosines(points, normals, CAMERA, poses, volume)
     np.testing.assert_array_equal(counts, (cosines > 0).sum(axis=2))
     assert {0, 1, 2, 3} <= set(counts.ravel().tolist())
     for enough in (1, 2, 5, 16):
-        _, early = cosines_in_sight(points, normals, CAMERA, poses, volume, enough=enough)
+        _, early = visible_cosines(points, normals, CAMERA, poses, volume, enough=enough)
         np.testing.assert_array_equal(early == enough, counts >= enough)
 
 
@@ -76,7 +76,7 @@ def test_any_number_of_threads_gives_the_same(rng: np.random.Generator, monkeypa
     results = []
     for threads in (1, 2, 3):
         monkeypatch.setattr(visibility, "default_threads", lambda count=threads: count)
-        results.append(cosines_in_sight(points, normals, CAMERA, poses, volume, enough=2))
+        results.append(visible_cosines(points, normals, CAMERA, poses, volume, enough=2))
     assert results[0][1].any()
     for cosines, counts in results[1:]:
         np.testing.assert_array_equal(cosines, results[0][0])
@@ -86,7 +86,7 @@ def test_any_number_of_threads_gives_the_same(rng: np.random.Generator, monkeypa
 def test_nothing_beyond_the_farthest_depth_counts() -> None:
     here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None]
     points, normals = np.array([[[2.0, 0, 0]], [[2.0, 0, 0]]]), np.tile([-1.0, 0, 0], (2, 1))
-    _, counts = cosines_in_sight(points, normals, CAMERA, here, farthest=np.array([1.9, 2.1]))
+    _, counts = visible_cosines(points, normals, CAMERA, here, farthest=np.array([1.9, 2.1]))
     np.testing.assert_array_equal(counts, [[0, 1]])
 
 

@@ -304,10 +304,10 @@ def test_integration_is_deterministic_and_survives_pickling(cast_boxes):
 def test_sight_ends_at_what_is_occupied(room_volume):
     inside = np.array([2.0, 1.5, 1.25])
     wall, behind = np.array([[4.0, 1.6, 1.2]]), np.array([[4.6, 1.6, 1.2]])
-    assert room_volume.sight_free(inside, wall)[0]
-    assert not room_volume.sight_free(inside, behind)[0]
+    assert room_volume.line_of_sight_free(inside, wall)[0]
+    assert not room_volume.line_of_sight_free(inside, behind)[0]
     empty = VoxelVolume(ROOM)
-    assert empty.sight_free(inside, wall)[0]  # unknown space hides nothing
+    assert empty.line_of_sight_free(inside, wall)[0]  # unknown space hides nothing
 
 
 def test_wrong_input_is_refused(cast_boxes):

@@ -1,1 +1,1 @@
-"""Published mapping systems on given poses, a folder each: constants in ``config.py``, mapper in ``mapper.py``."""
+"""Reimplement published mapping systems with given poses, one folder each: ``config.py`` and ``mapper.py``."""

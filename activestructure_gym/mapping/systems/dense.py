@@ -1,6 +1,7 @@
-"""Mapping as systems in torch do it: a loss over pictures, autograd, and Adam on every Gaussian, in view or not.
+"""Map with torch: a loss over images, autograd, and Adam on every Gaussian, visible or not.
 
-What MonoGS and Gaussian-SLAM share on given poses: an event seeds from the new keyframe, takes its steps, and prunes.
+This is the common part of MonoGS and Gaussian-SLAM with given poses. An event seeds Gaussians from the new keyframe,
+takes optimiser steps, and prunes.
 """
 
 from __future__ import annotations
@@ -18,35 +19,35 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of, unit_rgb
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.splatting import LossWeights
 from activestructure_gym.splatting.api import Rasterization, rasterize
 from activestructure_gym.splatting.torch_losses import MappingLoss, mapping_loss
 
-# Of a picture, the colours [H, W, 3] and the depth [H, W] it should have.
-LookLoss = Callable[[Rasterization, torch.Tensor, torch.Tensor], MappingLoss]
+# Arguments: rendering, colours [H, W, 3], depth [H, W].
+ViewLoss = Callable[[Rasterization, torch.Tensor, torch.Tensor], MappingLoss]
 
 _NEIGHBOURS = 3
-# The colours alone, as 3D Gaussian splatting learns them ([kerbl2023]): what both systems refine a finished map by.
+# Loss of colours alone, as in 3D Gaussian splatting ([kerbl2023]); both systems refine a finished map with it.
 _REFINING = LossWeights(image=1.0, l1_share=0.8, depth=0.0, normalised_depth=False)
 
 
 class DenseMapper(KeyframeMapper):
-    """Move every Gaussian in every step, by Adam. Subclasses define the seeds and the loss of an event."""
+    """Change every Gaussian in every step, by Adam. Subclasses define the seeds and the steps of an event."""
 
     config: DenseConfig
 
     @abstractmethod
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
-        """Return new Gaussians [14, n] for a frame before it is stored, and its share of pixels missing in the map."""
+        """Return new Gaussians [14, n] for a frame not stored yet, and the share of its pixels missing in the map."""
 
     @abstractmethod
     def _event(self, index: int, iterations: int) -> tuple[list[int], np.ndarray, int]:
-        """Optimise after keyframe ``index``; return the views, their losses [views, 3] and the number pruned."""
+        """Optimise after keyframe ``index`` is added; return the views, losses [views, 3] and the number pruned."""
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
+        """Add a keyframe, seed by the rule of the system, and optimise (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
@@ -58,7 +59,7 @@ class DenseMapper(KeyframeMapper):
             views, losses, pruned = self._event(index, iterations)
             self._after_steps()
         self._measure_psnr(self._store.stalest(1))
-        return summed_up(
+        return report_of(
             self.map.count,
             views,
             losses,
@@ -70,7 +71,7 @@ class DenseMapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise the whole map on the colours of all keyframes (or the given ones), in shuffled rounds."""
+        """Optimise the whole map on the colours of all or the given keyframes, shuffled repeatedly."""
         views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
         losses = np.full((len(views), 3), np.nan)
@@ -79,13 +80,13 @@ class DenseMapper(KeyframeMapper):
             self.map.reset_moments()
             for step, view in enumerate(views):
                 rows = leaf(self.map.parameters[:, : self.map.count])
-                losses[step] = self._look(rows, view, _refining_loss)
+                losses[step] = self._add_loss(rows, view, _refining_loss)
                 self._step(rows, slice(0, self.map.count), self.config.learning_rates(), step + 1)
             self._after_steps()
-        return summed_up(self.map.count, views, losses, 0)
+        return report_of(self.map.count, views, losses, 0)
 
     def _append(self, block: np.ndarray) -> tuple[int, int]:
-        """Insert an evenly spaced choice of what fits; return the numbers inserted and left out."""
+        """Insert the Gaussians that fit, chosen evenly; return the numbers inserted and left out."""
         bound, count = self.config.max_gaussians, block.shape[1]
         room = count if bound is None else min(count, max(0, bound - self.map.count))
         if room < count:
@@ -93,8 +94,8 @@ class DenseMapper(KeyframeMapper):
         self.map.append(block)
         return room, count - room
 
-    def _look(self, rows: torch.Tensor, view: int, compare: LookLoss) -> tuple[float, float, float]:
-        """Add the loss of a keyframe to the gradient of ``rows``; return colour error, depth error and SSIM."""
+    def _add_loss(self, rows: torch.Tensor, view: int, compare: ViewLoss) -> tuple[float, float, float]:
+        """Add the gradient of the loss of a keyframe to ``rows``; return colour error, depth error and SSIM."""
         frame = self.keyframes[view]
         shown = drawn(rows, frame, self.config)
         loss = compare(
@@ -106,9 +107,9 @@ class DenseMapper(KeyframeMapper):
     def _step(
         self,
         rows: torch.Tensor,  # [14, n] with its gradient
-        columns: slice,  # of the map, which the rows are
+        columns: slice,  # columns of the map that ``rows`` contains
         rates: np.ndarray,  # [14]
-        number: int | np.ndarray,  # of this step since the moments were 0; [14] where rows began at different times
+        number: int | np.ndarray,  # steps since the moments were 0; [14] if they differ by parameter
     ) -> None:
         config, gaussians = self.config, self.map
         assert rows.grad is not None
@@ -125,7 +126,7 @@ class DenseMapper(KeyframeMapper):
         gaussians.touched()
 
     def _transparent(self, threshold: float, start: int = 0) -> np.ndarray:  # [count] bool
-        """Return a mask of Gaussians from column ``start`` whose opacity is below the threshold or not finite."""
+        """Return a mask of Gaussians from column ``start`` with an opacity below the threshold or not finite."""
         logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least = np.log(threshold) - np.log1p(-threshold)
@@ -137,7 +138,7 @@ def _refining_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor)
 
 
 def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
-    """Return a copy that requires a gradient, in the memory layout of the kernels."""
+    """Return a copy that requires a gradient, in the memory layout that the kernels need."""
     count = parameters.shape[1]
     padded = np.zeros((ROWS, -(-max(1, count) // 16) * 16), np.float32)
     padded[:, :count] = parameters
@@ -163,7 +164,7 @@ def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterizatio
 
 
 def roundness(rows: torch.Tensor) -> torch.Tensor:  # [14, n] -> metres
-    """Return the mean deviation of an axis from the mean axis of its Gaussian: 0 for balls ([monogs, code])."""
+    """Return the mean difference between a scale and the mean scale of its Gaussian; 0 for balls ([monogs, code])."""
     scales = rows[7:10].exp()
     return (scales - scales.mean(dim=0)).abs().mean()
 
@@ -175,7 +176,7 @@ def adam_step(
     gradient: np.ndarray,  # [14, n]
     *,
     rates: np.ndarray,  # [14]
-    number: int | np.ndarray,
+    number: int | np.ndarray,  # steps since the moments were 0, or [14]
     betas: tuple[float, float],
     epsilon: float,
 ) -> None:
@@ -190,7 +191,10 @@ def adam_step(
 
 
 def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n, 3], [m, 3] -> [n] m^2
-    """Return every point's mean squared distance to its three nearest others in ``around``, which contains it."""
+    """Return the mean squared distance of every point to its three nearest neighbours in ``around``.
+
+    ``around`` contains the points. The result is nan if it has fewer than two.
+    """
     if len(around) < 2:
         return np.full(len(points), np.nan)
     nearest = min(_NEIGHBOURS + 1, len(around))
@@ -200,7 +204,7 @@ def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread, so that its sums do not depend on the number of cores."""
+    """Limit torch to one thread, so that sums do not depend on the number of cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,4 +1,4 @@
-"""The constants that systems with Adam on every Gaussian share."""
+"""Define the common constants of systems with Adam on every Gaussian."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from activestructure_gym.mapping.base import BaseMapperConfig
 from activestructure_gym.mapping.gaussian_map import learning_rates
 from activestructure_gym.ranges import check_ranges
 
-HARMONIC = 0.28209479177387814  # degree 0: systems that learn colour as its factor have this colour step per step
+HARMONIC = 0.28209479177387814  # spherical harmonic of degree 0: colour change per change of its coefficient
 _RATES = ("mean_rate", "quaternion_rate", "log_scale_rate", "opacity_rate", "color_rate")
 _RANGES = {
     **dict.fromkeys(("seed_opacity", "adam_beta1", "adam_beta2"), "(0, 1)"),
@@ -23,7 +23,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class DenseConfig(BaseMapperConfig):
-    """Configure a mapper whose steps move every Gaussian by torch's Adam."""
+    """Configure a mapper whose steps change every Gaussian, as torch's Adam does."""
 
     seed_opacity: float = 0.5  # 0..1
     mean_rate: float = 1e-4  # metres per step
@@ -34,9 +34,9 @@ class DenseConfig(BaseMapperConfig):
     adam_beta1: float = 0.9  # [adam]
     adam_beta2: float = 0.999  # [adam]
     adam_epsilon: float = 1e-15  # [kerbl2023, code]
-    centre_depth: bool = True  # depth of the Gaussians' centres, not of their intersection with pixel rays
-    prune_opacity: float = 0.1  # Gaussians below are removed
-    max_gaussians: int | None = None  # a bound on memory: 176 MB per million; None = no bound
+    centre_depth: bool = True  # depth of centres instead of ray intersections
+    prune_opacity: float = 0.1  # Gaussians with a lower opacity are removed
+    max_gaussians: int | None = None  # limits memory: 176 MB per million; None = no limit
 
     def __post_init__(self) -> None:
         super().__post_init__()

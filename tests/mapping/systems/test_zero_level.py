@@ -47,7 +47,7 @@ def test_normals_are_those_of_the_surface_though_little_behind_it_was_seen(slant
     camera = PinholeCamera.from_size(80, 80, 60.0)
     depth = (-0.6 * np.cos(np.radians(slant)) / (camera.rays() @ normal)).astype(np.float32)
     grid = VertexGrid(BOX, 0.05)
-    grid.look(Frame(np.zeros((80, 80, 3), np.uint8), np.where(depth > 0, depth, 0), np.eye(4), camera), behind=0.1)
+    grid.observe(Frame(np.zeros((80, 80, 3), np.uint8), np.where(depth > 0, depth, 0), np.eye(4), camera), behind=0.1)
     distance = (grid.points() @ normal + 0.6 * np.cos(np.radians(slant))).reshape(grid.shape)
     found = grid.crossings(np.where(grid.seen, distance, 1.0))
     assert len(found.points) > 100
@@ -60,7 +60,7 @@ def test_a_look_reaches_a_little_behind_what_it_measured():
     camera = PinholeCamera.from_size(20, 20)
     depth = np.full((20, 20), 0.5, np.float32)
     depth[:, :10] = 0.0
-    grid.look(Frame(np.zeros((20, 20, 3), np.uint8), depth, np.eye(4), camera), behind=0.101)
+    grid.observe(Frame(np.zeros((20, 20, 3), np.uint8), depth, np.eye(4), camera), behind=0.101)
     seen = grid.points()[grid.seen.ravel()]
     assert seen[:, 2].min() > 0 and seen[:, 2].max() == pytest.approx(0.6)
     assert seen[:, 0].min() > -1e-9 and (np.abs(seen[:, :2]) <= seen[:, 2:] + 1e-9).all()

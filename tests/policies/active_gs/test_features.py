@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.sightings import Sightings
+from activestructure_gym.features.view_directions import ViewDirections
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.policies.active_gs.features import gaussian_confidence
@@ -18,7 +18,7 @@ FORWARD = np.array([1.0, 0.0, 0.0])
 
 
 def test_confidence_by_hand() -> None:
-    seen = Sightings(
+    seen = ViewDirections(
         count=np.array([0, 1, 2, 9], np.int32),
         nearness=np.array([0.0, 0.3, 0.3, 4.0]),
         concentration=np.array([0.0, 1.0, 0.5, 0.2]),

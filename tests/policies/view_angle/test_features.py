@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.sightings import DIRECTIONS
+from activestructure_gym.features.view_directions import DIRECTIONS
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.mapping.gaussian_map import GaussianMap

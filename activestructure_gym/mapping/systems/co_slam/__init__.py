@@ -1,1 +1,1 @@
-"""Co-SLAM on given poses."""
+"""Provide Co-SLAM with given poses."""

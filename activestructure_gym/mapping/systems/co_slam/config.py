@@ -1,4 +1,4 @@
-"""The constants of Co-SLAM."""
+"""Define the constants of Co-SLAM."""
 
 from __future__ import annotations
 
@@ -32,38 +32,38 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class CoSLAMConfig(BaseMapperConfig):
-    """Configure Co-SLAM on given poses ([co_slam, code], `configs/Replica`), small enough for a CPU.
+    """Configure Co-SLAM with given poses ([co_slam, code], `configs/Replica`), reduced for a CPU.
 
-    The map is the zero level of the field as disks.
+    The map is the zero level set of the field, as disks. A value in brackets is that of the original.
     """
 
     made_by: ClassVar[str] = "activestructure_gym.mapping.systems.co_slam.mapper:CoSLAMMapper"
 
     name: str = "co_slam"
     iterations: int = 10  # per keyframe
-    first_rounds: int = 20  # times the iterations, for the first keyframe (200 / 10)
-    levels: int = 8  # of the hash grid (there 16)
-    coarsest: int = 16  # cells per side of the first level
-    finest_m: float = 0.05  # metres, cells of the last level along the longest side (there 0.02)
-    log2_entries: int = 15  # of a level's table (there 16)
-    truncation: float = 0.1  # metres
-    rays: int = 512  # of all keyframes in every step (there 2048)
-    least_newest: int = 100  # rays of the newest keyframe on top, or ``rays`` over the number of keyframes
-    ray_share: float = 0.25  # of a keyframe's pixels are kept (there 0.05 of far larger pictures)
-    even_samples: int = 32  # along a ray
-    near_samples: int = 11  # more, within the truncation of the measured depth
-    color_weight: float = 5.0  # of the squared error of colours
-    color_without_depth: float = 0.05  # times the error of a colour without a return
-    ray_depth_weight: float = 0.1  # of the squared error of depth
-    surface_weight: float = 1000.0  # of the squared error of distances near the surface, m^2
-    free_weight: float = 10.0  # of the squared error of distances in free space
-    decoder_rate: float = 1e-2  # of the two decoders
-    grid_rate: float = 1e-2  # of the features
-    surface_m: float = 0.05  # metres between the vertices that the surface is cut out of (there 0.02)
+    first_rounds: int = 20  # factor on the iterations of the first keyframe (200 / 10)
+    levels: int = 8  # levels of the hash grid (16)
+    coarsest: int = 16  # cells per side of the coarsest level
+    finest_m: float = 0.05  # metres, cell size of the finest level along the longest side (0.02)
+    log2_entries: int = 15  # entries in the table of a level (16)
+    truncation: float = 0.1  # metres, truncation distance
+    rays: int = 512  # rays of all keyframes per step (2048)
+    least_newest: int = 100  # additional rays of the newest keyframe; at least ``rays`` / keyframes
+    ray_share: float = 0.25  # share of a keyframe's pixels that are stored (0.05 of larger images)
+    even_samples: int = 32  # samples along a ray
+    near_samples: int = 11  # additional samples within the truncation of the measured depth
+    color_weight: float = 5.0  # weight of the squared colour error
+    color_without_depth: float = 0.05  # factor on the colour error of pixels without a return
+    ray_depth_weight: float = 0.1  # weight of the squared depth error
+    surface_weight: float = 1000.0  # weight of the squared distance error near the surface, m^2
+    free_weight: float = 10.0  # weight of the squared distance error in free space
+    decoder_rate: float = 1e-2  # learning rate of the two decoders
+    grid_rate: float = 1e-2  # learning rate of the grid's features
+    surface_m: float = 0.05  # metres, spacing of the grid for surface extraction (0.02)
     disk_share: float = 0.8  # in-plane sigma / ``surface_m`` of the disks (own choice)
     disk_thickness: float = 0.1  # sigma along the normal / in-plane sigma (own choice)
     disk_opacity: float = 0.99  # 0..1 (own choice)
-    max_gaussians: int | None = None  # a bound on the number of disks; None = no bound
+    max_gaussians: int | None = None  # largest number of disks; None = no limit
 
     def __post_init__(self) -> None:
         super().__post_init__()

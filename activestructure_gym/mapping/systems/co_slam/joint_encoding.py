@@ -1,7 +1,7 @@
-"""Co-SLAM's field: signed distance and colour of a point from a hash grid and one-blobs of its coordinates.
+"""Define Co-SLAM's field: signed distance and colour of a point from a hash grid and one-blob encoding.
 
-Joint encoding, decoders, rendering and losses of [co_slam, code] in plain torch, sized for a CPU. Distances are in
-units of the truncation: 1 is free, 0 the surface, below 0 behind it.
+Joint encoding, decoders, rendering and losses follow [co_slam, code], in plain torch and sized for a CPU. Distances are
+in units of the truncation: 1 in free space, 0 on the surface, negative behind it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import torch
 from torch import nn
 from torch.nn.functional import embedding_bag
 
-_PRIMES = (1, 2654435761 - 2**32, 805459861)  # of the hash ([ngp, eq. 4]), in 32 bits
-_START = 1e-4  # features begin this near 0 ([ngp])
-FEATURES = 2  # per level
-BINS = 16  # one-blobs per coordinate
-GEOMETRY = 15  # numbers that the colour gets from the distance's decoder
-HIDDEN = 32
+_PRIMES = (1, 2654435761 - 2**32, 805459861)  # primes of the hash ([ngp, eq. 4]), in 32 bits
+_START = 1e-4  # largest absolute value of initial features ([ngp])
+FEATURES = 2  # features per level
+BINS = 16  # bins of the one-blob encoding per coordinate
+GEOMETRY = 15  # outputs of the distance decoder that the colour decoder uses
+HIDDEN = 32  # width of the hidden layer
 
 
 class HashGrid(nn.Module):
-    """Features of points [n, 3] in 0..1 by trilinear interpolation in grids of growing resolution ([ngp], Sec. 3)."""
+    """Interpolate features of points [n, 3] in 0..1 trilinearly in grids of several resolutions ([ngp], Sec. 3)."""
 
     def __init__(self, levels: int, coarsest: int, finest: int, log2_entries: int, rng: torch.Generator) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class HashGrid(nn.Module):
         )
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:  # [n, 3] -> [n, levels * 2]
-        """All levels' features, side by side."""
+        """Return the concatenated features of all levels."""
         found = []
         for resolution, table in zip(self.resolutions, self.tables):
             index, weight = corners(points, resolution, self.entries)
@@ -43,7 +43,7 @@ class HashGrid(nn.Module):
 
 
 def level_resolutions(levels: int, coarsest: int, finest: int) -> list[int]:
-    """Cells per side of every level, a geometric series ([ngp, eq. 2 and 3])."""
+    """Return the cells per side of every level, a geometric series ([ngp, eq. 2 and 3])."""
     growth = (finest / coarsest) ** (1.0 / max(1, levels - 1))
     return [int(np.floor(coarsest * growth**level + 1e-9)) for level in range(levels)]
 
@@ -53,13 +53,13 @@ def corners(
     resolution: int,
     entries: int,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 8] int32 rows of the level's table, [n, 8] weights that sum to 1
-    """The eight corners around each point: one row each where the level fits into the table, else hashed."""
+    """Return table rows and weights of the eight corners around each point; hashed if the table is too small."""
     scaled = points.clamp(0.0, 1.0).T * resolution
     low = scaled.floor().clamp(max=resolution - 1)
     share, cell = scaled - low, low.int()
     dense = (resolution + 1) ** 3 <= entries
     factors = (1, resolution + 1, (resolution + 1) ** 2) if dense else _PRIMES
-    # The low digits are all that counts, so that products may overflow.
+    # Only the low bits are used, so an overflow of the products has no effect.
     part = [[(cell[axis] + step) * factors[axis] for step in (0, 1)] for axis in range(3)]
     side = [[1.0 - share[axis], share[axis]] for axis in range(3)]
     rows, weights = [], []
@@ -72,18 +72,18 @@ def corners(
 
 
 class _WeightedRows(torch.autograd.Function):
-    """Weighted sums of rows of a table, with the table's derivative alone: torch's own takes many times as long."""
+    """Compute weighted sums of table rows, differentiable by the table only; much faster than torch's backward."""
 
     @staticmethod
     def forward(ctx: Any, table: torch.Tensor, index: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-        """``index`` and ``weight`` [n, 8] give [n, 2]."""
+        """Return the sums [n, 2] for ``index`` and ``weight`` [n, 8]."""
         ctx.save_for_backward(index, weight)
         ctx.rows = len(table)
         return embedding_bag(index, table, per_sample_weights=weight, mode="sum")
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> Any:  # type: ignore[override]
-        """The table's; index and weights have none."""
+        """Return the derivative by the table; None for index and weights."""
         index, weight = ctx.saved_tensors
         rows, shares = index.reshape(-1).numpy(), weight[..., None] * gradient[:, None]
         sums = [np.bincount(rows, shares[..., k].reshape(-1).numpy(), minlength=ctx.rows) for k in range(FEATURES)]
@@ -91,13 +91,13 @@ class _WeightedRows(torch.autograd.Function):
 
 
 def one_blob(points: torch.Tensor) -> torch.Tensor:  # [n, 3] 0..1 -> [n, 3 * 16]
-    """Each coordinate as a Gaussian of the width of a bin, seen at the middles of 16 bins ([muller2019], Sec. 4.3)."""
+    """Return each coordinate as a Gaussian of one bin width, sampled at 16 bin centres ([muller2019], Sec. 4.3)."""
     middles = (torch.arange(BINS, dtype=points.dtype) + 0.5) / BINS
     return torch.exp(-0.5 * ((points[..., None] - middles) * BINS) ** 2).flatten(1)
 
 
 class JointField(nn.Module):
-    """Distance and colour everywhere in a box; the constants of the grid are those of `HashGrid`."""
+    """Model distance and colour in a box; the arguments are those of `HashGrid`."""
 
     def __init__(self, levels: int, coarsest: int, finest: int, log2_entries: int, rng: torch.Generator) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ class JointField(nn.Module):
         self.color = _decoder(blobs + GEOMETRY, 3, rng)
 
     def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 3] 0..1 -> [n], [n, 3]
-        """Distances in units of the truncation, and colours 0..1."""
+        """Return distances in units of the truncation, and colours 0..1."""
         blobs = one_blob(points)
         found = self.distance(torch.cat([self.grid(points), blobs], dim=1))
         return found[:, 0], torch.sigmoid(self.color(torch.cat([blobs, found[:, 1:]], dim=1)))
@@ -116,7 +116,7 @@ class JointField(nn.Module):
 def _decoder(inputs: int, outputs: int, rng: torch.Generator) -> nn.Sequential:
     layers = nn.Linear(inputs, HIDDEN, bias=False), nn.ReLU(), nn.Linear(HIDDEN, outputs, bias=False)
     for layer in (layers[0], layers[2]):
-        bound = 1.0 / np.sqrt(layer.in_features)  # torch's own, but from our generator
+        bound = 1.0 / np.sqrt(layer.in_features)  # torch's initialisation, with our generator
         layer.weight.data = (2.0 * torch.rand(layer.weight.shape, generator=rng) - 1.0) * bound
     return nn.Sequential(*layers)
 
@@ -126,9 +126,9 @@ def ray_weights(
     depths: torch.Tensor,  # [r, s] metres, rising
     truncation: float,  # metres
 ) -> torch.Tensor:  # [r, s], sums to 1
-    """What every sample of a ray counts: sigmoid(d / t) sigmoid(-d / t), up to t behind the first change of sign.
+    """Return the weight of every sample of a ray: sigmoid(d / t) sigmoid(-d / t), up to t behind the first sign change.
 
-    [co_slam, code]: d is in units of the truncation there, too. A ray without a change ends t behind its first sample.
+    d is in units of the truncation t ([co_slam, code]). A ray without a sign change ends t behind its first sample.
     """
     weights = torch.sigmoid(distances / truncation) * torch.sigmoid(-distances / truncation)
     changes = distances[:, 1:] * distances[:, :-1] < 0.0
@@ -143,9 +143,10 @@ def distance_losses(
     measured: torch.Tensor,  # [r] metres, 0 = no return
     truncation: float,  # metres
 ) -> tuple[torch.Tensor, torch.Tensor]:  # near the surface, in free space
-    """Mean squares of z + d t - D within t of the measured D, and of d - 1 before; each times the other's share.
+    """Return the mean squares of z + d t - D within t of the measured depth D, and of d - 1 in front of it.
 
-    Both means are over all samples ([co_slam, code]).
+    z is the depth of a sample, d its distance, t the truncation. Both means are over all samples, and each is weighted
+    by the share of the other kind of samples ([co_slam, code]).
     """
     target = measured[:, None]
     before = depths < target - truncation

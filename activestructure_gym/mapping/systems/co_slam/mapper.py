@@ -1,12 +1,17 @@
-"""Co-SLAM as a mapper on given poses ([co_slam, code]): distance and colour learnt from rays of all keyframes.
+"""Run Co-SLAM as a mapper with given poses ([co_slam, code]): distance and colour learnt from rays of all keyframes.
 
-What everybody reads of it is `map`: its zero level as disks, from a grid as its mesh is, where keyframes have looked.
-Protocols measure that, pictures included, which are poorer than those that `render` alone integrates along rays.
+`map` is the zero level set of the field as disks, extracted from a grid as a mesh would be, where keyframes observed
+it. Protocols evaluate this map, including its images, which are worse than the volume rendering of `render`.
 
-What differs from [co_slam]: poses are given; the field is smaller (8 levels down to 5 cm and 2^15 entries, there 16
-down to 2 cm and 2^16), rays are fewer and the share of pixels kept of a keyframe is larger, for a CPU and its small
-pictures; samples reach through the whole box; there is no penalty of features that vary (there 1e-6); one-blobs are
-Gaussians, there a polynomial like one; the surface is cut out of a coarser grid.
+Differences from [co_slam]:
+
+- Poses are given.
+- The field is smaller: 8 levels down to 5 cm with 2^15 entries, instead of 16 levels down to 2 cm with 2^16.
+- There are fewer rays, and a larger share of a keyframe's pixels is stored, for a CPU and small images.
+- Samples cover the whole box.
+- There is no smoothness term (weight 1e-6 there).
+- One-blobs are Gaussians instead of a polynomial approximation.
+- The surface is extracted from a coarser grid.
 """
 
 from __future__ import annotations
@@ -23,20 +28,20 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, psnr, summed_up, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, psnr, report_of, unit_rgb
 from activestructure_gym.mapping.systems.co_slam.config import CoSLAMConfig
 from activestructure_gym.mapping.systems.co_slam.joint_encoding import JointField, distance_losses, ray_weights
 from activestructure_gym.mapping.systems.co_slam.zero_level import VertexGrid, disks
 from activestructure_gym.mapping.systems.dense import one_thread
 from activestructure_gym.splatting import Rendering
 
-_AT_ONCE = 1 << 17  # points that the field is asked about in one go
-_RENDER_STEP = 0.05  # metres between the samples of a ray in a picture
-_JUDGED = 4  # a keyframe's PSNR is that of every fourth pixel of every fourth row
+_AT_ONCE = 1 << 17  # points per evaluation of the field
+_RENDER_STEP = 0.05  # metres between the samples of a ray in a rendered image
+_PSNR_STRIDE = 4  # pixels, in both directions, between those that measure the PSNR of a keyframe
 
 
 class Rays(NamedTuple):
-    """Pixels of a keyframe as rays; a ray's parameter is a depth."""
+    """Hold pixels of keyframes as rays, with the depth as ray parameter."""
 
     keyframe: np.ndarray  # [r] int
     directions: np.ndarray  # [r, 3] float32, world, z of the camera = 1
@@ -44,18 +49,18 @@ class Rays(NamedTuple):
     depths: np.ndarray  # [r] float32 metres, 0 = no return
 
     def some(self, index: np.ndarray) -> Rays:
-        """The rays of an index."""
+        """Return the rays at the given indices."""
         return Rays(*(array[index] for array in self))
 
 
 class CoSLAMMapper(KeyframeMapper):
-    """See the module; `CoSLAMConfig` has the constants. ``bounds`` [2, 3] is the box the field fills, in metres."""
+    """Map with Co-SLAM. ``bounds`` [2, 3] is the box of the field, in metres."""
 
     config: CoSLAMConfig
 
     def __init__(self, config: CoSLAMConfig, rng: np.random.Generator, bounds: np.ndarray) -> None:
         self._gaussians = GaussianMap()
-        self._mapped = 0  # event the disks are of
+        self._mapped = 0  # event number of the extracted disks
         super().__init__(config, rng)
         self._low = torch.tensor(np.asarray(bounds[0]), dtype=torch.float32)
         self._extent = torch.tensor(np.asarray(bounds[1]) - np.asarray(bounds[0]), dtype=torch.float32)
@@ -71,11 +76,11 @@ class CoSLAMMapper(KeyframeMapper):
             betas=(0.9, 0.99),
         )
         self._vertices = VertexGrid(np.asarray(bounds, dtype=np.float64), config.surface_m)
-        self._rays: list[Rays] = []  # per keyframe, those that are kept
+        self._rays: list[Rays] = []  # stored rays per keyframe
 
     @property
     def map(self) -> GaussianMap:
-        """The zero level of the field as it is, as disks; made anew when it is asked for after a change."""
+        """Return the zero level set of the field as disks, extracted again after every event."""
         if self._mapped != self.events:
             self._gaussians.keep(np.zeros(self._gaussians.count, dtype=bool))
             self._gaussians.append(self._surface())
@@ -87,14 +92,14 @@ class CoSLAMMapper(KeyframeMapper):
         self._gaussians = gaussians
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Make ``frame`` a keyframe, keep some of its rays and learn (default: ``config.iterations``)."""
+        """Add a keyframe, store some of its rays, and learn (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         config = self.config
         iterations = config.iterations if iterations is None else iterations
         self.events += 1
-        # What is new is counted in vertices, not in pixels.
+        # The new share counts vertices instead of pixels.
         before = int(np.count_nonzero(self._vertices.seen))
-        self._vertices.look(frame, config.truncation)
+        self._vertices.observe(frame, config.truncation)
         after = int(np.count_nonzero(self._vertices.seen))
         index = self._store.append(
             reduced(frame, config.keyframe_reduction), new_share=(after - before) / max(1, after)
@@ -108,8 +113,8 @@ class CoSLAMMapper(KeyframeMapper):
         with one_thread():
             losses = self._learn(all_rays, iterations * (config.first_rounds if index == 0 else 1))
             self._measure_psnr(self._store.stalest(1))
-        return summed_up(
-            self._gaussians.count,  # of the last time that somebody asked for them
+        return report_of(
+            self._gaussians.count,  # at the last extraction
             [index] * len(losses),
             losses,
             0,
@@ -118,15 +123,15 @@ class CoSLAMMapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Learn from the rays kept of all keyframes (or of the given ones)."""
+        """Learn from the stored rays of all or the given keyframes."""
         indices = sorted(set(self._shuffled_views(len(self.keyframes), keyframe_indices)))
         self.events += 1
         with one_thread():
             losses = self._learn(None, iterations, indices) if indices else np.zeros((0, 3))
-        return summed_up(self._gaussians.count, indices[:iterations], losses, 0)
+        return report_of(self._gaussians.count, indices[:iterations], losses, 0)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """The field integrated along the rays of a camera; alpha is 1 where a ray meets the surface, else 0."""
+        """Render the field by integration along rays; alpha is 1 where a ray meets the surface, else 0."""
         directions = (camera.rays().reshape(-1, 3) @ world_from_camera[:3, :3].T).astype(np.float32)
         with one_thread():
             color, depth, met = self._integrated(world_from_camera[:3, 3], directions)
@@ -136,7 +141,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     @property
     def persistent_map(self) -> GaussianMap:
-        """Raises `InputError`: the Gaussians are made anew after every event."""
+        """Raise `InputError`, since the Gaussians are extracted again after every event."""
         raise InputError(
             "mapper co_slam has no Gaussians that persist from one event to the next, which a feature of this planner "
             "follows: choose another mapper or planner"
@@ -145,7 +150,7 @@ class CoSLAMMapper(KeyframeMapper):
     def _learn(
         self, newest: Rays | None, steps: int, keyframes: Sequence[int] | None = None
     ) -> np.ndarray:  # [steps, 3]
-        """Steps over rays kept of the keyframes, and over some of all rays of the newest one."""
+        """Take steps on stored rays of the keyframes, and on rays drawn from all of the newest one; return losses."""
         config = self.config
         chosen = self._rays if keyframes is None else [self._rays[k] for k in keyframes]
         kept = Rays(*(np.concatenate(arrays) for arrays in zip(*chosen)))
@@ -164,7 +169,7 @@ class CoSLAMMapper(KeyframeMapper):
         return losses
 
     def _loss(self, rays: Rays) -> tuple[torch.Tensor, float, float]:
-        """The weighted sum, and the mean errors of colour and depth (metres)."""
+        """Return the total loss, and the mean absolute errors of colour and depth (metres)."""
         config, truncation = self.config, self.config.truncation
         measured = torch.from_numpy(rays.depths)
         depths = torch.from_numpy(self._sampled(rays.depths))
@@ -189,7 +194,7 @@ class CoSLAMMapper(KeyframeMapper):
         return total, float(color_off.detach().abs().mean()), error
 
     def _sampled(self, measured: np.ndarray) -> np.ndarray:  # [r] -> [r, s] float32 metres, rising
-        """Depths along rays: even ones through the box, more around the measured depth; each moved within its part."""
+        """Return sample depths along rays: even in the box and around the measured depth, with jitter."""
         config, farthest = self.config, self._farthest
         even = np.broadcast_to(np.linspace(0.0, farthest, config.even_samples), (len(measured), config.even_samples))
         around = measured[:, None] + np.linspace(-config.truncation, config.truncation, config.near_samples)
@@ -202,7 +207,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     @property
     def _farthest(self) -> float:
-        """Metres; no ray in the box is longer."""
+        """Return the diagonal of the box in metres, the largest length of a ray."""
         return float(torch.linalg.norm(self._extent))
 
     def _ask(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 3] metres -> [n], [n, 3]
@@ -230,7 +235,7 @@ class CoSLAMMapper(KeyframeMapper):
         return found[0], found[1], found[2]
 
     def _surface(self) -> np.ndarray:  # [14, n]
-        """Disks of the zero level."""
+        """Return the zero level set as disks."""
         config, vertices = self.config, self._vertices
         values = np.ones(vertices.shape, dtype=np.float32)
         seen = np.flatnonzero(vertices.seen)
@@ -246,7 +251,7 @@ class CoSLAMMapper(KeyframeMapper):
         return disks(crossings, colors, sigma, thickness=config.disk_thickness, opacity=config.disk_opacity)
 
     def _values(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n], [n, 3]
-        """Distances and colours, without their graph."""
+        """Return distances and colours, without gradients."""
         distances, colors = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
         with torch.no_grad():
             for first in range(0, len(points), _AT_ONCE):
@@ -258,7 +263,7 @@ class CoSLAMMapper(KeyframeMapper):
     def _measure_psnr(self, indices: Sequence[int]) -> None:
         for index in indices:
             frame = self.keyframes[index]
-            down, right = (slice(min(_JUDGED // 2, size - 1), None, _JUDGED) for size in frame.depth.shape)
+            down, right = (slice(min(_PSNR_STRIDE // 2, size - 1), None, _PSNR_STRIDE) for size in frame.depth.shape)
             rays = frame.camera.rays()[down, right].reshape(-1, 3)
             true = unit_rgb(frame)[down, right].reshape(-1, 3)
             directions = (rays @ frame.world_from_camera[:3, :3].T).astype(np.float32)
@@ -267,7 +272,7 @@ class CoSLAMMapper(KeyframeMapper):
 
 
 def rays_of(frame: Frame, index: int) -> Rays:
-    """All pixels of a keyframe."""
+    """Return all pixels of a keyframe as rays."""
     directions = frame.camera.rays().reshape(-1, 3) @ frame.world_from_camera[:3, :3].T
     return Rays(
         np.full(len(directions), index),

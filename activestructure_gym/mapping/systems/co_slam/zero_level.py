@@ -1,4 +1,4 @@
-"""The zero level of a distance field as Gaussians: a small disk wherever an edge of a grid crosses the surface."""
+"""Convert the zero level set of a distance field to Gaussians: a disk where a grid edge crosses the surface."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 
 
 class Crossings(NamedTuple):
-    """Where the edges of a grid meet the surface: the corners of a mesh by marching cubes, without its triangles."""
+    """Hold the crossings of grid edges with the surface, which are the vertices of a marching-cubes mesh."""
 
     points: np.ndarray  # [n, 3] metres
-    normals: np.ndarray  # [n, 3] unit, towards where the field is positive
+    normals: np.ndarray  # [n, 3] unit, towards positive distances
 
 
 class VertexGrid:
-    """Vertices of a grid in a box, and which of them keyframes have looked at: not far behind what they measured."""
+    """Hold the vertices of a grid in a box, and which of them keyframes observed."""
 
     def __init__(self, bounds: np.ndarray, step: float) -> None:  # [2, 3] metres, metres
         self.step, self.low = step, np.asarray(bounds[0], dtype=np.float64)
@@ -29,12 +29,12 @@ class VertexGrid:
         self.seen = np.zeros(self.shape, dtype=bool)
 
     def points(self, index: np.ndarray | None = None) -> np.ndarray:  # flat indices [n] (None: all) -> [n, 3]
-        """Places of vertices, in metres."""
+        """Return the positions of vertices, in metres."""
         index = np.arange(self.seen.size) if index is None else index
         return self.low + self.step * np.stack(np.unravel_index(index, self.shape), axis=1)
 
-    def look(self, frame: Frame, behind: float) -> None:
-        """Mark the vertices in a keyframe's picture up to so many metres behind the depth it measured."""
+    def observe(self, frame: Frame, behind: float) -> None:
+        """Mark the vertices in view of a keyframe, up to ``behind`` metres behind the measured depth."""
         left = np.flatnonzero(~self.seen)
         points = transform_points(invert_rigid(frame.world_from_camera), self.points(left))
         camera, z = frame.camera, points[:, 2]
@@ -46,8 +46,8 @@ class VertexGrid:
         measured = frame.depth[v[inside].astype(int), u[inside].astype(int)]
         self.seen.reshape(-1)[left[ahead[(measured > 0) & (z[ahead] <= measured + behind)]]] = True
 
-    def crossings(self, values: np.ndarray) -> Crossings:  # [shape], of interest where seen
-        """Where the values change their sign between two neighbours that were both seen."""
+    def crossings(self, values: np.ndarray) -> Crossings:  # [shape], used where observed
+        """Return the sign changes of the values between two observed neighbours."""
         slopes = _slopes(values, self.seen)
         points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for axis in range(3):
@@ -69,9 +69,9 @@ class VertexGrid:
 
 
 def _slopes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:  # [X, Y, Z], [X, Y, Z] bool -> [X, Y, Z, 3]
-    """Differences per step between neighbours that were both seen, the mean of both sides; 0 where there is none.
+    """Return the slope per step, averaged over both sides with observed neighbours; 0 without any.
 
-    What nobody has looked at says nothing of a surface: behind a slanted one it begins within a step or two.
+    Values at unobserved vertices are undefined, and behind a slanted surface such vertices are one or two steps away.
     """
     slopes = np.zeros((*values.shape, 3))
     for axis in range(3):
@@ -96,12 +96,12 @@ def disks(
     thickness: float,  # along the normal / sigma
     opacity: float,
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One disk per point, across its normal."""
+    """Return one disk per point, perpendicular to its normal."""
     count = len(crossings.points)
     block = np.empty((ROWS, count), dtype=np.float32)
     block[MEAN] = crossings.points.T
     normal = crossings.normals
-    # Any direction across the normal will do: disks are round.
+    # Disks are round, so any direction perpendicular to the normal is an axis.
     helper = np.where(np.abs(normal[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     across = np.cross(normal, helper)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)

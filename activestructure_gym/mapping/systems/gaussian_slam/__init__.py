@@ -1,1 +1,1 @@
-"""Gaussian-SLAM on given poses."""
+"""Provide Gaussian-SLAM with given poses."""

@@ -1,10 +1,17 @@
-"""Gaussian-SLAM as a mapper on given poses ([gaussian_slam, code]): sub-maps, of which the newest alone is learnt.
+"""Run Gaussian-SLAM as a mapper with given poses ([gaussian_slam, code]): sub-maps, of which only the newest learns.
 
-When the camera has moved or turned far enough a sub-map begins; the Gaussians of the others stay as they are, and are
-part of the map without being drawn while the newest one is seeded and learnt. What differs: poses are given; a sub-map
-begins with fewer pixels and no Canny edges (the pixels drawn by gradient are in), and events are shorter, for a CPU;
-pixels are looked through in their middle; sub-maps are not thinned out where they meet (there a cell of 2 cm at the
-end of the run, for more than a million Gaussians); `refine` learns colours of degree 0.
+A new sub-map begins when the camera has moved or turned far enough. The Gaussians of the previous sub-maps remain in
+the map unchanged, but are not rendered while the newest one is seeded and optimised.
+
+Differences from [gaussian_slam, code]:
+
+- Poses are given.
+- For a CPU, a sub-map begins with fewer pixels, and events are shorter. Pixels are drawn by gradient as there, but not
+  from Canny edges.
+- Rays go through pixel centres.
+- Sub-maps are not thinned where they overlap (there with a cell of 2 cm at the end of a run, for more than a million
+  Gaussians).
+- `refine` learns colours of degree 0.
 """
 
 from __future__ import annotations
@@ -24,15 +31,15 @@ from activestructure_gym.splatting.torch_losses import MappingLoss, ssim
 
 
 class GaussianSLAMMapper(DenseMapper):
-    """See the module; `GaussianSLAMConfig` has the constants."""
+    """Map with Gaussian-SLAM."""
 
     config: GaussianSLAMConfig
 
     def __init__(self, config: GaussianSLAMConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
-        self._origin: np.ndarray | None = None  # [4, 4] world_from_camera the newest sub-map began at
-        self._start = 0  # column of the map where it begins
-        self.submap_keyframes: list[int] = []  # its own, in order
+        self._origin: np.ndarray | None = None  # [4, 4] world_from_camera, first pose of the newest sub-map
+        self._start = 0  # first column of the newest sub-map
+        self.submap_keyframes: list[int] = []  # keyframes of the newest sub-map, in order
 
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
         config, pose = self.config, frame.world_from_camera
@@ -58,7 +65,7 @@ class GaussianSLAMMapper(DenseMapper):
         return seed_balls(behind, samples, sigma, opacity=config.seed_opacity), share
 
     def _missing(self, frame: Frame) -> np.ndarray:  # [H, W] bool
-        """Pixels where the newest sub-map is transparent, or shows only what lies far behind."""
+        """Return the pixels where the newest sub-map is transparent, or far behind the measured surface."""
         config, count = self.config, self.map.count - self._start
         if not count:
             return frame.depth > 0
@@ -75,7 +82,7 @@ class GaussianSLAMMapper(DenseMapper):
         )
 
     def _first_pixels(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels with a return for a sub-map's first keyframe: some everywhere, more where the picture changes."""
+        """Return seed pixels for the first keyframe of a sub-map: drawn uniformly, and more by image gradient."""
         config, size = self.config, frame.depth.size
         even = self._rng.choice(size, max(1, round(config.submap_seed_share * size)), replace=False)
         steep = gradient_size(frame.rgb).ravel()
@@ -107,7 +114,7 @@ class GaussianSLAMMapper(DenseMapper):
             if columns.start == columns.stop:
                 break
             rows = leaf(self.map.parameters[:, columns])
-            losses[step] = self._look(rows, view, self._loss)
+            losses[step] = self._add_loss(rows, view, self._loss)
             (config.roundness_weight * roundness(rows)).backward()  # type: ignore[no-untyped-call]
             rates, number = config.learning_rates(), np.full(ROWS, step + 1)
             number[COLOR] -= half
@@ -136,9 +143,9 @@ def submap_loss(
     l1_share: float,
     depth_weight: float,
 ) -> MappingLoss:
-    """image * (share * mean |C - I| + (1 - share) * (1 - SSIM)) + weight * mean |D - depth|, depth as accumulated.
+    """Return image * (l1_share * mean |C - I| + (1 - l1_share) * (1 - SSIM)) + depth_weight * mean |D - depth|.
 
-    Both absolute differences where a depth was measured, SSIM everywhere.
+    The depth is accumulated. Absolute differences are over pixels with a depth return, SSIM is over all pixels.
     """
     measured = depth > 0
     count = max(1, int(measured.sum()))
@@ -150,7 +157,7 @@ def submap_loss(
 
 
 def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: float) -> bool:  # [4, 4] each
-    """Whether a camera is too far from the origin of a sub-map, or turned too far about any of three axes."""
+    """Return whether a camera is too far from the origin of a sub-map, by distance or by any Euler angle."""
     moved = invert_rigid(origin) @ pose
     turn = moved[:3, :3]
     level = float(np.hypot(turn[0, 0], turn[1, 0]))
@@ -166,7 +173,7 @@ def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: flo
 
 
 def view_shares(keyframes: int, current: float) -> np.ndarray:  # [keyframes]
-    """How likely a step looks at each keyframe of the sub-map, the current one first."""
+    """Return the probability of each keyframe of the sub-map in a step, the current one first."""
     if keyframes == 1:
         return np.ones(1)
     shares = np.full(keyframes, (1.0 - current) / (keyframes - 1))
@@ -175,7 +182,7 @@ def view_shares(keyframes: int, current: float) -> np.ndarray:  # [keyframes]
 
 
 def gradient_size(rgb: np.ndarray) -> np.ndarray:  # [H, W, 3] uint8 -> [H, W] float64
-    """Length of the gradient of the brightness, by Sobel's filter."""
+    """Return the magnitude of the brightness gradient, by the Sobel filter."""
     import cv2
 
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)

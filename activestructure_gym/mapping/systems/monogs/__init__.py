@@ -1,1 +1,1 @@
-"""MonoGS on given poses."""
+"""Provide MonoGS with given poses."""

@@ -1,4 +1,4 @@
-"""The constants of MonoGS."""
+"""Define the constants of MonoGS."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MonoGSConfig(DenseConfig):
-    """Configure MonoGS with depth, on given poses ([monogs, code], `configs/rgbd`)."""
+    """Configure MonoGS with depth and given poses ([monogs, code], `configs/rgbd`)."""
 
     made_by: ClassVar[str] = "activestructure_gym.mapping.systems.monogs.mapper:MonoGSMapper"
 
     name: str = "monogs"
-    iterations: int = 10  # per keyframe, each over the whole window (with a process of its own for mapping)
-    mean_rate: float = 9.6e-4  # metres per step: 1.6e-4 times the extent of 6 m
+    iterations: int = 10  # per keyframe, each on the whole window (the value with a separate mapping process)
+    mean_rate: float = 9.6e-4  # metres per step: 1.6e-4 times the scene extent of 6 m
     mean_rate_end: float = 9.6e-6  # metres per step, after ``mean_rate_steps``
-    mean_rate_steps: int = 30_000  # over which the rate of the means falls from one to the other
+    mean_rate_steps: int = 30_000  # steps over which the rate of the means decreases
     log_scale_rate: float = 6e-3  # per step
     window: int = 10  # keyframes that every step renders
-    prune_opacity: float = 0.7  # Gaussians below go, when they are judged
-    color_share: float = 0.95  # of the colour term in the loss; the rest is depth, in metres
-    roundness_weight: float = 10.0  # of the mean deviation of an axis from a Gaussian's mean axis, metres
-    seed_share: float = 0.125  # of a keyframe's pixels (there 1/64 of 1200 x 680, more than a picture here has)
-    first_seed_share: float = 0.25  # of the first keyframe's pixels (there 1/32)
-    point_size: float = 0.05  # metres, at most; and times the median depth
-    first_rounds: int = 7  # times the iterations, for the first keyframe (1050 / 150)
-    random_views: int = 2  # keyframes outside of the window, in every step
-    least_overlap: float = 0.4  # of what two keyframes see: below, the older one leaves the window
-    prune_every: int = 150  # steps
-    prune_after: int = 50  # steps that a Gaussian took part in before it is judged, and of the first judgement
-    prune_size: float = 0.6  # metres, sigma: a tenth of the extent of 6 m
+    prune_opacity: float = 0.7  # tested Gaussians with a lower opacity are removed
+    color_share: float = 0.95  # weight of the colour term in the loss; the rest is depth, in metres
+    roundness_weight: float = 10.0  # weight of `roundness`, per metre
+    seed_share: float = 0.125  # share of a keyframe's pixels (1/64 of 1200 x 680 in the original)
+    first_seed_share: float = 0.25  # share of the first keyframe's pixels (1/32 in the original)
+    point_size: float = 0.05  # factor in the size of seeds, see `seed_sigmas`
+    first_rounds: int = 7  # factor on the iterations of the first keyframe (1050 / 150)
+    random_views: int = 2  # additional keyframes outside the window per step
+    least_overlap: float = 0.4  # smallest overlap with the newest keyframe inside the window
+    prune_every: int = 150  # steps between prunings
+    prune_after: int = 50  # steps after insertion before a Gaussian is tested, and step of the first pruning
+    prune_size: float = 0.6  # metres, largest sigma: a tenth of the scene extent of 6 m
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,10 +1,15 @@
-"""MonoGS with depth, as a mapper on given poses ([monogs, code]): a window of keyframes, rendered whole in every step.
+"""Run MonoGS with depth as a mapper with given poses ([monogs, code]): every step renders a window of keyframes.
 
-Every keyframe brings points, wherever the map stands already; what does not become opaque is pruned. What differs:
-no poses and no exposure are learnt; when a keyframe comes is the agent's matter; nothing is cloned or split, and
-opacities are not reset (there at every 2001st step); what two keyframes share is told by the means at their measured
-depth, not by the pixels that Gaussians were blended in; Gaussians are not judged by their radius in pixels, and only
-after as many steps as its 150 per keyframe give them before the first judgement, since here steps are few.
+Every keyframe adds points, even on mapped surfaces. Gaussians that do not become opaque are pruned.
+
+Differences from [monogs, code]:
+
+- Poses and exposure are not optimised.
+- Keyframes are those of the agent.
+- Gaussians are not cloned or split, and opacities are not reset (there every 2001 steps).
+- The overlap of two keyframes counts means close to their measured depth, instead of Gaussians blended in their images.
+- Gaussians are not pruned by their radius in pixels. They are tested after `prune_after` steps, since there are fewer
+  steps per keyframe than the original's 150.
 """
 
 from __future__ import annotations
@@ -24,23 +29,23 @@ from activestructure_gym.mapping.systems.monogs.config import MonoGSConfig
 from activestructure_gym.splatting.api import Rasterization
 from activestructure_gym.splatting.torch_losses import MappingLoss
 
-_NEWEST = 2  # keyframes that stay in the window whatever they share
-_DARK = 0.01  # sum of the three colours up to which a pixel is not compared; metres of depth, as well
+_NEWEST = 2  # keyframes that remain in the window, whatever their overlap
+_DARK = 0.01  # a pixel is compared above this sum of the three colours, and above this depth in metres
 _MIN_SPACING_M2 = 1e-7  # m^2
-_SAME_SURFACE = 0.05  # of the depth: how far a mean may stand from what a keyframe measured there and count as seen
+_SAME_SURFACE = 0.05  # share of the depth; a mean is visible if it is this close to the measured surface
 
 
 class MonoGSMapper(DenseMapper):
-    """See the module; `MonoGSConfig` has the constants."""
+    """Map with MonoGS."""
 
     config: MonoGSConfig
 
     def __init__(self, config: MonoGSConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
         self._window: list[int] = []  # keyframes, newest first
-        self._steps = 0
-        self._reset_at = 0  # of these, when the moments were 0 last
-        self._ids_of_step: list[int] = []  # ids there were when each step was taken
+        self._steps = 0  # number of steps taken
+        self._reset_at = 0  # step at which the moments were set to 0
+        self._ids_of_step: list[int] = []  # `GaussianMap.next_id` at each step
 
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
         config = self.config
@@ -68,7 +73,7 @@ class MonoGSMapper(DenseMapper):
             rows = leaf(self.map.parameters[:, : self.map.count])
             for view in (*self._window, *drawn):
                 views.append(view)
-                losses.append(self._look(rows, view, self._loss))
+                losses.append(self._add_loss(rows, view, self._loss))
             (config.roundness_weight * roundness(rows)).backward()  # type: ignore[no-untyped-call]
             self._ids_of_step.append(self.map.next_id)
             self._steps += 1
@@ -80,7 +85,7 @@ class MonoGSMapper(DenseMapper):
         return views, np.array(losses).reshape(-1, 3), pruned
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise the whole map over all keyframes (or the given ones) by their colours; the moments begin anew."""
+        """Optimise the whole map on the colours of all or the given keyframes; then set the moments to 0."""
         report = super().refine(iterations, keyframe_indices=keyframe_indices)
         self.map.reset_moments()
         self._reset_at = self._steps
@@ -90,7 +95,7 @@ class MonoGSMapper(DenseMapper):
         return window_loss(shown, rgb, depth, self.config.color_share)
 
     def _renew_window(self, index: int) -> None:
-        """Put the newest keyframe into the window, and take out what the rules say."""
+        """Add the newest keyframe to the window, and remove keyframes by overlap and by number."""
         window = [index, *self._window]
         frames = self.keyframes
         means = self.map.parameters[MEAN, : self.map.count].T.astype(np.float64)
@@ -105,25 +110,28 @@ class MonoGSMapper(DenseMapper):
         self._window = window
 
     def _prune_opaque(self) -> int:
-        """Remove Gaussians that have had their steps and are not opaque, or are large."""
+        """Remove Gaussians that are old enough to be tested and not opaque, or too large."""
         config = self.config
         old = self._ids_of_step[-min(config.prune_after, len(self._ids_of_step))]
-        judged = self.map.ids[: self.map.count] < old
+        tested = self.map.ids[: self.map.count] < old
         largest = self.map.parameters[LOG_SCALE, : self.map.count].max(axis=0)
         poor = self._transparent(config.prune_opacity) | ~(largest <= np.log(config.prune_size))
-        return self.map.keep(~(judged & poor))
+        return self.map.keep(~(tested & poor))
 
 
 def seed_sigmas(points: np.ndarray, median_depth: float, point_size: float) -> np.ndarray:  # [n, 3] -> [n] metres
-    """Size of the points of one keyframe: sqrt(d^2 p), d^2 the mean squared distance to the next three, p metres."""
+    """Return the size of the points of a keyframe, sqrt(d^2 p).
+
+    d^2 is the mean squared distance to the three nearest points, and p = min(0.05, point_size * median_depth).
+    """
     squared = np.maximum(np.nan_to_num(spacing_squared(points, points)), _MIN_SPACING_M2)
     return np.sqrt(squared * min(0.05, point_size * median_depth))
 
 
 def window_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor, color_share: float) -> MappingLoss:
-    """share * mean |C - I| + (1 - share) * mean |D - depth|, depth as accumulated; means over all pixels.
+    """Return color_share * mean |C - I| + (1 - color_share) * mean |D - depth|, with accumulated depth.
 
-    Pixels that are black, or without a return, count as equal.
+    Means are over all pixels. Black pixels have no colour error, and pixels without a return no depth error.
     """
     lit, measured = (rgb.sum(dim=-1, keepdim=True) > _DARK), depth > _DARK
     by_color = ((shown.color - rgb) * lit).abs().mean()
@@ -133,7 +141,7 @@ def window_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor, co
 
 
 def mean_rate(config: MonoGSConfig, step: int) -> float:
-    """The rate of the means, which falls exponentially from one constant to the other."""
+    """Return the learning rate of the means, which decreases exponentially to ``mean_rate_end``."""
     share = min(1.0, step / config.mean_rate_steps)
     if config.mean_rate <= 0.0:
         return 0.0
@@ -141,7 +149,7 @@ def mean_rate(config: MonoGSConfig, step: int) -> float:
 
 
 def seen_means(means: np.ndarray, frame: Frame) -> np.ndarray:  # [n, 3] -> [n] bool
-    """Means in the picture of a keyframe that stand about where it measured a surface."""
+    """Return the means in view of a keyframe and close to its measured surface."""
     camera = frame.camera
     points = transform_points(invert_rigid(frame.world_from_camera), means)
     z = points[:, 2]
@@ -155,14 +163,14 @@ def seen_means(means: np.ndarray, frame: Frame) -> np.ndarray:  # [n, 3] -> [n] 
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:  # [n] bool each
-    """The overlap coefficient: what both see, of what that one sees which sees less ([monogs, code])."""
+    """Return the overlap coefficient: size of the intersection divided by that of the smaller set ([monogs, code])."""
     return int(np.count_nonzero(a & b)) / max(1, min(int(np.count_nonzero(a)), int(np.count_nonzero(b))))
 
 
 def crowded(places: Sequence[np.ndarray]) -> int:
-    """Which keyframe of the window, newest first, goes: far from the newest one and near the others that may go.
+    """Return the index of the keyframe to remove from the window, newest first.
 
-    The greatest sqrt(distance to the newest) * sum of 1 / distance to the others ([monogs, code]).
+    It maximises sqrt(distance to the newest) * sum of 1 / distance to the other removable ones ([monogs, code]).
     """
     rest = np.array(places[_NEWEST:])
     apart = np.linalg.norm(rest[:, None] - rest, axis=-1) + 1e-6

@@ -1,7 +1,7 @@
-"""From which directions the keyframes have seen each Gaussian, computed from their depth images on request.
+"""Compute from which directions the keyframes have seen each Gaussian, by their depth images.
 
-Nothing is stored: the same map and keyframes give the same numbers, however Gaussians came, moved and went. The cost
-grows with keyframes times Gaussians in view: a few milliseconds for a hundred keyframes and 30,000 Gaussians.
+Nothing is stored: the result depends on the current map and keyframes only. The cost is proportional to the number of
+keyframes times the number of Gaussians in view: a few milliseconds for 100 keyframes and 30,000 Gaussians.
 """
 
 from __future__ import annotations
@@ -21,59 +21,59 @@ from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.frustum_culling import may_be_seen
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 
-DIRECTIONS = 128  # bins of the sphere, two words of bits per Gaussian (COVER takes as many)
-REACH = 5.0  # metres, beyond which a look is worth nothing (ActiveGS)
-_SLACK_M = 0.05  # a Gaussian this far behind the measured surface still counts as seen ...
-_SLACK_SHARE = 0.05  # ... and this share of the depth more
-_CELLS = 64  # of each side of the table that finds the bin of a direction
+DIRECTIONS = 128  # bins of the sphere, 2 x 64 bits per Gaussian (as in COVER)
+REACH = 5.0  # metres; a view from farther away adds no nearness (ActiveGS)
+_SLACK_M = 0.05  # a Gaussian is seen if it is at most this far behind the measured surface ...
+_SLACK_SHARE = 0.05  # ... plus this share of the depth
+_CELLS = 64  # cells per side of the table that maps a direction to its bin
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """The keyframes that N Gaussians were seen from, summed up; v is the unit direction from a Gaussian to a camera."""
+class ViewDirections:
+    """Hold statistics of the keyframes that see each of N Gaussians; v is the unit vector from Gaussian to camera."""
 
-    count: np.ndarray  # [N] int32 keyframes that saw it
-    nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n its normal on the side seen more
-    concentration: np.ndarray  # [N] float64 0..1, length of the mean v: 1 where all looks came from one direction
-    bins: np.ndarray  # [N, 2] uint64, the bins of `fibonacci_directions(DIRECTIONS)` that v fell into
-    sum: np.ndarray  # [N, 3] of v
+    count: np.ndarray  # [N] int32, number of keyframes that see it
+    nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n the normal of the side seen more
+    concentration: np.ndarray  # [N] float64 0..1, length of the mean v; 1 if all directions are equal
+    bins: np.ndarray  # [N, 2] uint64, bit set of the bins of `fibonacci_directions(DIRECTIONS)` that contain a v
+    sum: np.ndarray  # [N, 3] sum of v
     products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
-    keyframes: int  # that there are
+    keyframes: int  # number of all keyframes
 
 
-def sightings(mapper: KeyframeMapper) -> Sightings:
-    """`Sightings` of all Gaussians by all keyframes. Balls have no normal: n v counts as 1.
+def view_directions(mapper: KeyframeMapper) -> ViewDirections:
+    """Return the `ViewDirections` of all Gaussians and keyframes. For balls, which have no normal, n v is 1.
 
-    A keyframe sees a Gaussian whose mean projects into its image and does not lie behind the surface measured there.
+    A keyframe sees a Gaussian if its mean projects into the image and is not behind the surface measured there.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
     normals = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
     boxes = block_boxes(gaussians.parameters, count)
-    looks, bins = np.zeros((count, 12)), np.zeros((count, 2), np.uint64)
+    sums, bins = np.zeros((count, 12)), np.zeros((count, 2), np.uint64)
     for frame in mapper.keyframes:
         camera = frame.camera
         seen = may_be_seen(boxes, camera, frame.world_from_camera)
         eye = frame.world_from_camera[:3, 3].astype(np.float64)
         view = _View(invert_rigid(frame.world_from_camera), eye, camera.lens, frame.depth)
-        _look(_Gaussians(gaussians.parameters, count, normals, isotropic), seen, view, bin_table(), looks, bins)
-    number = looks[:, 0]
-    length = np.linalg.norm(looks[:, 3:6], axis=1) / np.maximum(number, 1.0)
-    nearness, keyframes = looks[:, 1:3].max(axis=1), len(mapper.keyframes)
-    return Sightings(number.astype(np.int32), nearness, length, bins, looks[:, 3:6], looks[:, 6:], keyframes)
+        _add_view(_Gaussians(gaussians.parameters, count, normals, isotropic), seen, view, bin_table(), sums, bins)
+    number = sums[:, 0]
+    length = np.linalg.norm(sums[:, 3:6], axis=1) / np.maximum(number, 1.0)
+    nearness, keyframes = sums[:, 1:3].max(axis=1), len(mapper.keyframes)
+    return ViewDirections(number.astype(np.int32), nearness, length, bins, sums[:, 3:6], sums[:, 6:], keyframes)
 
 
 def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
-    """The axis along which each Gaussian is thinnest; its sign means nothing."""
-    live = gaussians.parameters[:, : gaussians.count].astype(np.float64)
-    w, x, y, z = live[QUATERNION] / np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-30)
+    """Return the axis with the smallest scale of each Gaussian; its sign is arbitrary."""
+    used = gaussians.parameters[:, : gaussians.count].astype(np.float64)
+    w, x, y, z = used[QUATERNION] / np.maximum(np.linalg.norm(used[QUATERNION], axis=0), 1e-30)
     rotations = np.array(matrix_rows(w, x, y, z))  # [world, axis, N]
-    return np.ascontiguousarray(rotations[:, live[LOG_SCALE].argmin(axis=0), np.arange(gaussians.count)].T)
+    return np.ascontiguousarray(rotations[:, used[LOG_SCALE].argmin(axis=0), np.arange(gaussians.count)].T)
 
 
 @lru_cache(1)
 def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
-    """The bin of every cell of the sphere folded onto a square (octahedral map); exact at the cells' middles."""
+    """Return the bin of every cell of the octahedral map of the sphere; exact at the centre of a cell."""
     middle = (np.arange(_CELLS) + 0.5) / _CELLS * 2.0 - 1.0
     x, y = np.meshgrid(middle, middle, indexing="ij")
     z = 1.0 - np.abs(x) - np.abs(y)
@@ -85,7 +85,7 @@ def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
 
 class _Gaussians(NamedTuple):
     parameters: np.ndarray  # [14, capacity] float32
-    live: int  # how many columns count
+    count: int  # columns in use
     normals: np.ndarray  # [N, 3]
     isotropic: bool
 
@@ -98,14 +98,15 @@ class _View(NamedTuple):
 
 
 @kernel
-def _look(
+def _add_view(
     gaussians: _Gaussians,
     seen: np.ndarray,  # [blocks] bool
     view: _View,
     table: np.ndarray,  # [cells, cells] int64
-    looks: np.ndarray,  # [N, 12] added to: 1, nearness in front, behind, v, products of v
-    bins: np.ndarray,  # [N, 2] uint64, added to
+    sums: np.ndarray,  # [N, 12] in place: number, nearness in front, nearness behind, v, products of v
+    bins: np.ndarray,  # [N, 2] uint64, in place
 ) -> None:
+    """Add one keyframe to the statistics of the Gaussians that it sees."""
     parameters, count, normals, isotropic = gaussians
     pose, eye, lens, depth = view
     height, width = depth.shape
@@ -130,18 +131,18 @@ def _look(
             x, y, z = x / distance, y / distance, z / distance
             near = max(0.0, 1.0 - distance / REACH)
             cosine = 1.0 if isotropic else x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
-            looks[i, 0] += 1.0
-            looks[i, 1] += near * max(0.0, cosine)
-            looks[i, 2] += near * max(0.0, -cosine)
-            looks[i, 3] += x
-            looks[i, 4] += y
-            looks[i, 5] += z
-            looks[i, 6] += x * x
-            looks[i, 7] += x * y
-            looks[i, 8] += x * z
-            looks[i, 9] += y * y
-            looks[i, 10] += y * z
-            looks[i, 11] += z * z
+            sums[i, 0] += 1.0
+            sums[i, 1] += near * max(0.0, cosine)
+            sums[i, 2] += near * max(0.0, -cosine)
+            sums[i, 3] += x
+            sums[i, 4] += y
+            sums[i, 5] += z
+            sums[i, 6] += x * x
+            sums[i, 7] += x * y
+            sums[i, 8] += x * z
+            sums[i, 9] += y * y
+            sums[i, 10] += y * z
+            sums[i, 11] += z * z
             total = abs(x) + abs(y) + abs(z)
             a, b = x / total, y / total
             if z < 0.0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.sightings import DIRECTIONS, bin_table, shortest_axes, sightings
+from activestructure_gym.features.view_directions import DIRECTIONS, bin_table, shortest_axes, view_directions
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, ROWS, GaussianMap
@@ -34,7 +34,7 @@ def frame(position: list, direction: list, depth: float) -> Frame:
 
 def test_one_look_by_hand() -> None:
     # 2 m in front of the camera along its axis: near = 1 - 2/5, straight on.
-    seen = sightings(mapper_of([[2.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 2.0)]))
+    seen = view_directions(mapper_of([[2.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 2.0)]))
     assert seen.count.tolist() == [1]
     np.testing.assert_allclose(seen.nearness, [0.6])
     np.testing.assert_allclose(seen.concentration, [1.0])
@@ -52,29 +52,29 @@ def test_what_a_keyframe_does_not_see() -> None:
         [2.0, 3.0, 0.0],  # beside the image
     ]
     wall = [frame([0, 0, 0], [1, 0, 0], 2.0)]
-    assert sightings(mapper_of(means, wall)).count.tolist() == [1, 0, 1, 0, 0]
-    assert sightings(mapper_of(means, [frame([0, 0, 0], [1, 0, 0], 0.0)])).count.sum() == 0  # no return, no sight
-    assert sightings(mapper_of(means, [])).count.sum() == 0
+    assert view_directions(mapper_of(means, wall)).count.tolist() == [1, 0, 1, 0, 0]
+    assert view_directions(mapper_of(means, [frame([0, 0, 0], [1, 0, 0], 0.0)])).count.sum() == 0  # no return, no sight
+    assert view_directions(mapper_of(means, [])).count.sum() == 0
 
 
 def test_looks_from_several_sides() -> None:
     # Straight on from 2 m and, turned by 60 degrees about z, from 2 m: v1 v2 = 1/2, |mean| = sqrt(3)/2.
     c, s = 0.5, np.sqrt(0.75)
     frames = [frame([0, 0, 0], [1, 0, 0], 2.0), frame([2 - 2 * c, -2 * s, 0], [c, s, 0], 2.0)]
-    seen = sightings(mapper_of([[2.0, 0.0, 0.0]], frames))
+    seen = view_directions(mapper_of([[2.0, 0.0, 0.0]], frames))
     np.testing.assert_allclose(seen.nearness, [0.6 + 0.6 * c], rtol=1e-6)
     np.testing.assert_allclose(seen.concentration, [np.sqrt(0.75)], rtol=1e-6)
     assert sum(int(word).bit_count() for word in seen.bins[0]) == 2
     # From behind: the side that was seen more counts.
     frames += [frame([5, 0, 0], [-1, 0, 0], 3.0)]
-    np.testing.assert_allclose(sightings(mapper_of([[2.0, 0.0, 0.0]], frames)).nearness, [0.9], rtol=1e-6)
+    np.testing.assert_allclose(view_directions(mapper_of([[2.0, 0.0, 0.0]], frames)).nearness, [0.9], rtol=1e-6)
     # A ball has no normal: the oblique look counts whole.
     balls = mapper_of([[2.0, 0.0, 0.0]], frames[:2], isotropic=True)
-    np.testing.assert_allclose(sightings(balls).nearness, [1.2], rtol=1e-6)
+    np.testing.assert_allclose(view_directions(balls).nearness, [1.2], rtol=1e-6)
 
 
 def test_a_far_look_is_worth_nothing_but_is_one() -> None:
-    seen = sightings(mapper_of([[6.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 6.0)]))
+    seen = view_directions(mapper_of([[6.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 6.0)]))
     assert (seen.count[0], seen.nearness[0]) == (1, 0.0)
 
 
@@ -85,7 +85,7 @@ def test_every_direction_finds_its_bin_or_a_neighbour(rng: np.random.Generator) 
     found = []
     for direction in spheres:
         # The camera stands in this direction from a ball at the origin.
-        seen = sightings(mapper_of([[0.0, 0.0, 0.0]], [frame(2 * direction, -direction, 2.0)], isotropic=True))
+        seen = view_directions(mapper_of([[0.0, 0.0, 0.0]], [frame(2 * direction, -direction, 2.0)], isotropic=True))
         (word,) = np.flatnonzero(seen.bins[0])
         found.append(64 * word + int(seen.bins[0, word]).bit_length() - 1)
     lost = (bins @ spheres.T).max(axis=0) - (bins[found] * spheres).sum(axis=1)

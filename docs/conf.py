@@ -1,4 +1,4 @@
-"""The documentation site: the guide and the notebook as they lie here, and pages made from the code by `_site`."""
+"""Configure the documentation site: guide, notebook, and pages that `_site` makes from the code."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "_site
 exclude_patterns = ["README.md", "package_index.md", "_site"]
 master_doc = "index"
 
-# Single backticks in docstrings are names and code.
+# Single backticks in docstrings mark code.
 default_role = "code"
 myst_heading_anchors = 4  # links to headings are checked, as on GitHub
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_rtype = False
-nitpicky = True  # of names that have an entry in the reference; others of signatures are of elsewhere, or inside
+nitpicky = True  # for names with an entry in the reference; the pattern below excepts all others
 nitpick_ignore_regex = [(r"py:.*", rf"(?!(?:{'|'.join(map(re.escape, ROOMS))})\.[A-Z]\w+$).*")]
-linkcheck_timeout = 20  # seconds; of docs/build --links
+linkcheck_timeout = 20  # seconds, in docs/build --links
 
 html_theme = "furo"
 html_title = f"ActiveStructure Gym {__version__}"

@@ -206,7 +206,7 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()
     tables = script["tables"]()
     assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
-    assert script["brought"]() in told, "paste what native_table.py prints"
+    assert script["native_settings"]() in told, "paste what native_table.py prints"
     for row in script["rows"]():  # or what is said of it would be of another schedule
         mapper = configure("full", POLICIES.get(row["policy"]).native_settings.overrides()).mapper
         assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]

@@ -134,8 +134,8 @@ def test_shapes_and_units_are_told_that_stand_in_comments(site: ModuleType) -> N
     assert module.shapes(pour) == [("cups", "[n] litres"), ("sugar", "lumps, 0..2"), ("", "returns [n]")]
     assert module.shapes(stir) == [("", "[n] -> rounds per minute")] and module.shapes(Kettle) == []
     lines = ["Pours."]
-    module.tell_shapes(None, "function", "pour", pour, None, lines)
-    module.tell_shapes(None, "class", "pour", pour, None, lines)
+    module.add_shapes(None, "function", "pour", pour, None, lines)
+    module.add_shapes(None, "class", "pour", pour, None, lines)
     assert lines == ["Pours.", "", "Shapes and units: ``cups`` [n] litres; ``sugar`` lumps, 0..2; returns [n].", ""]
 
 
@@ -170,7 +170,10 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
         assert shown["env"].spec.id == f"{environments.NAMESPACE}/{task}"
         shown["env"].close()
     # A dataset's page has the film of a mesh from a file, and says so.
-    for task, others in (("Replica-v0", "No scene of Replica"), ("Matterport3D-v0", "No building of Matterport3D")):
+    for task, others in (
+        ("Replica-v0", "Scenes of Replica may not be published"),
+        ("Matterport3D-v0", "Buildings of Matterport3D may not be published"),
+    ):
         assert (
             "{figure} mesh-v0-" in pages[f"environments/{task.lower()}.md"]
             and others in pages[f"environments/{task.lower()}.md"]
@@ -235,13 +238,13 @@ def test_papers_and_programs_of_the_bibliography_are_links_whose_check_says_what
         return json.dumps({"uri": uri, "status": status, "info": "gone"})
 
     lines = [asked("https://a", "working"), asked("https://a", "working"), asked("#b", "unchecked")]
-    assert links.told(lines) == ("1 links to elsewhere: 1 answered, 0 did not", True)
+    assert links.summary(lines) == ("1 links to elsewhere: 1 answered, 0 did not", True)
     lines += [asked("https://c", "broken"), asked("https://d", "redirected"), asked("https://e", "ignored")]
-    assert links.told(lines) == (
+    assert links.summary(lines) == (
         "4 links to elsewhere: 2 answered, 1 did not, 1 were not asked\nhttps://c: gone",
         False,
     )
-    assert not links.told([])[1]  # who asks nobody has checked nothing
+    assert not links.summary([])[1]  # who asks nobody has checked nothing
 
 
 def commands(page: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""A page per environment: its docstring, how it is made, and an episode played for the page."""
+"""Make a page per environment: its docstring, how to make it, and an animation of an episode."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from activestructure_gym.envs import tasks
 from activestructure_gym.envs.registration import NAMESPACE, TASKS
 
 ROOT = Path(__file__).parents[2]
-# The scene each is shown in. The datasets are not ours to show: their pages have the film of a mesh from a file.
+# Scene of each animation. Datasets may not be published, so their pages show the animation of Mesh-v0.
 SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2", "Mesh-v0": "flat.glb?up=y"}
-FLAT = "apartment?rooms=1&seed=5"  # what is in that file
+FLAT = "apartment?rooms=1&seed=5"  # the scene in flat.glb
 POLICY, FRAMES, SEED = "activestructure", 150, 0
 _WIDTH = 720  # pixels
 _MILLISECONDS = 700  # per decision
 
 
 def pages(made: Path) -> dict[str, str]:
-    """The pages by name, beside their animations in ``made``."""
+    """Return the pages by name, and write their animations into ``made``."""
     texts = {"environments/index.md": _index()}
     for task, class_name in TASKS.items():
         texts[f"environments/{task.lower()}.md"] = _page(task, getattr(tasks, class_name), made)
@@ -41,25 +41,25 @@ def _page(task: str, kind: type, made: Path) -> str:
         "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../guide/observation.md)"
     )
     film = task if task in SHOWN_IN else "Mesh-v0"
-    told = {
+    notes = {
         "Mesh-v0": f" `flat.glb` is `{FLAT}`, written to a glTF file and read from there.",
-        "Replica-v0": " No scene of Replica, which is not ours to show: this is the film of Mesh-v0.",
-        "Matterport3D-v0": " No building of Matterport3D, which is not ours to show: this is the film of Mesh-v0.",
+        "Replica-v0": " Scenes of Replica may not be published here, so the animation is that of Mesh-v0.",
+        "Matterport3D-v0": " Buildings of Matterport3D may not be published here, so the animation is that of Mesh-v0.",
     }
     shown = (
         f"```{{figure}} {animation(film, made / 'environments')}\n"
         f":alt: {POLICY} in {SHOWN_IN[film]}: camera, map and plan, decision by decision\n\n"
         f"`{POLICY}` in `{SHOWN_IN[film]}`, {FRAMES} frames, preset `fast`: what the camera sees, the map from the "
-        f'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.{told.get(task, "")}\n```\n\n'
+        f'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.{notes.get(task, "")}\n```\n\n'
     )
     make = f'import gymnasium as gym\n\nenv = gym.make("activestructure_gym:{NAMESPACE}/{task}"'
     make += ', scene="...")' if inspect.signature(kind).parameters["scene"].default is None else ")"
-    # The manual's headings are of the second level already.
+    # The headings of the docstring are of the second level already.
     return f"# {task}\n\n{shown}```python\n{make}\n```\n\n{lines}\n"
 
 
 def animation(task: str, folder: Path) -> str:
-    """Name of a moving picture of a short episode; it is made again when the code has changed that makes it."""
+    """Return the file name of an animation of a short episode, which is made again if the code has changed."""
     key = hashlib.sha256(f"{_code()} {SHOWN_IN[task]}".encode()).hexdigest()[:8]
     path = folder / f"{task.lower()}-{key}.webp"
     if not path.is_file():
@@ -72,7 +72,7 @@ def animation(task: str, folder: Path) -> str:
 
 @cache
 def _code() -> str:
-    """A sum of this file and of the rooms that play an episode."""
+    """Return a checksum of this file and of the code that plays an episode."""
     files = [path for room in ("activestructure_gym", "envs", "policies") for path in (ROOT / room).rglob("*.py")]
     total = hashlib.sha256()
     for path in (*sorted(files), Path(__file__)):

@@ -1,4 +1,4 @@
-"""The gallery of policies: what each decides by, its equation and its features, from docstrings, and its curve."""
+"""Make the gallery of policies: criterion, equation and features from docstrings, and the benchmark's curve."""
 
 from __future__ import annotations
 
@@ -19,58 +19,60 @@ from activestructure_gym.policies import POLICIES, Policy
 DOCS = Path(__file__).parents[1]
 CURVES = DOCS / "images" / "benchmark_curves.json"
 RUNS = DOCS / "notebook" / "benchmark.csv"
-SEEDS = ("0", "1", "2")  # that every policy has played
-SAME = {"activestructure-a": "pixel_only"}  # to the byte, so that it is not played twice
-_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # of a chart, pixels
-_MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # of the vertical axis, percent
+SEEDS = ("0", "1", "2")  # seeds that every policy has played
+SAME = {"activestructure-a": "pixel_only"}  # policies with byte-equal runs, which are played once
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # size of a chart, pixels
+_MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # quantity and limits of the vertical axis, percent
 
 
 def pages() -> dict[str, str]:
-    """The gallery, and a page per policy."""
-    told = json.loads(CURVES.read_text(encoding="utf-8"))
+    """Return the gallery and a page per policy, by name."""
+    curves = json.loads(CURVES.read_text(encoding="utf-8"))
     names = sorted(POLICIES)
-    texts = {f"policies/{name}.md": _page(name, told) for name in names}
-    last = {name: told["policies"][name][_MEASURE][-1] for name in names if name in told["policies"]}
+    texts = {f"policies/{name}.md": _page(name, curves) for name in names}
+    last = {name: curves["policies"][name][_MEASURE][-1] for name in names if name in curves["policies"]}
     order = sorted(last, key=lambda name: -last[name]) + [name for name in names if name not in last]
-    cards = "\n".join(_card(name, told) for name in order)
+    cards = "\n".join(_card(name, curves) for name in order)
     texts["policies/index.md"] = (
         "# Policies\n\n"
-        f"Every policy that ships, first those that observed most of the surface in the benchmark ({told['runs']} runs "
-        f"each on {told['scenes']} scenes, 300 frames; [benchmark.md](../../notebook/benchmark.md)). A curve is the "
-        "share of the observable surface that was observed, over frames; the other policies stand behind it in grey, "
-        "dashed who decides by the true mesh, one step at a time (`--references oracle`). "
-        "What the runs of the published planners showed is in [the notebook](../../notebook/planners.md).\n\n"
+        f"All policies, sorted by the observed share of the surface in the benchmark ({curves['runs']} runs "
+        f"each on {curves['scenes']} scenes, 300 frames; [benchmark.md](../../notebook/benchmark.md)). A curve is the "
+        "observed share of the observable surface over frames. The other policies are in grey, and the one-step oracle "
+        "with ground truth (`--references oracle`) is dashed. "
+        "Results of the published planners are in [the notebook](../../notebook/planners.md).\n\n"
         f"{_table(names)}\n\n"
-        f'```{{raw}} html\n{_behind(told)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
+        f'```{{raw}} html\n{_behind(curves)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )
     return texts
 
 
-def _card(name: str, told: dict) -> str:
+def _card(name: str, curves: dict) -> str:
     kind = POLICIES.get(name)
     behind = '<use href="#others"/>'
-    chart = _chart(name, told, behind) if name in told["policies"] else '<p class="none">no run in the benchmark</p>'
+    chart = (
+        _chart(name, curves, behind) if name in curves["policies"] else '<p class="none">no run in the benchmark</p>'
+    )
     decides = _plain(kind.criterion or _first(kind))
     equation = f"<code>{_plain(found)}</code>" if (found := _equation(kind)) else ""
     return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{equation}{chart}</a>'
 
 
-def _page(name: str, told: dict) -> str:
+def _page(name: str, curves: dict) -> str:
     kind = POLICIES.get(name)
     parts = [
         f"# `{name}`\n",
         f"Criterion: {kind.criterion or _first(kind)}. Travel term: {kind.travel_term}. Source: {kind.source}.\n",
     ]
-    if name in told["policies"]:
+    if name in curves["policies"]:
         row = " | ".join(f"{_benchmark(name, key):.1f}" for key in ("observed", "completion_ratio", "psnr"))
         parts.append(
-            f"```{{raw}} html\n{_chart(name, told, _others(told))}\n```\n\n"
-            "Observed share of the surface (%) over frames; the other policies in grey, dashed who decides by the true "
-            "mesh.\n\n"
+            f"```{{raw}} html\n{_chart(name, curves, _others(curves))}\n```\n\n"
+            "Observed share of the surface (%) over frames; the other policies in grey, the one-step oracle with "
+            "ground truth dashed.\n\n"
             "| after 300 frames | observed (%) | C.R. of means (%) | PSNR (dB) |\n|---|---:|---:|---:|\n"
             f"| `{name}` | {row} |\n\n"
-            f"Means over {told['scenes']} scenes of means over seeds, {told['runs']} runs; with intervals in "
+            f"Means over {curves['scenes']} scenes of means over seeds, {curves['runs']} runs; with intervals in "
             "[benchmark.md](../../notebook/benchmark.md).\n"
         )
     parts.append(_readme(kind))
@@ -93,7 +95,7 @@ def _page(name: str, told: dict) -> str:
 
 
 def _benchmark(name: str, key: str) -> float:
-    """The number of a policy in the table of benchmark.md: mean over scenes of means over the seeds that all played."""
+    """Return the number of a policy in the table of benchmark.md: mean over scenes of means over `SEEDS`."""
     by_scene = defaultdict(list)
     for run in _runs():
         if run["policy"] == SAME.get(name, name) and run["seed"] in SEEDS:
@@ -108,7 +110,7 @@ def _runs() -> list[dict[str, str]]:
 
 
 def _equation(kind: type[Policy]) -> str:
-    """The sentence of its docstring's first paragraph that is an equation or says what is maximised."""
+    """Return the sentence of the docstring's first paragraph that is an equation or names a maximum."""
     first = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
     sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|: inspired by|, as ActiveGS", first)
     return next((one.strip() for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
@@ -124,7 +126,7 @@ def _table(names: Sequence[str]) -> str:
 
 
 def _readme(kind: type[Policy]) -> str:
-    """The page in the planner's folder without its heading, its links as from a made page; empty if there is none."""
+    """Return README.md of the planner's folder without heading, with links adapted; empty if there is none."""
     page = Path(inspect.getfile(kind)).with_name("README.md") if kind.__module__.endswith(".policy") else None
     if page is None or not page.is_file():
         return ""
@@ -140,8 +142,8 @@ def _plain(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;").replace("`", "")
 
 
-def _chart(name: str, told: dict, behind: str) -> str:
-    frames, mine = told["frames"], told["policies"][name][_MEASURE]
+def _chart(name: str, curves: dict, behind: str) -> str:
+    frames, mine = curves["frames"], curves["policies"][name][_MEASURE]
     ticks = "".join(
         f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH}" y1="{_y(value):.0f}" y2="{_y(value):.0f}"/>'
         f'<text x="{_LEFT - 4}" y="{_y(value) + 4:.0f}" text-anchor="end">{value:.0f}</text>'
@@ -156,15 +158,15 @@ def _chart(name: str, told: dict, behind: str) -> str:
     return f'<svg class="curve" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{lines}</svg>'
 
 
-def _others(told: dict) -> str:
-    """Every policy's line and the oracle's, to stand behind the one that a chart is about."""
-    policies = [_line(told["frames"], values[_MEASURE], "other") for values in told["policies"].values()]
-    return "".join(policies) + _line(told["frames"], told["references"]["oracle"][_MEASURE], "reference")
+def _others(curves: dict) -> str:
+    """Return the lines of all policies and the oracle, as the background of a chart."""
+    policies = [_line(curves["frames"], values[_MEASURE], "other") for values in curves["policies"].values()]
+    return "".join(policies) + _line(curves["frames"], curves["references"]["oracle"][_MEASURE], "reference")
 
 
-def _behind(told: dict) -> str:
-    """Those lines once for all the charts of a page, which use them by name."""
-    lines = f'<defs><g id="others">{_others(told)}</g></defs>'
+def _behind(curves: dict) -> str:
+    """Return the background as an SVG definition, which all charts of a page use by name."""
+    lines = f'<defs><g id="others">{_others(curves)}</g></defs>'
     return f'<svg class="curve" width="0" height="0" aria-hidden="true">{lines}</svg>'
 
 

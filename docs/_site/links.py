@@ -1,6 +1,6 @@
-"""Links as the site can follow them: files beside the docs become names, papers and programs of others become links.
+"""Adapt links to the site: links to other files of the repository become text, papers and programs become links.
 
-python -m _site.links ../build/links/output.json    # what docs/build --links asked, and what answered
+python -m _site.links ../build/links/output.json    # the result of docs/build --links
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def outside_links(app: Any, name: str, source: list[str]) -> None:
-    """Replace links to files of the repository that are no pages by their text, as Sphinx reads a page."""
+    """Replace links to files outside of docs/ by their text when Sphinx reads a page."""
     folder = (DOCS / name).parent
 
     def replaced(found: re.Match[str]) -> str:
@@ -29,21 +29,21 @@ def outside_links(app: Any, name: str, source: list[str]) -> None:
         path = (folder / target).resolve()
         outside = DOCS not in path.parents
         if outside and not path.exists():
-            return found[0]  # which Sphinx will call missing
+            return found[0]  # Sphinx reports it as missing
         return text if outside else found[0]
 
     source[0] = _LINK.sub(replaced, source[0])
 
 
 def named_links(app: Any, name: str, source: list[str]) -> None:
-    """In the bibliography: numbers of arXiv, and repositories behind "Code:", as links."""
+    """Turn arXiv numbers and repositories behind "Code:" in the bibliography into links."""
     if name == "references":
         text = _PAPER.sub(r"[arXiv \1](https://arxiv.org/abs/\1)", source[0])
         source[0] = _PROGRAM.sub(r"\1[`\2`](https://github.com/\2)", text)
 
 
-def told(lines: list[str]) -> tuple[str, bool]:
-    """What became of the links, from Sphinx's ``output.json``, and whether all that were asked answered."""
+def summary(lines: list[str]) -> tuple[str, bool]:
+    """Return a summary of the lines of Sphinx's ``output.json``, and whether every link answered."""
     links = {found["uri"]: found for found in map(json.loads, lines) if found["uri"].startswith(("http:", "https:"))}
     count = Counter(found["status"] for found in links.values())
     answered = count["working"] + count["redirected"]
@@ -57,6 +57,6 @@ def told(lines: list[str]) -> tuple[str, bool]:
 
 
 if __name__ == "__main__":
-    text, all_answered = told(Path(sys.argv[1]).read_text(encoding="utf-8").splitlines())
+    text, all_answered = summary(Path(sys.argv[1]).read_text(encoding="utf-8").splitlines())
     print(text)
     sys.exit(not all_answered)

@@ -1,4 +1,4 @@
-"""A scene as a binary glTF file, for the page of the environment that reads mesh files."""
+"""Write a scene as a binary glTF file, for the page of Mesh-v0."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BUFFERS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125}  # component 
 
 
 def write_glb(mesh: SceneMesh, path: Path) -> None:
-    """Write triangles, textures and vertex colours, y up and in linear light as glTF wants them (3.4, 3.9.2)."""
+    """Write triangles, textures and vertex colours, y up and in linear light (glTF 2.0, 3.4 and 3.9.2)."""
     whole: dict[str, Any] = {
         "asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "images": [], "textures": [], "materials": [],
     }  # fmt: skip
@@ -66,6 +66,6 @@ def write_glb(mesh: SceneMesh, path: Path) -> None:
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of display-referred values in 0..1 (IEC 61966-2-1)."""
+    """Return the linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
     shown = np.clip(srgb, 0.0, 1.0)
     return np.asarray(np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4))

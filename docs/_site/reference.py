@@ -1,4 +1,4 @@
-"""The reference: a page per room with everything that may be imported from it, from docstrings and comments."""
+"""Make the reference: a page per room with its public names, from docstrings and comments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from activestructure_gym.features.table import feature_table
 
-# Those of docs/guide/api.md, and what its sections send to. What stands in several has its entry in the last of them.
+# The rooms of docs/guide/api.md and those it refers to. A name in several rooms has its entry in the last one.
 ROOMS = {
     "activestructure_gym": "What most programs need",
     "activestructure_gym.envs": "Environments",
@@ -30,13 +30,13 @@ ROOMS = {
 
 
 def pages() -> dict[str, str]:
-    """A page per room, and their list."""
+    """Return a page per room and their index, by name."""
     texts = {f"reference/{room}.md": _page(room, title) for room, title in ROOMS.items()}
     texts["features/index.md"] = f"# Table of the features\n\n{feature_table()}\n"
     names = "\n".join(ROOMS)
     texts["reference/index.md"] = (
-        "# Reference\n\nWhat may be imported, room by room, with shapes, units and frames. The names of "
-        "[the list](../../guide/api.md) stay; what stands here and not there may move.\n\n"
+        "# Reference\n\nPublic names by room, with shapes, units and frames. The names of "
+        "[the list](../../guide/api.md) are stable; other names may move.\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
     )
     return texts
@@ -44,7 +44,7 @@ def pages() -> dict[str, str]:
 
 @cache
 def entries() -> dict[str, str]:
-    """Under which name a function or class has its entry, by where it is written."""
+    """Return the name of the entry of every function and class, by the name of its definition."""
     found = {}
     for room in ROOMS:
         module = importlib.import_module(room)
@@ -56,7 +56,7 @@ def entries() -> dict[str, str]:
 
 
 def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
-    """Where a name leads that Sphinx does not find, as signatures write it: to the entry of what it means."""
+    """Resolve a name in a signature that Sphinx does not find to the entry of its definition."""
     name = entries().get(node.get("reftarget", ""))
     if name is None:
         return None
@@ -65,9 +65,9 @@ def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
 
 
 def field_words(kind: type) -> list[tuple[str, str, str, str]]:
-    """Fields of a dataclass that it writes itself: name, type, default, and what is said beside or above each."""
+    """Return name, type, default and comment (behind, below or above) of the fields that a dataclass defines itself."""
     source = inspect.cleandoc("\n" + inspect.getsource(kind))
-    said = {
+    comments = {
         token.start[0]: (token.string.lstrip("# "), token.line.lstrip().startswith("#"))
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
@@ -78,20 +78,20 @@ def field_words(kind: type) -> list[tuple[str, str, str, str]]:
         if not (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id in names):
             continue
         lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-        words = " ".join(said[line][0] for line in lines if line in said)
+        words = " ".join(comments[line][0] for line in lines if line in comments)
         after = body[at + 1] if at + 1 < len(body) else None
         if not words and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
             words = " ".join(str(after.value.value).split())
         if not words:
             above = node.lineno - 1
-            while said.get(above, ("", False))[1]:
-                words, above = f"{said[above][0]} {words}".strip(), above - 1
+            while comments.get(above, ("", False))[1]:
+                words, above = f"{comments[above][0]} {words}".strip(), above - 1
         rows.append((node.target.id, ast.unparse(node.annotation), _default(node.value), words))
     return rows
 
 
 def escaped(text: str) -> str:
-    """A docstring or comment as Markdown in which only code is marked."""
+    """Escape a docstring or comment for Markdown, except its code."""
     parts = text.split("`")
     parts[::2] = ["".join(f"\\{letter}" if letter in "*<>|_[]#" else letter for letter in part) for part in parts[::2]]
     parts[1::2] = [part.replace("|", "\\|") for part in parts[1::2]]
@@ -127,19 +127,19 @@ def _page(room: str, title: str) -> str:
     for name in module.__all__:
         thing = getattr(module, name)
         lines += ["```{eval-rst}", *_entry(room, name, thing), "```", ""]
-        if _has_table(thing) and _stands_in(thing, room, name):
+        if _has_table(thing) and _has_entry_in(thing, room, name):
             lines += _fields(thing)
     return "\n".join(lines)
 
 
-def _stands_in(thing: Any, room: str, name: str) -> bool:
+def _has_entry_in(thing: Any, room: str, name: str) -> bool:
     return entries()[_written(thing)] == f"{room}.{name}"
 
 
 def _entry(room: str, name: str, thing: object) -> list[str]:
-    # Registered policies have pages of their own; the environment's manual is Markdown, and has one too.
+    # Policies and environments have pages of their own.
     if inspect.isclass(thing):
-        if not _stands_in(thing, room, name):
+        if not _has_entry_in(thing, room, name):
             return [f"`{name}`: :py:class:`{entries()[_written(thing)]}`"]
         if "## Description" in (thing.__doc__ or ""):
             return [f".. py:class:: {name}", f"   :module: {room}", "", "   See :doc:`/_made/environments/index`."]
@@ -147,18 +147,18 @@ def _entry(room: str, name: str, thing: object) -> list[str]:
             return [f".. autoclass:: {room}.{name}(...)", "   :members:"]
         return [f".. autoclass:: {room}.{name}", "   :members:"]
     if inspect.isfunction(thing):
-        if not _stands_in(thing, room, name):
+        if not _has_entry_in(thing, room, name):
             return [f"`{name}`: :py:func:`{entries()[_written(thing)]}`"]
         return [f".. autofunction:: {room}.{name}"]
     return [f".. py:data:: {name}", f"   :module: {room}", f"   :type: {type(thing).__name__}"]
 
 
 def _has_table(thing: object) -> bool:
-    """Whether it is a dataclass whose fields are said beside them, and not in its docstring."""
+    """Return whether it is a dataclass whose fields are described by comments and not in its docstring."""
     if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
         return False
-    said = [bool(words) for *_, words in field_words(thing)]
-    return any(said) and (all(said) or "Parameters\n" not in (inspect.getdoc(thing) or ""))
+    comments = [bool(words) for *_, words in field_words(thing)]
+    return any(comments) and (all(comments) or "Parameters\n" not in (inspect.getdoc(thing) or ""))
 
 
 def _fields(kind: type) -> list[str]:

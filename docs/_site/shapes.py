@@ -1,4 +1,4 @@
-"""Shapes and units of arguments and results, which signatures say in comments beside them."""
+"""Add shapes and units of arguments and results, from the comments in signatures, to the reference."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import tokenize
 from typing import Any
 
 
-def tell_shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Add them to what autodoc shows of a function, method or property."""
+def add_shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Append shapes and units to the docstring of a function, method or property."""
     if what not in ("function", "method", "property"):
         return
-    said = [f"``{name}`` {_plain(words)}" if name else _plain(words) for name, words in shapes(thing)]
-    if said:
-        lines += ["", f"Shapes and units: {'; '.join(said)}.", ""]
+    comments = [f"``{name}`` {_plain(words)}" if name else _plain(words) for name, words in shapes(thing)]
+    if comments:
+        lines += ["", f"Shapes and units: {'; '.join(comments)}.", ""]
 
 
 def shapes(thing: Any) -> list[tuple[str, str]]:
-    """What the comments in a function's signature say: of its arguments by name, and of its result."""
+    """Return the comments in a function's signature as pairs of argument and text; the result's argument is empty."""
     function: Any = thing.fget if isinstance(thing, property) else inspect.unwrap(thing)
     try:
         source = textwrap.dedent(inspect.getsource(function))
-    except (OSError, TypeError):  # it is compiled, or no function
+    except (OSError, TypeError):  # compiled, or not a function
         return []
     node = ast.parse(source).body[0]
     if not isinstance(node, ast.FunctionDef):
         return []
-    said = {
+    comments = {
         token.start[0]: token.string.lstrip("# ")
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT and not token.line.lstrip().startswith("#")
@@ -38,17 +38,17 @@ def shapes(thing: Any) -> list[tuple[str, str]]:
     asked = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
     last = (node.returns.end_lineno if node.returns else None) or node.lineno
     rows = [
-        (one.arg, said[one.end_lineno])
+        (one.arg, comments[one.end_lineno])
         for one in asked
-        if one.end_lineno in said and one.end_lineno != last  # whose comment is the result's
+        if one.end_lineno in comments and one.end_lineno != last  # the result's comment
     ]
-    if last in said:
-        rows.append(("", said[last] if "->" in said[last] else f"returns {said[last]}"))
+    if last in comments:
+        rows.append(("", comments[last] if "->" in comments[last] else f"returns {comments[last]}"))
     return rows
 
 
 def _plain(words: str) -> str:
-    """Words in which nothing but code is marked up."""
+    """Escape a text for reStructuredText, except its code."""
     parts = words.split("`")
     parts[::2] = [re.sub(r"([*|_\\])", r"\\\1", part) for part in parts[::2]]
     return "`".join(parts)

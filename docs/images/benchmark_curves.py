@@ -1,11 +1,11 @@
-"""Makes benchmark_curves.json, what policies had over 300 frames, and of it benchmark_curves.svg and policies.svg.
+"""Make benchmark_curves.json, the curves of policies over 300 frames, and draw benchmark_curves.svg and policies.svg.
 
-    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # policies, all anew
-    python docs/images/benchmark_curves.py runs/oracle                  # references are put beside them
-    python docs/images/benchmark_curves.py                              # the pictures alone
+    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # replace all policies
+    python docs/images/benchmark_curves.py runs/oracle                  # add references
+    python docs/images/benchmark_curves.py                              # draw only
 
-Per policy the mean over scenes of the mean over seeds. Of a run that is in several comparisons the first one's counts.
-The gallery of the site (docs/_site/gallery.py) draws the same file.
+A curve is the mean over scenes of means over seeds. A run in several comparisons is taken from the first. The gallery
+of the site (docs/_site/gallery.py) draws the same file.
 """
 
 from __future__ import annotations
@@ -26,19 +26,18 @@ from activestructure_gym.evaluation.report.charts.plots import Line, line_chart,
 from activestructure_gym.evaluation.report.results import gather
 
 FRAMES = np.arange(0, 301, 10)
-MEASURES = ("observed", "completion_ratio")  # PSNR on the way is of a few views alone
-SAME = {"activestructure-a": "pixel_only"}  # policies that need not be played twice
-
+MEASURES = ("observed", "completion_ratio")  # PSNR during an episode is of few views
+SAME = {"activestructure-a": "pixel_only"}  # policies with byte-equal runs, which are played once
 
 PLACE = Path(__file__).with_suffix(".json")
 DRAWN = ("oracle", "activestructure", "unknown_volume", "hole_area", "pixel_only", "random")
-FIRST = 50  # frame; the first views are two fifths of the surface and would flatten all that follows
+FIRST = 50  # first frame of the figure; the first views show two fifths of the surface and would flatten the rest
 PANELS = {"observed": "surface observed [%]", "completion_ratio": "C.R. at 5 cm [%]"}
-Curves = dict[str, dict[str, list[float]]]  # of a policy, of a measure
+Curves = dict[str, dict[str, list[float]]]  # by policy and measure
 
 
 def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str, int]]]:
-    """Mean curves of the policies and of the references among these runs, and the scenes and seeds they share."""
+    """Return mean curves of policies and of references in these runs, and their scenes and seeds."""
     runs: dict[tuple[str, str, int], Run] = {}
     for directory in directories:
         for run in gather([directory]).runs:
@@ -69,41 +68,41 @@ def _mean(
 
 
 def written(directories: Sequence[Path]) -> None:
-    """Put the curves of these comparisons into the file."""
+    """Write the curves of these comparisons into the file."""
     policies, references, every = gathered(directories)
-    told = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
-    told["references"] = dict(sorted((told.get("references", {}) | references).items()))
+    content = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
+    content["references"] = dict(sorted((content.get("references", {}) | references).items()))
     if references:
         print("only the references are put in; policies stay as they are")
     else:
         policies |= {name: policies[same] for name, same in SAME.items() if same in policies}
-        told |= {"frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}), "runs": len(every)}
-        told["policies"] = dict(sorted(policies.items()))
-    PLACE.write_text(json.dumps(told, separators=(",", ":")) + "\n", encoding="utf-8")
-    print(f"{len(told['policies'])} policies, references: {', '.join(told['references'])}")
+        content |= {"frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}), "runs": len(every)}
+        content["policies"] = dict(sorted(policies.items()))
+    PLACE.write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
+    print(f"{len(content['policies'])} policies, references: {', '.join(content['references'])}")
 
 
 def drawn() -> str:
-    """What some policies and the oracle had observed, as SVG."""
-    told = json.loads(PLACE.read_text(encoding="utf-8"))
-    frames, curves = np.array(told["frames"], np.float64), told["references"] | told["policies"]
+    """Draw the observed share over frames of some policies and the oracle, as SVG."""
+    content = json.loads(PLACE.read_text(encoding="utf-8"))
+    frames, curves = np.array(content["frames"], np.float64), content["references"] | content["policies"]
     later = frames >= FIRST
     lines = [
         Line(name, index, frames[later], np.array(curves[name]["observed"])[later]) for index, name in enumerate(DRAWN)
     ]
-    names = [f"{name} (reference, sees the truth)" if name in told["references"] else name for name in DRAWN]
+    names = [f"{name} (reference, sees the truth)" if name in content["references"] else name for name in DRAWN]
     chart = line_chart(lines, title="observed", x_label="frames", y_label="surface observed [%]", holds=span(lines))
     return standalone([[chart]], names, title="What was observed over 300 frames")
 
 
 def panels() -> str:
-    """What every policy had observed, and its C.R., on the grey of all others, as SVG."""
-    told = json.loads(PLACE.read_text(encoding="utf-8"))
-    frames = np.array(told["frames"], np.float64)
-    names = sorted(told["policies"])
+    """Draw the observed share and C.R. of every policy, with all others in grey, as SVG."""
+    content = json.loads(PLACE.read_text(encoding="utf-8"))
+    frames = np.array(content["frames"], np.float64)
+    names = sorted(content["policies"])
     charts = []
     for measure, label in PANELS.items():
-        curves = [np.array(told["policies"][name][measure]) for name in names]
+        curves = [np.array(content["policies"][name][measure]) for name in names]
         lines = [Line(name, 0, frames, curve) for name, curve in zip(names, curves)]
         title = f"{label} over frames, policy by policy"
         charts.append([panel_chart(lines, title=title, x_label="frames", y_label=label)])

@@ -1,4 +1,4 @@
-"""The cell of README's pictures: of the runs of headline.csv the one with the median paired difference in PSNR."""
+"""Choose the scene and seed of README's pictures: the median paired difference in PSNR among headline.csv."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMBERS = ("observed", "completion_ratio", "psnr", "metres")
 
 
 def median_cell(table: dict[str, dict[tuple[str, int], dict[str, float]]]) -> tuple[str, int]:
-    """Return scene and seed of the median of PSNR of OURS minus BASE; of an even number the lower of the middle two."""
+    """Return scene and seed of the median of PSNR of OURS minus BASE; for an even number the lower of the two."""
     gains = {cell: run["psnr"] - table[BASE][cell]["psnr"] for cell, run in table[OURS].items() if cell in table[BASE]}
     return sorted(gains, key=lambda cell: (gains[cell], cell))[(len(gains) - 1) // 2]
 
@@ -32,7 +32,7 @@ def stored() -> dict[str, dict[tuple[str, int], dict[str, float]]]:
 
 
 def runs_of_cell(comparison: Path, policies: Sequence[str]) -> list[Run]:
-    """Return the runs of these policies in the median cell; raises `InputError` if one is not in the comparison."""
+    """Return the runs of these policies in the median cell; raise `InputError` if one is missing."""
     scene, seed = median_cell(stored())
     found = {run.policy: run for run in gather([comparison]).runs if (run.scene, run.job.seed) == (scene, seed)}
     if missing := [policy for policy in policies if policy not in found]:
@@ -41,7 +41,7 @@ def runs_of_cell(comparison: Path, policies: Sequence[str]) -> list[Run]:
 
 
 def record(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return what a test holds a picture to: scene, seed and the numbers of each run, as headline.csv rounds them."""
+    """Return scene, seed and the numbers of each run, rounded as in headline.csv; a test compares them."""
     return {
         "scene": runs[0].scene,
         "seed": runs[0].job.seed,
@@ -50,5 +50,5 @@ def record(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def write_record(runs: Sequence[Run], picture: Path) -> None:
-    """Write the `record` of a picture beside it."""
+    """Write the `record` of a picture next to it."""
     picture.with_suffix(".json").write_text(json.dumps(record(runs), indent=1) + "\n", encoding="utf-8")

@@ -1,9 +1,9 @@
-"""Makes curves_2000.svg: what a map has over the frames of long episodes, a line per run of one or more comparisons.
+"""Make curves_2000.svg: quality and coverage over long episodes, one line per run of one or more comparisons.
 
     asg compare --scenes "apartment?rooms=3&seed=14" --frames 2000 --policies hole_area,activestructure --out runs/long
     python docs/images/curves_2000.py runs/long
 
-Prints a table of the same runs too: at the end, and the largest fall from any checkpoint to a later one.
+It prints a table too: the final values, the minima, and the largest fall from any checkpoint to a later one.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ ROWS = (
     ),
     (("precision", "precision of the means [%]"), ("psnr", "PSNR of 8 held-out views [dB]")),
 )
-FIRST = 100  # frames; the first views are a fifth of the surface and would flatten all that follows
+FIRST = 100  # first frame of the figure; the first views show a fifth of the surface and would flatten the rest
 
 
 def main(directories: Sequence[Path]) -> None:
-    """Draw the curves of every run in these comparisons."""
+    """Draw the curves of every run in these comparisons, and print the table."""
     runs = gather(list(directories)).runs
     names = [f"{run.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
     charts = []
@@ -45,18 +45,18 @@ def main(directories: Sequence[Path]) -> None:
     picture = standalone(charts, names, title="The map over 2,000 frames")
     Path(__file__).with_name("curves_2000.svg").write_text(picture, encoding="utf-8")
     for run, name in zip(runs, names):
-        print(name, *(told(run, measure) for row in ROWS for measure, _ in row), sep=" | ")
+        print(name, *(summary(run, measure) for row in ROWS for measure, _ in row), sep=" | ")
 
 
 def line(run: Run, name: str, index: int, measure: str) -> Line:
-    """A run's curve from `FIRST` frames on."""
+    """Return a run's curve from frame `FIRST` on."""
     frames, values = curve_of(run, "frames", measure)
     later = frames >= FIRST
     return Line(name, index, frames[later], values[later])
 
 
-def told(run: Run, measure: str) -> str:
-    """The last value of a curve, and by how much it ever falls from a checkpoint to any later one."""
+def summary(run: Run, measure: str) -> str:
+    """Return last value, minimum, and largest fall of a curve from a checkpoint to a later one."""
     values = curve_of(run, "frames", measure)[1]
     fall = float((np.maximum.accumulate(values) - values).max())
     return f"{measure} {values[-1]:.2f}, least {values.min():.2f}, falls by {fall:.2f}"

@@ -1,8 +1,8 @@
-"""Make docs/images/replay.webp, the film of README: a replay of two runs, filmed in headless Chromium.
+"""Make docs/images/replay.webp, the animation of README: a replay of two runs, recorded in headless Chromium.
 
     python docs/images/replay.py runs/headline
 
-The runs are those of headline.csv (docs/notebook/benchmark.md), the cell that of `cell.py`. Needs Chromium and the
+The runs are of headline.csv (docs/notebook/benchmark.md); `cell.py` chooses scene and seed. It needs Chromium and the
 extra ``test``.
 """
 
@@ -24,11 +24,11 @@ from tests.browser import open_page
 
 OUT = Path(__file__).with_name("replay.webp")
 WIDTH, HEIGHT, PICTURES, MS = 1300, 1060, 80, 120
-SHOWN = 860  # pixels of its width
+SHOWN = 860  # width of the animation, pixels
 
 
 def main(comparison: Path) -> None:
-    """Play, film, write."""
+    """Replay the runs, record the page and write the animation."""
     runs = runs_of_cell(comparison, (BASE, OURS))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         page_file = Path(folder) / "replay.html"
@@ -37,7 +37,7 @@ def main(comparison: Path) -> None:
             page.until("window.player && player.drawn > 0")
             frames = []
             for n in range(PICTURES):
-                # From the first frame to the last, and a slow turn with it; the last pictures hold.
+                # The view turns slowly while time runs; the last 12 pictures show the end.
                 share = min(n / (PICTURES - 12), 1.0)
                 turn = f"for (const run of player.runs) run.orbit.yaw = run.orbit.home.yaw + {0.5 * share};"
                 page.value(f"{turn} player.to(1 + {share} * (player.end - 1)); 1")

@@ -1,8 +1,8 @@
-"""Make docs/images/views.jpg, the still of README, of the runs of headline.csv (docs/notebook/benchmark.md):
+"""Make docs/images/views.jpg, the picture of README, from runs of headline.csv (docs/notebook/benchmark.md).
 
     python docs/images/views.py runs/headline
 
-The view is the first one of the report (docs/guide/report.md), the cell that of `cell.py`.
+The view is the first one of the report (docs/guide/report.md); `cell.py` chooses scene and seed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ POLICIES = ("random", "hole_area", "activestructure")
 
 
 def main(comparison: Path) -> None:
-    """Draw the strip of the cell: a true view, the view in each map, each map from above."""
+    """Draw a strip of a true view, its rendering from each map, and each map from above."""
     runs = runs_of_cell(comparison, POLICIES)
     title = f"{runs[0].scene}, {runs[0].metrics['metrics']['frames']} frames, seed {runs[0].job.seed}"
     compare_strip(runs, title=title).save(OUT, quality=84, optimize=True, progressive=True)

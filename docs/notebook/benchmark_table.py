@@ -1,16 +1,16 @@
-"""Prints the tables of benchmark.md from benchmark.csv, which has a line per run.
+"""Print the tables of benchmark.md from benchmark.csv, which has a line per run.
 
-    python docs/notebook/benchmark_table.py                          # the table; of a ladder also rung by rung
-    python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
-    python docs/notebook/benchmark_table.py --pairs A:B C:D          # A over B and C over D instead
-    python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
-    python docs/notebook/benchmark_table.py --ladders                # README's: what every rung adds on every ladder
+    python docs/notebook/benchmark_table.py                          # the table; of a ladder also its rungs.
+    python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # add these runs to benchmark.csv first.
+    python docs/notebook/benchmark_table.py --pairs A:B C:D          # only A minus B, and C minus D.
+    python docs/notebook/benchmark_table.py --file ladder.csv        # another file of this folder.
+    python docs/notebook/benchmark_table.py --ladders                # differences by every rung of every ladder.
     python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv
-
-References, who decide by the ground truth, stand on top and are never the best. Means over scenes of means over seeds;
-differences are those of pairs with the first of ``BASELINES`` that played, on the same scene and seed, with bootstrap
-intervals of 95 % over the seeds within the scenes (`paired_difference`). The table is of the scenes and seeds that
-every policy played.
+.
+References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of means
+over seeds, for the scenes and seeds that every policy played. Differences are from the first of ``BASELINES`` that
+played, in pairs of the same scene and seed. Their intervals are 95 % bootstraps over the seeds within the scenes
+(`paired_difference`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SHOWN = {  # key: heading, digits, best
     "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 HEADLINE_RUNS = "headline.csv"
-HEADLINE = {  # the columns of its table
+HEADLINE = {  # columns of its table
     "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
     "accuracy_cm": "Acc (cm) ↓",
@@ -62,7 +62,7 @@ OF_PAIRS = {
     "psnr": ("PSNR (dB)", 2),
 }
 RUNGS = ("**B**, planes in sight", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
-LADDERS = {  # file: heading of its column, what of the pairs is in it
+LADDERS = {  # file: heading of its column, key in OF_PAIRS
     "ladder_300.csv": ("on `hole_area`, 300 frames: area (points)", "observed_area"),
     "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
     "ladder_pixels_300.csv": ("on pixels, 300 frames: area (points)", "observed_area"),
@@ -73,11 +73,11 @@ OTHERS = (
     "collisions",
 )  # fmt: skip
 KEPT = (*SHOWN, *OTHERS)
-Table = dict[str, dict[Cell, dict[str, float]]]  # of a policy, of a scene and seed
+Table = dict[str, dict[Cell, dict[str, float]]]  # numbers by policy, and by scene and seed
 
 
 def added(place: Path, directories: Sequence[Path]) -> None:
-    """Put the runs of comparisons into the file; one that is there already is replaced."""
+    """Add the runs of comparisons to the file; replace runs that it has already."""
     rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
     for run in gather(directories).runs:
         values = {key: value_of(run, key) for key in KEPT}
@@ -93,7 +93,7 @@ def added(place: Path, directories: Sequence[Path]) -> None:
 
 
 def read(place: Path) -> Table:
-    """The numbers of every run."""
+    """Return the numbers of every run in a file."""
     table: Table = {}
     for row in _rows(place):
         numbers = {key: float(row[key]) for key in KEPT if row.get(key)}
@@ -102,7 +102,7 @@ def read(place: Path) -> Table:
 
 
 def markdown(table: Table) -> str:
-    """The table, the highest C.R. first; of columns that every run has (older files have no late rates)."""
+    """Return the table in Markdown, by decreasing C.R., with the columns that every run has."""
     shown = {
         key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
     }
@@ -135,7 +135,7 @@ def markdown(table: Table) -> str:
 
 
 def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
-    """A table of A minus B, each of the scenes and seeds that both have played: what the row is called, A and B."""
+    """Return a table of differences; ``wanted`` has a title, policy A and policy B for every row, A minus B."""
     heads = ["pairs", *(name for name, _ in OF_PAIRS.values()), "better in PSNR", "depth error, ratio"]
     lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for words, ours, theirs in wanted:
@@ -143,15 +143,15 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
             raise InputError(f"no runs of '{missing[0]}' here; expected A:B, each of {', '.join(sorted(table))}")
         psnr = _paired(table, ours, theirs, "psnr")
         found = [_difference(table, ours, theirs, key, digits) for key, (_, digits) in OF_PAIRS.items()]
-        # exp of the mean difference of logarithms: the geometric mean of the ratios.
+        # The exponential of the mean difference of logarithms is the geometric mean of the ratios.
         depth = _paired(table, ours, theirs, "depth_l1_cm", math.log).difference
-        cells = [str(psnr.pairs), *found, str(psnr.higher), _told(depth, 2, sign="", of=math.exp)]
+        cells = [str(psnr.pairs), *found, str(psnr.higher), _formatted(depth, 2, sign="", of=math.exp)]
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
 def ladder(table: Table) -> list[tuple[str, str, str]]:
-    """What each rung adds, the rung and the one below; last, the whole and its base. [] if the table is no ladder."""
+    """Return (title, rung, rung below) for every rung, then (title, top, base); [] if the table has no ladder."""
     for base in BASELINES:
         discovery = "" if base == "pixel_only" else f"?discovery={base}"
         top = f"{LADDER[-1]}?discovery={base.removesuffix('_only')}"
@@ -162,7 +162,7 @@ def ladder(table: Table) -> list[tuple[str, str, str]]:
 
 
 def ladders(folder: Path) -> str:
-    """A table of what each rung adds to the one below it, on every ladder."""
+    """Return a table of the differences of each rung from the rung below, on every ladder."""
     columns = []
     for name, (heading, key) in LADDERS.items():
         table = read(folder / name)
@@ -182,7 +182,7 @@ def headline(table: Table) -> str:
         for key in HEADLINE:
             scenes = sorted({scene for scene, _ in runs})
             strata = [np.array([run[key] for (place, _), run in runs.items() if place == scene]) for scene in scenes]
-            cells.append(_told(estimate(strata), SHOWN[key][1], sign=""))
+            cells.append(_formatted(estimate(strata), SHOWN[key][1], sign=""))
         lines.append(f"| `{policy}` | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -208,13 +208,13 @@ def _paired(table: Table, ours: str, theirs: str, key: str, of: Callable[[float]
 
 
 def _difference(table: Table, ours: str, theirs: str, key: str, digits: int) -> str:
-    """Ours minus theirs; nothing of a policy from itself."""
+    """Return ours minus theirs as text; empty if both are the same policy."""
     if ours == theirs:
         return ""
-    return _told(_paired(table, ours, theirs, key).difference, digits)
+    return _formatted(_paired(table, ours, theirs, key).difference, digits)
 
 
-def _told(found: Estimate, digits: int, *, sign: str = "+", of: Callable[[float], float] = float) -> str:
+def _formatted(found: Estimate, digits: int, *, sign: str = "+", of: Callable[[float], float] = float) -> str:
     text = f"{of(found.value):{sign}.{digits}f}"
     if found.low is None or found.high is None:
         return text
@@ -222,7 +222,7 @@ def _told(found: Estimate, digits: int, *, sign: str = "+", of: Callable[[float]
 
 
 def main() -> None:
-    """Take in runs, if there are any, and print."""
+    """Add the given runs to the file, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--file", default=PLACE.name)

@@ -1,12 +1,12 @@
-"""Prints the table of benchmark.md, "Native terms", from native.csv, which has a line per run.
+"""Print the tables of benchmark.md, "Native setup", from native.csv, which has a line per run.
 
-    python docs/notebook/native_table.py                       # the table
-    python docs/notebook/native_table.py runs/native [MORE]    # these runs are put into native.csv first
+    python docs/notebook/native_table.py                       # the tables
+    python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
 
-One table per scene, of means over the seeds that all have played, who has observed most first; differences are those
-of pairs with ``BASELINE`` on the same seed, with bootstrap intervals of 95 %, which for two seeds are the two
-differences themselves. What no run reaches is "–"; what some do is their mean, with their number. Below it what each
-brings.
+There is one table per scene, of means over the seeds that all policies played, by decreasing observed share.
+Differences are from ``BASELINE`` in pairs of the same seed, with 95 % bootstrap intervals; for two seeds the interval
+is the two differences. "–" is a level that no run reached; a mean over some runs has their number. Below the tables are
+the native settings of each policy.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 
 
 def line_of(run: Run) -> dict[str, str]:
-    """The numbers of a run as the file has them."""
+    """Return the numbers of a run as a line of the file."""
     seconds, decisions = run.timing["seconds"], max(1, run.metrics["metrics"]["decisions"])
     values = {key: value_of(run, key) for key in SHOWN if key not in ("keyframes", "decision_s", "run_s")}
     values |= {
@@ -64,7 +64,7 @@ def line_of(run: Run) -> dict[str, str]:
 
 
 def rows() -> list[dict[str, str]]:
-    """All lines of the file."""
+    """Return all lines of the file."""
     if not PLACE.exists():
         return []
     with PLACE.open(newline="", encoding="utf-8") as file:
@@ -72,7 +72,7 @@ def rows() -> list[dict[str, str]]:
 
 
 def added(directories: Sequence[Path]) -> None:
-    """Put the runs of comparisons into the file; one that is there already is replaced."""
+    """Add the runs of comparisons to the file; replace runs that it has already."""
     lines = {tuple(row[name] for name in NAMES[:3]): row for row in rows()}
     for run in gather(directories).runs:
         row = line_of(run)
@@ -84,7 +84,7 @@ def added(directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """A table of the runs of a scene with the seeds that all have played, who has observed most first."""
+    """Return the table of a scene in Markdown, by decreasing observed share, of the seeds that all policies played."""
     runs: dict[str, dict[str, dict[str, str]]] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["seed"]] = row
@@ -102,19 +102,19 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
 
 
 def tables() -> dict[str, str]:
-    """The table of every scene."""
+    """Return the table of every scene."""
     found: dict[str, list[dict[str, str]]] = {}
     for row in rows():
         found.setdefault(row["scene"], []).append(row)
     return {scene: markdown(lines) for scene, lines in found.items()}
 
 
-def brought() -> str:
-    """What each policy of the file brings and its paper spends, a line for all who declare the same."""
-    who: dict[str, list[str]] = {}
+def native_settings() -> str:
+    """Return a list of native settings and budgets of the papers, with one line for policies with equal ones."""
+    users: dict[str, list[str]] = {}
     for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
-        who.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
-    return "".join(f"- {', '.join(names)}: {told}.\n" for told, names in sorted(who.items(), key=lambda one: one[1]))
+        users.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
+    return "".join(f"- {', '.join(names)}: {text}.\n" for text, names in sorted(users.items(), key=lambda one: one[1]))
 
 
 def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:
@@ -144,13 +144,13 @@ def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, key: st
 
 
 def main(words: Sequence[str]) -> None:
-    """Take in runs, if there are any, and print."""
+    """Add the given runs to the file, and print the tables."""
     if words:
         added([Path(word) for word in words])
     for scene, table in tables().items():
         seeds = sorted({row["seed"] for row in rows() if row["scene"] == scene}, key=int)
         print(f"{scene}, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}:\n\n{table}")
-    print(brought(), end="")
+    print(native_settings(), end="")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Prints the table of planners.md, "Thresholds that are guesses": each of them halved and doubled, in whole episodes.
+"""Print the table of planners.md, "Thresholds that are guesses": the effect of halving and doubling each threshold.
 
     python docs/notebook/thresholds.py gs_planner
     python docs/notebook/thresholds.py hgs_planner
 
-150 frames, preset ``default``, two scenes x two seeds. The share newly observed is that of the reward's points. About
-six minutes for each of them on an idle machine of two cores.
+Episodes have 150 frames, preset ``default``, two scenes and two seeds. The newly observed share is of the reward's
+points. One planner takes about six minutes on an idle machine with two cores.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
     },
 }
 VARIANTS = {"hgs_planner": {"G_cov + lambda_o G_Q without units": "hgs_planner?sum=raw"}}
-Played = dict[tuple[str, int], tuple[float, list[int]]]  # points of observed surface and the rows that were chosen
+Played = dict[tuple[str, int], tuple[float, list[int]]]  # observed surface in points, and the chosen rows
 
 
 def played(name: str) -> Played:
-    """The four episodes of a planner as it is now."""
+    """Play the four episodes of a planner with its current constants."""
     found: Played = {}
     for scene in SCENES:
         for seed in SEEDS:
@@ -66,7 +66,7 @@ def played(name: str) -> Played:
 
 
 def row_of(name: str, words: str, usual: Played) -> str:
-    """One threshold of it, halved and doubled."""
+    """Return the table's row of one threshold, halved and doubled."""
     module, constant = GUESSES[name][words]
     value = getattr(module, constant)
     cells = [words, f"{value:.3g}"]
@@ -78,14 +78,14 @@ def row_of(name: str, words: str, usual: Played) -> str:
 
 
 def change(other: Played, usual: Played) -> list[str]:
-    """Mean and range of the change, and in how many episodes not one decision changed."""
+    """Return mean and range of the change, and the number of episodes without a changed decision."""
     moved = [other[key][0] - usual[key][0] for key in usual]
     same = sum(other[key][1] == usual[key][1] for key in usual)
     return [f"{sum(moved) / len(moved):+.1f} ({min(moved):+.1f} .. {max(moved):+.1f})", str(same)]
 
 
 def main(name: str) -> None:
-    """Play, and print row by row."""
+    """Play the episodes and print the table row by row."""
     usual = played(name)
     shares = [share for share, _ in usual.values()]
     print(f"{name}: {sum(shares) / len(shares):.1f} points newly observed ({min(shares):.1f} to {max(shares):.1f})\n")
@@ -99,5 +99,5 @@ def main(name: str) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] not in [[name] for name in GUESSES]:
-        sys.exit(f"thresholds.py: say whose, {' or '.join(GUESSES)}")
+        sys.exit(f"thresholds.py: give a planner, {' or '.join(GUESSES)}")
     main(sys.argv[1])

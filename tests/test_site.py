@@ -171,8 +171,8 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
         shown["env"].close()
     # A dataset's page has the film of a mesh from a file, and says so.
     for task, others in (
-        ("Replica-v0", "Scenes of Replica may not be published"),
-        ("Matterport3D-v0", "Buildings of Matterport3D may not be published"),
+        ("Replica-v0", "Scenes of Replica"),
+        ("Matterport3D-v0", "Buildings of Matterport3D"),
     ):
         assert (
             "{figure} mesh-v0-" in pages[f"environments/{task.lower()}.md"]

@@ -77,7 +77,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     yield {**name, "stage": "distances of the surface", **cost}
     _, cost = _timed(lambda: protocol.observed(truth, path))
     yield {**name, "stage": "observed", **cost}
-    _, cost = _timed(lambda: protocol.looks(gaussians, truth, {}))
+    _, cost = _timed(lambda: protocol.view_scores(gaussians, truth, {}))
     yield {**name, "stage": f"{len(truth.views)} views", **cost}
     fresh = protocol.truth(ground_truth_of(scene))
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))

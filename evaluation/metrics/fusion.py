@@ -24,7 +24,7 @@ from activestructure_gym.evaluation.metrics.fusion_kernels import (
     Blocks,
     areas_of,
     integrate,
-    mark,
+    mark_blocks,
     range_of_tiles,
     span,
     triangles,
@@ -142,7 +142,7 @@ class FusedSurface:
             parts = [self._marked_by(depth[part], images[part]) for part in (slice(half), slice(half, None))]
             return np.concatenate(parts)
         marked = np.zeros(tuple(shape.astype(int)), np.bool_)
-        mark(depth, self._intrinsics, self._poses[images], self._truncation, first, block, marked)
+        mark_blocks(depth, self._intrinsics, self._poses[images], self._truncation, first, block, marked)
         return _keys_of(np.argwhere(marked) + first)
 
     def _depth(self, images: np.ndarray) -> np.ndarray:  # [n, H, W] float32 metres

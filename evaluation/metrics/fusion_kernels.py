@@ -1,4 +1,4 @@
-"""The loops behind `fusion`: truncated signed distances on blocks of 8 x 8 x 8 voxels, and marching tetrahedra."""
+"""Compiled loops of `fusion`: truncated signed distances on blocks of 8 x 8 x 8 voxels, and marching tetrahedra."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-SIDE = 8  # voxels of a block
+SIDE = 8  # voxels along a side of a block
 
 
 @kernel
 def areas_of(triangles: np.ndarray, areas: np.ndarray) -> None:
+    """Write the areas [T] of the triangles [T, 3, 3], computed in float64."""
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
@@ -24,7 +25,7 @@ def areas_of(triangles: np.ndarray, areas: np.ndarray) -> None:
 
 @kernel
 def span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncation: float, bounds: np.ndarray) -> None:
-    """Grow ``bounds`` [K, 2, 3] of each image to hold everything within the truncation of a point that it sees."""
+    """Extend ``bounds`` [K, 2, 3] of each image by the truncation band along the ray of each of its depth pixels."""
     fx, fy, cx, cy = intrinsics
     for image in range(len(depth)):
         for v in range(depth.shape[1]):
@@ -42,7 +43,7 @@ def span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncatio
 
 
 @kernel
-def mark(
+def mark_blocks(
     depth: np.ndarray,
     intrinsics: np.ndarray,
     poses: np.ndarray,
@@ -51,10 +52,10 @@ def mark(
     block: float,
     marked: np.ndarray,
 ) -> None:
-    """Mark the blocks that the truncation band around each seen point runs through."""
+    """Mark the blocks that meet the truncation band along the ray of each depth pixel."""
     fx, fy, cx, cy = intrinsics
     where = np.empty(3, np.int64)
-    steps = int(np.ceil(4.0 * truncation / block))  # at most half a block apart on the axis
+    steps = int(np.ceil(4.0 * truncation / block))  # steps of at most half a block along the optical axis
     for image in range(len(depth)):
         for v in range(depth.shape[1]):
             for u in range(depth.shape[2]):
@@ -72,19 +73,19 @@ def mark(
 
 
 class Blocks(NamedTuple):
-    """Some blocks of voxels and what is known in them."""
+    """Hold the fused distances of some blocks of voxels."""
 
-    places: np.ndarray  # [B, 3]
-    distance: np.ndarray  # [B, 8, 8, 8] mean of the distances seen, metres, cut at +truncation
-    weight: np.ndarray  # [B, 8, 8, 8] how many
+    places: np.ndarray  # [B, 3] block indices
+    distance: np.ndarray  # [B, 8, 8, 8] mean of the measured distances in metres, each cut at +truncation
+    weight: np.ndarray  # [B, 8, 8, 8] number of measured distances
 
 
-_TILE = 8  # pixels
+_TILE = 8  # pixels along a side of a tile
 
 
 @kernel
 def range_of_tiles(depth: np.ndarray) -> np.ndarray:  # [K, H / 8, W / 8, 2] metres
-    """Least and largest depth in every tile of every image; (0, 0) where some pixel has none and nothing is deeper."""
+    """Return the minimum and maximum depth of every tile of every image; a pixel without depth counts as 0."""
     images, height, width = depth.shape
     tiles = np.empty((images, (height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE, 2), np.float32)
     tiles[..., 0], tiles[..., 1] = np.inf, 0.0
@@ -109,12 +110,13 @@ def integrate(
     truncation: float,
     own: Blocks,  # changed
 ) -> None:
+    """Add depth images to the fused distances of blocks; skip images that cannot change a block."""
     blocks, distance, weight = own
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape[1], depth.shape[2]
     block = 8 * voxel
     radius = 0.5 * np.sqrt(3.0) * block
-    # How far beyond the image's edge a sphere of that radius still touches the frustum, per metre of radius.
+    # Lateral distance from the frustum at which a sphere just touches it, per metre of the sphere's radius.
     slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
     slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
     away, across, down = np.empty(8), np.empty(8), np.empty(8)
@@ -134,7 +136,7 @@ def integrate(
                 continue
             if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
                 continue
-            if z > 2.0 * radius:  # else it may reach around the camera
+            if z > 2.0 * radius:  # a nearer block may enclose the camera
                 reach = radius / (z - radius)
                 spread_x, spread_y = reach * (fx + abs(x) / z * fx), reach * (fy + abs(y) / z * fy)
                 low_u, high_u = fx * x / z + cx - spread_x, fx * x / z + cx + spread_x
@@ -144,10 +146,10 @@ def integrate(
                     for column in range(max(0, int(low_u) // _TILE), min(width - 1, int(high_u)) // _TILE + 1):
                         least = min(least, tiles[image, row, column, 0])
                         most = max(most, tiles[image, row, column, 1])
-                if most - (z - radius) < -truncation:  # all of it behind what is seen
+                if most - (z - radius) < -truncation:  # the whole block is occluded
                     continue
                 inside = low_u >= 0.0 and low_v >= 0.0 and high_u < width and high_v < height
-                if inside and least - (z + radius) >= truncation:  # all of it in free space
+                if inside and least - (z + radius) >= truncation:  # the whole block is free
                     _add_free_space(distance[b], weight[b], truncation)
                     continue
             for i in range(8):
@@ -156,7 +158,7 @@ def integrate(
                     x = pose[0, 0] * px + pose[0, 1] * py
                     y = pose[1, 0] * px + pose[1, 1] * py
                     z = pose[2, 0] * px + pose[2, 1] * py
-                    for k in range(8):  # a loop of its own: on several voxels at once
+                    for k in range(8):  # a separate loop, so that the compiler vectorises it
                         pz = corner_z + (k + 0.5) * voxel
                         away[k] = z + pose[2, 2] * pz + pose[2, 3]
                         across[k] = fx * (x + pose[0, 2] * pz + pose[0, 3]) / away[k] + cx
@@ -174,7 +176,7 @@ def _add_row(
     distance: np.ndarray,  # [8] changed
     weight: np.ndarray,  # [8] changed
 ) -> None:
-    """What an image says of a row of voxels that lie there in it."""
+    """Add the measurements of one image to a row of 8 voxels, given by their depths and pixel coordinates."""
     height, width = depth.shape
     for k in range(8):
         z, u, v = away[k], across[k], down[k]
@@ -191,7 +193,7 @@ def _add_row(
 
 @kernel
 def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float) -> None:
-    """One more image that sees through every voxel of a block."""
+    """Add a measurement of free space to every voxel of a block."""
     for i in range(8):
         for j in range(8):
             for k in range(8):
@@ -200,8 +202,8 @@ def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float)
                 weight[i, j, k] = count + 1.0
 
 
-# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell; corner n lies at the bits (x, y, z) of n.
-# Every cell is cut alike, so neighbours agree on the diagonals of their common faces and the surface has no cracks.
+# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell. Bits 0, 1, 2 of a corner's number are its
+# x, y, z. All cells are divided equally, so neighbours share the diagonals of their faces, without cracks.
 _TETRAHEDRA = np.array(
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
 )
@@ -211,13 +213,13 @@ _TETRAHEDRA = np.array(
 def triangles(
     distance: np.ndarray,  # [L, 8, 8, 8]
     weight: np.ndarray,  # [L, 8, 8, 8]
-    neighbours: np.ndarray,  # [B, 8] row of a block and of those after it, bits (x, y, z) of the column; -1 = none
-    blocks: np.ndarray,  # [B, 3] whose cells are looked at
+    neighbours: np.ndarray,  # [B, 8] rows of a block and its following neighbours, bits (x, y, z); -1 = none
+    blocks: np.ndarray,  # [B, 3] blocks whose cells are processed
     origin: np.ndarray,
     voxel: float,
-    corners: np.ndarray,  # [T, 3, 3] out, filled as far as it reaches
+    corners: np.ndarray,  # [T, 3, 3] out: the first T triangles
 ) -> int:
-    """Marching tetrahedra over the cells between voxel centres; returns how many triangles there are."""
+    """Extract the zero level by marching tetrahedra over the cells between voxel centres; return the triangle count."""
     value, place = np.empty(8), np.empty((8, 3))
     crossing = np.empty((4, 3))
     near, unseen = np.empty((9, 9, 9), np.float32), np.empty((9, 9, 9), np.bool_)
@@ -250,7 +252,7 @@ def triangles(
                     behind += value[tetrahedron[a]] < 0.0
                 if behind == 0 or behind == 4:
                     continue
-                # Cut edges in an order that goes round: from each corner of the smaller side to the others.
+                # List the cut edges in cyclic order, each from a corner on the smaller side to one on the other side.
                 if behind == 2:
                     low, other_low, high, other_high = -1, -1, -1, -1
                     for a in range(4):
@@ -292,7 +294,7 @@ def _with_neighbours(
     near: np.ndarray,  # [9, 9, 9] out
     unseen: np.ndarray,  # [9, 9, 9] out
 ) -> bool:
-    """A block and the next voxels of its neighbours; returns whether a surface may run through them."""
+    """Copy a block and the first voxels of its following neighbours; return whether they contain both signs."""
     before, behind = False, False
     for gi in range(9):
         for gj in range(9):
@@ -309,6 +311,7 @@ def _with_neighbours(
 
 @kernel
 def _cut(value: np.ndarray, place: np.ndarray, a: int, b: int, out: np.ndarray) -> None:
+    """Write the zero crossing on the edge between corners ``a`` and ``b``, interpolated linearly."""
     share = value[a] / (value[a] - value[b])
     for axis in range(3):
         out[axis] = place[a, axis] + share * (place[b, axis] - place[a, axis])

@@ -1,4 +1,4 @@
-"""PSNR, SSIM, MS-SSIM and depth error between a rendered and a true view."""
+"""Compute PSNR, SSIM, MS-SSIM and depth error between a rendered and a true view."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.evaluation.metrics.windows import window_means
 
-# Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
+# Limits the PSNR of equal images to 100 dB, far above the rounding error of 8-bit images.
 _MIN_MSE = 1e-10
 
-# [ms_ssim], section 3.2: the exponent of each of the five scales.
+# Exponents of the five scales: [ms_ssim], section 3.2.
 _SCALE_WEIGHTS = np.array([0.0448, 0.2856, 0.3001, 0.2363, 0.1333])
-TAPS = 11  # pixels across the window of SSIM, at every scale
-# The window must fit into the image that has been halved four times.
+TAPS = 11  # side of the SSIM window in pixels, at every scale
+# The window must fit into the image after four halvings.
 MS_SSIM_SIDE = (TAPS - 1) * 2 ** (len(_SCALE_WEIGHTS) - 1) + 1  # pixels of the smaller side: 161
 
 
 def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
-    """Pooled PSNR: one mean squared error over all pixels and channels of two images in 0..1; at most 100 dB.
+    """Compute the PSNR from one mean squared error over all pixels and channels, at most 100 dB.
 
     Parameters
     ----------
     rendered, true
-        Images of one shape, in 0..1.
+        Images of equal shape with values in [0, 1].
 
     Returns
     -------
     float
-        dB.
+        PSNR in dB.
 
     Examples
     --------
@@ -40,9 +40,9 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 
 
 def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
-    """Mean over the channels of each channel's PSNR, images [H, W, C]; at most 100 dB each.
+    """Compute the mean of the channels' PSNR of images [H, W, C] in dB, as [activegamer, code] does.
 
-    Never below `psnr`, and far above it where the channels differ in their error ([activegamer, code] takes this one).
+    Each channel has at most 100 dB. The mean is never below `psnr`, and far above it if the channels' errors differ.
     """
     x, y = np.ascontiguousarray(rendered, np.float64), np.ascontiguousarray(true, np.float64)
     sums = np.zeros(x.shape[2])
@@ -52,24 +52,25 @@ def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 
 
 def ssim(rendered: np.ndarray, true: np.ndarray) -> float:
-    """Mean structural similarity of two images [H, W, C] in 0..1, over all whole windows and the channels.
+    """Compute the mean structural similarity of two images over all complete windows and channels.
 
-    Equals scikit-image's with ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
+    The result equals that of scikit-image with ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+    data_range=1``.
 
     Parameters
     ----------
     rendered, true
-        Images [H, W, C] of one shape, in 0..1, at least 11 x 11 pixels.
+        Images [H, W, C] of equal shape with values in [0, 1], at least 11 x 11 pixels.
 
     Returns
     -------
     float
-        At most 1, for equal images.
+        Similarity of at most 1; equal images have 1.
 
     Raises
     ------
     ValueError
-        The images differ in shape, or no whole window fits.
+        The images differ in shape, or are smaller than the window.
 
     Notes
     -----
@@ -86,20 +87,20 @@ def ssim(rendered: np.ndarray, true: np.ndarray) -> float:
 
 
 def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
-    """Multi-scale structural similarity of two images [H, W, C] in 0..1.
+    """Compute the multi-scale structural similarity of two images.
 
-    [ms_ssim] as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
-    ActiveGAMER call SSIM: five scales, each half as wide as the last, negative terms cut off at 0.
+    The result equals ``pytorch_msssim.ms_ssim(data_range=1)``: [ms_ssim] with five scales, each half as wide as the
+    previous one, and negative terms set to 0. The tables of SplaTAM and ActiveGAMER call it SSIM.
 
     Parameters
     ----------
     rendered, true
-        Images [H, W, C] of one shape, in 0..1.
+        Images [H, W, C] of equal shape with values in [0, 1].
 
     Returns
     -------
     float or None
-        None where a side is below 161 pixels.
+        Similarity of at most 1; None if a side is shorter than 161 pixels.
 
     Notes
     -----
@@ -109,7 +110,7 @@ def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
 
 
 def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float | None]:
-    """`ssim` and `ms_ssim` together: the finest scale of the second is the first."""
+    """Compute `ssim` and `ms_ssim` together, because they share the finest scale."""
     x, y = _pair(rendered, true)
     full, contrast = window_means(x, y)  # [C] each
     single = float(full.mean())
@@ -125,7 +126,7 @@ def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float |
 
 
 def halved(image: np.ndarray) -> np.ndarray:  # [ceil(H / 2), ceil(W / 2), C]
-    """Means of 2 x 2 pixels. An odd side is first framed by a row of zeros on both ends, as pytorch_msssim does."""
+    """Return the means of 2 x 2 pixels; an odd side is padded with zeros on both ends, as in pytorch_msssim."""
     height, width, channels = image.shape
     if height % 2 or width % 2:
         image = np.pad(image, ((height % 2,) * 2, (width % 2,) * 2, (0, 0)))
@@ -152,25 +153,25 @@ def _squared_errors(x: np.ndarray, y: np.ndarray, sums: np.ndarray) -> None:  # 
 
 
 def depth_l1(
-    rendered: np.ndarray,  # [H, W] metres, 0 = the map has nothing there
+    rendered: np.ndarray,  # [H, W] metres, 0 = no Gaussian
     true: np.ndarray,  # [H, W] metres, 0 = no surface
 ) -> float | None:  # metres
-    """Mean depth error over the pixels where there is a surface.
+    """Compute the mean absolute depth error over the pixels with a true surface.
 
-    A hole counts with the whole true depth, as in SplaTAM's and ActiveGAMER's evaluation, so that leaving a region
-    out is never an advantage.
+    A hole of the map counts with the full true depth, as in the evaluations of SplaTAM and ActiveGAMER. So missing
+    regions are never an advantage.
 
     Parameters
     ----------
     rendered
-        [H, W] metres along the optical axis; 0 = the map has nothing there.
+        [H, W] metres along the optical axis; 0 = no Gaussian at this pixel.
     true
-        [H, W] metres; 0 = no surface.
+        [H, W] metres along the optical axis; 0 = no surface.
 
     Returns
     -------
     float or None
-        Metres; None where there is no surface.
+        Mean error in metres; None if no pixel has a true surface.
 
     Examples
     --------
@@ -184,6 +185,7 @@ def depth_l1(
 
 
 def _pair(rendered: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return both images as contiguous float64; raise ValueError if their shapes differ or are too small."""
     x = np.ascontiguousarray(rendered, np.float64)
     y = np.ascontiguousarray(true, np.float64)
     if x.shape != y.shape or x.ndim != 3:

@@ -1,8 +1,8 @@
-"""Nearest points and nearest discs, exactly: a tree of boxes over points sorted along a space-filling curve.
+"""Find exact nearest points or discs with a tree of bounding boxes over points sorted along a space-filling curve.
 
-scipy's k-d tree takes 5 to 14 microseconds for a query far from all points, and a half-explored scene has a hundred
-thousand of these. Queries sorted along the same curve begin with their predecessor's answer as a bound; then most of
-the tree is never looked at. The answer does not depend on the order, nor on the number of threads.
+A query far from all points takes 5 to 14 microseconds with scipy's k-d tree, and a half-explored scene has 100,000 such
+queries. Here queries are sorted along the same curve, and each starts with the answer of the previous one as its upper
+bound, which excludes most of the tree. The distances do not depend on the order or on the number of threads.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.geometry.curve import curve_order
 
 _LEAF = 8  # points
-_CHUNK = 8192  # queries that one thread takes at a time
-_MAX_DEPTH = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
+_CHUNK = 8192  # queries per task of a thread
+_MAX_DEPTH = 64  # entries of the stack, one per level; a tree with 2^64 leaves cannot exist
 
 
 class _Tree(NamedTuple):
-    """What the search reads of a `PointTree`."""
+    """Hold the arrays of a `PointTree` that the search reads."""
 
     points: np.ndarray  # [N, 3] sorted
     normals: np.ndarray  # [N, 3], or [0, 3] without discs
     radius: float
     discs: bool
     first_leaf: int
-    boxes: np.ndarray  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
+    boxes: np.ndarray  # [2 first_leaf, 6] lower and upper corners; node 1 is the root, n has children 2 n and 2 n + 1
 
 
 class PointTree:
-    """Points that can be asked for the nearest one; with normals, for the nearest of flat discs around them."""
+    """Search for the nearest of points; with normals, for the nearest of flat discs around the points."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class PointTree:
         return len(self._points)
 
     def query(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [Q] metres, [Q] index
-        """Distance to the nearest point (or disc) and which one it is; inf and -1 where there are no points."""
+        """Return the distance to the nearest point (or disc) and its index; inf and -1 if there are no points."""
         queries = np.ascontiguousarray(queries, np.float64).reshape(-1, 3)
         distance = np.full(len(queries), np.inf)
         index = np.full(len(queries), -1, np.int64)
@@ -100,7 +100,7 @@ def _build(points: np.ndarray, first_leaf: int, boxes: np.ndarray) -> None:
 
 @kernel
 def _box_distance(boxes: np.ndarray, node: int, x: float, y: float, z: float, spare: float) -> float:
-    """Squared distance from (x, y, z) to a box, after ``spare`` metres are taken off the distance."""
+    """Return the squared distance from (x, y, z) to a box, with ``spare`` metres subtracted before squaring."""
     dx = max(max(boxes[node, 0] - x, x - boxes[node, 3]), 0.0)
     dy = max(max(boxes[node, 1] - y, y - boxes[node, 4]), 0.0)
     dz = max(max(boxes[node, 2] - z, z - boxes[node, 5]), 0.0)
@@ -115,13 +115,14 @@ def _box_distance(boxes: np.ndarray, node: int, x: float, y: float, z: float, sp
 def _squared(
     points: np.ndarray, normals: np.ndarray, radius: float, discs: bool, i: int, x: float, y: float, z: float
 ) -> float:
+    """Return the squared distance from (x, y, z) to point or disc ``i``."""
     dx, dy, dz = x - points[i, 0], y - points[i, 1], z - points[i, 2]
     squared = dx * dx + dy * dy + dz * dz
     if not discs:
         return squared
     height = dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]
-    beside = max(np.sqrt(max(squared - height * height, 0.0)) - radius, 0.0)
-    return height * height + beside * beside
+    outside = max(np.sqrt(max(squared - height * height, 0.0)) - radius, 0.0)
+    return height * height + outside * outside
 
 
 @kernel
@@ -141,7 +142,7 @@ def _search(
         stack[0], below[0], depth = 1, _box_distance(boxes, 1, x, y, z, radius), 1
         while depth > 0:
             depth -= 1
-            # Not "nearer or equal": among equals the answer may be any, and its distance is the same.
+            # At equal distances any of the points may be returned, so equal bounds can be skipped.
             if below[depth] >= best:
                 continue
             node = stack[depth]

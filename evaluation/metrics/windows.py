@@ -1,4 +1,4 @@
-"""The Gaussian windows of SSIM, as one compiled pass over two images."""
+"""Compute the Gaussian windows of SSIM in one compiled pass over two images."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-# As [ssim] defines it: an 11-tap Gaussian window of 1.5 pixels, population covariance.
+# Source: [ssim]. An 11-tap Gaussian window with a standard deviation of 1.5 pixels, and population covariance.
 _SIGMA = 1.5
 _OFFSETS = np.arange(11) - 5
 _WINDOW = np.exp(-0.5 * (_OFFSETS / _SIGMA) ** 2)
@@ -15,9 +15,9 @@ _C1, _C2 = 0.01**2, 0.03**2  # for values in 0..1
 
 
 def window_means(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [C], [C]
-    """Means per channel over all whole windows of the similarity, and of its contrast and structure part alone.
+    """Return the mean similarity per channel over all complete windows, and that of its contrast-structure term.
 
-    ``x`` and ``y`` are [H, W, C] float64 in 0..1, contiguous, at least 11 x 11 pixels.
+    ``x`` and ``y`` are contiguous [H, W, C] float64 in [0, 1] with at least 11 x 11 pixels.
     """
     height, width, channels = x.shape
     sums = np.zeros((2, channels))
@@ -33,12 +33,16 @@ def _window_sums(
     y: np.ndarray,
     channels: int,
     taps: np.ndarray,  # [11]
-    sums: np.ndarray,  # [2, C], added to
+    sums: np.ndarray,  # [2, C], increased
 ) -> None:
-    """Rows first, then columns; every inner loop runs over neighbouring numbers, so that all of them vectorise."""
+    """Add the two terms of all windows to ``sums``.
+
+    The window is applied down the columns, then along the rows. Every inner loop runs over adjacent numbers, so that
+    it vectorises.
+    """
     height, width = x.shape
     inside = width - 10 * channels
-    # x^2 + y^2 and x y of the rows under the window, row r at r % 11: more products are not needed.
+    # x^2 + y^2 and x y of the 11 rows under the window, with row r at index r % 11.
     squares, crossed = np.empty((11, width)), np.empty((11, width))
     down = np.empty((4, width))
     window = np.empty((4, inside))
@@ -71,14 +75,14 @@ def _products(x: np.ndarray, y: np.ndarray, squares: np.ndarray, crossed: np.nda
 
 @kernel
 def _down(rows: np.ndarray, i: int, count: int, taps: np.ndarray, out: np.ndarray) -> None:
-    """The window down rows i to i + 10, each found at its number modulo ``count``."""
+    """Apply the window to rows i to i + 10; row r is at index r % ``count``."""
     _first(out, taps, rows[i % count], rows[(i + 1) % count], rows[(i + 2) % count])
     for k in (3, 7):
         r = i + k
         _next(out, taps[k:], rows[r % count], rows[(r + 1) % count], rows[(r + 2) % count], rows[(r + 3) % count])
 
 
-# Several taps at once, because the sums go through memory otherwise; always added in the order of the window.
+# Several taps per pass keep the partial sums in registers. The taps are always added in the order of the window.
 @kernel
 def _first(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     ta, tb, tc = taps[0], taps[1], taps[2]
@@ -102,7 +106,7 @@ def _compare(
     full: np.ndarray,
     contrast: np.ndarray,
 ) -> None:
-    """Similarity of every window, and its contrast and structure part alone."""
+    """Write the similarity of every window, and its contrast-structure term."""
     for j in range(len(full)):
         means = mean_x[j] * mean_x[j] + mean_y[j] * mean_y[j]
         product = mean_x[j] * mean_y[j]

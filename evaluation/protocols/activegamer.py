@@ -1,6 +1,6 @@
-"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from [activegamer, code].
+"""Define the protocol ``activegamer``, which reproduces the evaluation of [activegamer, code].
 
-For numbers beside those of papers that used it. It cannot see floaters: read `standard` for what a map is worth.
+Use it to compare with papers that used this evaluation. It does not penalise floaters; use `standard` to judge a map.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.metrics import lpips
 from activestructure_gym.evaluation.metrics.image import channel_psnr, similarities
 from activestructure_gym.evaluation.metrics.voxels import matched_distances, nearest_per_voxel
 from activestructure_gym.evaluation.protocols.base import CameraPath
-from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
+from activestructure_gym.evaluation.protocols.parallel_views import mean_of_defined, measure_views
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
 from activestructure_gym.ranges import check_ranges
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
 
-# Centre in metres and radius of the circle of novel views: `src/data/generate_{Replica,MP3D}_NVS_data.py` of
+# Centre and radius in metres of the circle of novel views: `src/data/generate_{Replica,MP3D}_NVS_data.py` of
 # [activegamer, code].
 CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
     "office0": ((0.0, 0.0, 0.0), 1.0),
@@ -46,18 +46,18 @@ CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
     "pLe4wQe7qrG": ((5.0, 0.0, 1.75), 1.0),
     "YmJkqBEsHnH": ((0.0, -2.0, 1.75), 1.0),
 }
-_GENERATED = 180  # poses on the circle, of which
-_EVERY = 5  # this one is looked at; the first frame of the sequence is the start pose and is not
-_TOO_NEAR, _MAX_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
+_GENERATED = 180  # generated poses on the circle
+_EVERY = 5  # every fifth one is evaluated; frame 0 of the sequence, the start pose, is not
+_TOO_NEAR, _MAX_TOO_NEAR = 0.2, 0.1  # metres, largest share of nearer pixels; beyond it the original program stops
 _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 
 @dataclass(frozen=True)
 class MatchedTruth:
-    """Thinned surface and true views of one scene, for comparison with a map."""
+    """Hold the thinned surface and the true views of one scene, with which a map is compared."""
 
     points: np.ndarray  # [G, 3] metres: one sample of the whole surface per voxel
-    centres: np.ndarray  # [G, 3] metres: the centres of these voxels
+    centres: np.ndarray  # [G, 3] metres: centres of these voxels
     views: HeldOutViews
 
 
@@ -74,18 +74,35 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ActiveGamerProtocol:
-    """Means matched to the voxels of the uncropped surface; masked images from one small circle of views."""
+    """Match the Gaussians' means with the voxels of the whole surface, and compare masked images on a circle of views.
+
+    Parameters
+    ----------
+    voxel_m
+        Metres. Both point sets are thinned to one point per voxel of this size.
+    threshold_m
+        Metres. The completion ratio counts distances strictly below it.
+    surface_samples
+        Evenly spaced samples on the whole mesh, visible or not.
+    image_divisor
+        1 = the original 1200 x 680 pixels, 2 or 4 = smaller images. Only the original size is comparable with papers.
+    view_supersample
+        Rays per pixel and axis in the true images.
+    center, radius
+        Circle of views in metres. Default: the published circle of the scene (`CIRCLES`), else a circle around the
+        free point with the largest clearance.
+    """
 
     name: ClassVar[str] = "activegamer"
-    version: ClassVar[int] = 1  # moves whenever the same map would get another number
+    version: ClassVar[int] = 1  # increase it when the same map would get other numbers
 
-    voxel_m: float = 0.01  # metres; both point sets are thinned to one point per voxel
-    threshold_m: float = 0.05  # metres; C.R. counts distances strictly below it
-    surface_samples: int = 200_000  # on the whole mesh, seen or not, evenly
-    image_divisor: int = 1  # 1 = the original 1200 x 680; numbers of other sizes cannot be compared with papers
-    view_supersample: int = 1  # rays per pixel and axis in the true views
-    center: tuple[float, float, float] | None = None  # metres; None = the table's, or the roomiest place
-    radius: float | None = None  # metres; None = the table's, or what fits
+    voxel_m: float = 0.01
+    threshold_m: float = 0.05
+    surface_samples: int = 200_000
+    image_divisor: int = 1
+    view_supersample: int = 1
+    center: tuple[float, float, float] | None = None
+    radius: float | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -95,19 +112,19 @@ class ActiveGamerProtocol:
             raise InputError("give the circle's center and its radius, or neither")
 
     def parameters(self) -> dict[str, Any]:
-        """Name, version and every constant, for the result file."""
+        """Return name, version and all constants for the result file."""
         return {"name": self.name, "version": self.version, **dataclasses.asdict(self)}
 
     @property
     def camera(self) -> PinholeCamera:
-        """The original's camera, or the same with fewer pixels."""
+        """Return the original camera, with fewer pixels if ``image_divisor`` is above 1."""
         full = PinholeCamera(_WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2, _HEIGHT / 2)
         return full.resized(_WIDTH // self.image_divisor, _HEIGHT // self.image_divisor)
 
     def circle(self, known: GroundTruth) -> tuple[tuple[float, float, float], float]:
-        """Centre and radius of the views: as given, the original's for its 13 scenes, else around the roomiest place.
+        """Return centre and radius of the views: the given ones, the published ones, else `roomiest_circle`.
 
-        Raises `InputError` where the scene has no free space.
+        Raise `InputError` if the scene has no free space.
         """
         from activestructure_gym.evaluation.protocols.held_out_views import roomiest_circle
 
@@ -117,7 +134,7 @@ class ActiveGamerProtocol:
         return CIRCLES.get(name) or CIRCLES.get(name.replace("_", "")) or roomiest_circle(known.free_space)
 
     def truth(self, known: GroundTruth) -> MatchedTruth:
-        """The thinned surface and the views of a scene (both cached by its content)."""
+        """Return the thinned surface and the views of a scene, both cached by its content."""
         from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
         scene = known.scene
@@ -135,22 +152,25 @@ class ActiveGamerProtocol:
         return MatchedTruth(samples[chosen], centres, views)
 
     def evaluate(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None = None) -> dict[str, Any]:
-        """All numbers of a finished map; the map's own frame is that of the path's first pose, or the world's."""
+        """Return all metrics of a finished map.
+
+        The map's voxel grid is aligned with the first pose of the ``path``, without a path with the world.
+        """
         notes: dict[str, str] = {}
         with lpips.measuring(notes) as distance:
-            views = every_view(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
+            views = measure_views(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
         return {
             **self.geometry(gaussians, truth, path),
             "true_samples": len(truth.points),
-            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ms_ssim", "lpips")},
+            **{name: mean_of_defined(view[name] for view in views) for name in ("psnr", "ms_ssim", "lpips")},
             "lpips_weights": lpips.weights_name(),
-            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
+            "depth_l1_cm": mean_of_defined(view["depth_l1_cm"] for view in views),
             "views": views,
             "notes": notes,
         }
 
     def geometry(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None) -> dict[str, float | None]:
-        """Acc, Com. and C.R.; None where the map is empty."""
+        """Return accuracy, completion and completion ratio; the first two are None for an empty map."""
         start = np.eye(4) if path is None else path.start
         means = np.asarray(gaussians.means, dtype=np.float64)
         chosen, _ = nearest_per_voxel(transform_points(invert_rigid(start), means), self.voxel_m)
@@ -170,10 +190,10 @@ class ActiveGamerProtocol:
         pose = truth.views.world_from_camera[index]
         rendering = cpu.render(
             gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=True,
-            blur_variance=0.3, threads=1,  # px^2, of its rasteriser
+            blur_variance=0.3, threads=1,  # px^2, as in the original's rasteriser
         )  # fmt: skip
         true_depth = truth.views.depth[index]
-        # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
+        # As in the original, the accumulated depth is not divided by alpha, so it is too small where alpha is below 1.
         shown, true, error = masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth)
         return {
             "psnr": channel_psnr(shown, true),
@@ -189,7 +209,7 @@ def masked(
     depth: np.ndarray,  # [H, W] float32 metres
     true_depth: np.ndarray,  # [H, W] float32 metres, 0 = no surface
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [H, W, 3] both, [N] metres
-    """Both pictures, black where there is no surface, and how far off the depth is where there is one."""
+    """Return both images, black at pixels without a true surface, and the absolute depth errors at the others."""
     shown, true, error = np.empty(color.shape), np.empty(color.shape), np.empty(depth.size)
     return shown, true, error[: _mask(color, rgb, depth, true_depth, shown, true, error)]
 
@@ -203,7 +223,8 @@ def _mask(
     shown: np.ndarray,  # [H, W, 3] out
     true: np.ndarray,  # [H, W, 3] out, 0..1 in single precision
     error: np.ndarray,  # [H * W] out
-) -> int:  # how many pixels have a surface
+) -> int:  # number of pixels with a true surface
+    """Write the masked images, and the depth errors of the pixels with a true surface in row order."""
     count = 0
     for i in range(color.shape[0]):
         for j in range(color.shape[1]):
@@ -220,7 +241,7 @@ def _mask(
 
 
 def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] metres
-    """Points of the whole surface that keep a distance from each other, by trimesh as in the original; cached."""
+    """Sample evenly spaced points on the whole surface with trimesh, as the original does; the result is cached."""
     from activestructure_gym.scenes.cache import cached_arrays
 
     def compute() -> dict[str, np.ndarray]:
@@ -228,7 +249,7 @@ def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] 
 
         mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
         seed = int(scene.content_hash[32:40], 16)
-        # That fewer points fit than were asked for is how the method works; trimesh warns of it on every scene.
+        # trimesh warns on every scene that fewer points fit than requested, which is expected for this method.
         log = logging.getLogger("trimesh")
         level = log.level
         log.setLevel(logging.ERROR)
@@ -243,12 +264,12 @@ def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] 
 
 
 def circle_indices() -> np.ndarray:  # [36]
-    """Which of the generated frames are looked at: 4, 9, ... 179 (the original evaluates every fifth, 0 ignored)."""
+    """Return the indices of the evaluated frames: 4, 9, ... 179, as in the original."""
     return np.arange(_EVERY - 1, _GENERATED, _EVERY)
 
 
 def circle_poses(center: tuple[float, float, float], radius: float) -> np.ndarray:  # [36, 4, 4] world_from_camera
-    """Views from a horizontal circle towards its centre, frame k at the angle 2 pi (k - 1) / 180."""
+    """Return poses on a horizontal circle that face its centre, frame k at the angle 2 pi (k - 1) / 180."""
     from activestructure_gym.geometry import look_along
 
     angles = 2.0 * np.pi * (circle_indices() - 1) / _GENERATED

@@ -1,4 +1,4 @@
-"""The interface of protocols: name the constants, fetch the truth of a scene, measure a finished map."""
+"""Define the interface of protocols: hold constants, compute the reference data of a scene, measure a finished map."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """The camera and its poses that a map was made from: all that a protocol reads of an episode besides its map."""
+    """Hold the camera and the poses of an episode. A protocol reads only these and the map."""
 
     camera: PinholeCamera
     start: np.ndarray  # [4, 4] world_from_camera of the first frame
-    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of those the map was made from
-    max_range: float = VIEW_RANGE  # metres along the optical axis that the camera measures
+    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of the keyframes
+    max_range: float = VIEW_RANGE  # maximum depth that the camera measures, metres
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
-        """The path in the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
+        """Create the path from the arrays of ``trajectory.npz``, already checked by `run_files.check_trajectory`."""
         poses = arrays["world_from_camera"]
         width, height = (int(side) for side in arrays["image_size"])
         return cls(
@@ -39,21 +39,21 @@ class CameraPath:
 
 
 class EvaluationProtocol(Protocol):
-    """A protocol: a frozen dataclass whose fields are all of its constants."""
+    """Define the interface of a protocol, a frozen dataclass whose fields are its constants."""
 
     @property
     def name(self) -> str:
-        """Written into every result file."""
+        """Return the name, which every result file contains."""
 
     @property
     def version(self) -> int:
-        """Raised whenever the same map would get another number."""
+        """Return the version, which increases when the same map would get other numbers."""
 
     def parameters(self) -> dict[str, Any]:
-        """Name, version and every constant, for the result file."""
+        """Return name, version and all constants for the result file."""
 
     def truth(self, known: GroundTruth) -> Any:
-        """The reference data of a scene that maps are compared with (cached by the scene's content)."""
+        """Return the reference data of a scene, cached by the scene's content."""
 
     def evaluate(self, gaussians: GaussianMap, truth: Any, path: CameraPath | None = None) -> dict[str, Any]:
-        """All numbers of a finished map; what is not defined is None, and its reason stands under ``notes``."""
+        """Return all metrics of a finished map; an undefined one is None and ``notes`` has its reason."""

@@ -1,4 +1,4 @@
-"""Held-out views: where a finished map is looked at from, and what is truly seen there."""
+"""Create held-out views: the true images and depths with which renderings of a finished map are compared."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.renderer import make_renderer
 
-# A view straight at the floor or the ceiling shows one texture and tells little; 45 deg keeps all furniture in play.
+# Steeper views show mostly the floor or the ceiling. With 45 degrees all furniture can be visible.
 _MAX_PITCH_DEG = 45.0
 _MIN_CLEARANCE = 0.3  # metres from the camera to the nearest surface, as for candidate views
 
-# Raised whenever the drawing or the rendering of views changes, so that no old cache file is read.
+# Increase the version when the drawing or the rendering of views changes, so that old cache files are not read.
 _CACHE_VERSION = 1
 _LAYOUT = {"world_from_camera": ("f8", 3), "rgb": ("u1", 4), "depth": ("f4", 3)}
 
 
 @dataclass(frozen=True)
 class HeldOutViews:
-    """Views no planner has been told about."""
+    """Hold views of the true scene that no planner has seen."""
 
     camera: PinholeCamera
     world_from_camera: np.ndarray  # [V, 4, 4]
@@ -41,12 +41,12 @@ def free_space_views(
     *,
     count: int,
     camera: PinholeCamera,
-    supersample: int = 4,  # 4 x 4 rays per pixel: what the truth looks like must not depend on aliasing
+    supersample: int = 4,  # 4 x 4 rays per pixel, against aliasing in the true images
 ) -> HeldOutViews:
-    """``count`` views drawn uniformly in the scene's free space, the same ones for every run on this scene.
+    """Draw ``count`` views uniformly in the scene's free space; every run on this scene gets the same ones.
 
-    The first n of them do not depend on ``count``. Rendered once and cached by the scene's content. Raises
-    `InputError` where the scene has no free space, and for more than 1024 views.
+    The first n views do not depend on ``count``. They are rendered once and cached by the scene's content. Raise
+    `InputError` for a scene without free space, and for more than 1024 views.
     """
     if count > _POSES_DRAWN:
         raise InputError(f"at most {_POSES_DRAWN} held-out views can be drawn, got {count}")
@@ -57,7 +57,7 @@ def free_space_views(
 
 
 def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, supersample: int) -> HeldOutViews:
-    """The scene as seen from ``poses`` [V, 4, 4] world_from_camera. Rendered once and cached by content and poses."""
+    """Render the scene at ``poses`` [V, 4, 4] world_from_camera; the result is cached by content and poses."""
     digest = hashlib.sha256(np.ascontiguousarray(poses, dtype="<f8").tobytes()).hexdigest()[:16]
     key = f"posed-views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{digest}-{camera}-{supersample}"
     arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample), _LAYOUT)
@@ -65,9 +65,10 @@ def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, super
 
 
 def roomiest_circle(space: FreeSpace) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
-    """A horizontal circle around the free place that is farthest from every surface, of at most 1 m radius.
+    """Return a horizontal circle of at most 1 m radius around the free point that is farthest from all surfaces.
 
-    Every point of it keeps the distance from surfaces that held-out views keep, or half of what there is.
+    The circle keeps the clearance of held-out views. If that would make the radius less than half of the centre's
+    clearance, the radius is half of it.
     """
     voxel = np.unravel_index(int(space.clearance.argmax()), space.clearance.shape)
     clearance = float(space.clearance[voxel])
@@ -76,7 +77,7 @@ def roomiest_circle(space: FreeSpace) -> tuple[tuple[float, float, float], float
 
 
 def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
-    """At most ``count`` of the recorded views that came with the scene, evenly spaced over the recording."""
+    """Return up to ``count`` views of the scene's recorded sequence, evenly spaced; raise `InputError` without one."""
     sequence = scene.evaluation_views
     if sequence is None or not len(sequence):
         raise InputError(f"scene '{scene.name}' came without recorded views; use views drawn in free space instead")
@@ -93,7 +94,7 @@ def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
 def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
     seed = int(known.scene.content_hash[:16], 16)
     positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
-    # Uniform over the band of the sphere: the height of a uniform point on it is uniform.
+    # Uniform directions on a band of the sphere: the height of a uniform point on a sphere is uniform.
     height = np.sin(np.radians(_MAX_PITCH_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
     azimuth = directions.uniform(0.0, 2.0 * np.pi, _POSES_DRAWN)[:count]
     across = np.sqrt(1.0 - height**2)
@@ -102,8 +103,7 @@ def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
     return np.stack([look_along(place, direction) for place, direction in zip(places, looking)])
 
 
-# Poses are always drawn for this many views and cut to the number asked for, so that a shorter evaluation looks at
-# a subset of a longer one's views.
+# Number of poses that are always drawn; the first ``count`` are used. So fewer views are a subset of more views.
 _POSES_DRAWN = 1024
 
 

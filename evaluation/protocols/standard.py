@@ -1,4 +1,4 @@
-"""The protocol ``standard``: what this project measures unless asked for something else."""
+"""Define the protocol ``standard``, which measures every run."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from activestructure_gym.evaluation.metrics.geometry import streamed_distances, 
 from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
 from activestructure_gym.evaluation.metrics.surface_points import SurfacePoints
 from activestructure_gym.evaluation.protocols.base import CameraPath
-from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
-from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.parallel_views import mean_of_defined, measure_views
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
 from activestructure_gym.ranges import check_ranges
@@ -44,14 +44,14 @@ ViewSource = Literal["free_space", "recorded"]
 
 @dataclass(frozen=True)
 class Truth:
-    """Surface samples and true views of one scene, for comparison with a map."""
+    """Hold surface samples and held-out views of one scene, with which a map is compared."""
 
     surface: SurfaceSamples
     views: HeldOutViews
-    scene: Scene | None = None  # whose mesh stands in lines of sight; None: what was observed cannot be told
+    scene: Scene | None = None  # its mesh decides visibility; without it ``observed`` is undefined
 
 
-# Samples and views are held in memory; SSIM needs 11 x 11 pixels.
+# Samples and views must fit into the memory; SSIM needs 11 x 11 pixels.
 _RANGES = {
     "opacity_threshold": "[0, 1)",
     "threshold_m": "(0, 1000]",
@@ -70,28 +70,60 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class StandardProtocol:
-    """Geometry of the solid Gaussians against the surface that can be seen; images from views nobody planned for."""
+    """Measure the geometry of a map against the observable surface, and its renderings at held-out views.
+
+    Parameters
+    ----------
+    opacity_threshold
+        Minimum opacity of a Gaussian whose mean counts as a reconstructed point.
+    threshold_m
+        Metres. Completion ratio, precision and F-score count distances strictly below it.
+    surface_samples
+        Samples on the whole mesh; those visible from free space (about half) are the true surface. Also the minimum
+        number of points on the TSDF surface.
+    views
+        Number of held-out views.
+    view_width, view_height, view_fov_deg
+        Size in pixels and horizontal field of view of the held-out views, independent of the sensor. Image metrics of
+        different sizes are not comparable.
+    view_supersample
+        Rays per pixel and axis in the true images.
+    view_source
+        ``"free_space"`` (drawn at random) or ``"recorded"`` (the scene's recorded sequence).
+    coverage_alpha
+        A rendered pixel counts as covered if its alpha is above this value.
+    points_source
+        ``"both"``, or ``"means"`` to leave out the TSDF surface.
+    tsdf_voxel_m, tsdf_truncation_m
+        Voxel size and truncation distance of the TSDF surface, metres.
+    tsdf_image_width
+        Width in pixels of the fused depth images, which have the sensor's field of view.
+    tsdf_samples_per_m2
+        Minimum density of points on the TSDF surface. At 400 points per m^2, 1 % of all places have no point within
+        6 cm by chance.
+    sight_margin_m
+        Metres in front of a sample in which the mesh does not block a keyframe's line of sight.
+    """
 
     name: ClassVar[str] = "standard"
-    version: ClassVar[int] = 5  # moves whenever the same map would get another number
+    version: ClassVar[int] = 5  # increase it when the same map would get other numbers
 
-    opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
-    threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
-    # On the whole mesh, where those that some free pose can see are the truth, about half; on the TSDF surface at least
+    opacity_threshold: float = 0.5
+    threshold_m: float = 0.05
     surface_samples: int = 200_000
-    views: int = 64  # held-out ones
-    view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
-    view_height: int = 180  # pixels
-    view_fov_deg: float = 90.0  # horizontal
-    view_supersample: int = 4  # rays per pixel and axis in the true views
-    view_source: ViewSource = "free_space"  # or "recorded": the views that came with the scene
-    coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
-    points_source: PointsSource = "both"  # "means" leaves the TSDF surface out
-    tsdf_voxel_m: float = 0.02  # metres
-    tsdf_truncation_m: float = 0.06  # metres
-    tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
-    tsdf_samples_per_m2: float = 4000.0  # at least: at 400 every hundredth place has no sample within 6 cm by chance
-    sight_margin_m: float = SIGHT_MARGIN  # metres before a sample that a keyframe's line of sight spares
+    views: int = 64
+    view_width: int = 320
+    view_height: int = 180
+    view_fov_deg: float = 90.0
+    view_supersample: int = 4
+    view_source: ViewSource = "free_space"
+    coverage_alpha: float = 0.5
+    points_source: PointsSource = "both"
+    tsdf_voxel_m: float = 0.02
+    tsdf_truncation_m: float = 0.06
+    tsdf_image_width: int = 320
+    tsdf_samples_per_m2: float = 4000.0
+    sight_margin_m: float = SIGHT_MARGIN
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -107,18 +139,18 @@ class StandardProtocol:
             raise InputError(f"view_source must be one of {', '.join(get_args(ViewSource))}, got '{self.view_source}'")
 
     def parameters(self) -> dict[str, Any]:
-        """Name, version and every constant, for the result file."""
+        """Return name, version and all constants for the result file."""
         return {"name": self.name, "version": self.version, **dataclasses.asdict(self)}
 
     @property
     def camera(self) -> PinholeCamera:
-        """The camera of the views drawn in free space."""
+        """Return the camera of the views drawn in free space."""
         return PinholeCamera.from_size(self.view_width, self.view_height, self.view_fov_deg)
 
     def truth(self, known: GroundTruth) -> Truth:
-        """The observable surface and the held-out views of a scene (both cached by its content).
+        """Return the observable surface and the held-out views of a scene, both cached by its content.
 
-        Raises `InputError` where the TSDF surface of so large a scene could not be fused.
+        Raise `InputError` if the scene is too large for the TSDF surface to be fused.
         """
         from activestructure_gym.evaluation.protocols.held_out_views import free_space_views, recorded_views
         from activestructure_gym.ground_truth.observable import observable_surface_of
@@ -133,26 +165,26 @@ class StandardProtocol:
         return Truth(surface, views, known.scene)
 
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
-        """All numbers of a finished map. ``views`` lists those of every view; the rest are their means.
+        """Return all metrics of a finished map. ``views`` lists the image metrics per view; the others are means.
 
-        Numbers that begin with ``tsdf_`` are those of the surface, which needs the ``path``; the others those of the
-        means. ``observed`` is the share of the surface that a keyframe saw, % of the samples, whatever became of it in
-        the map; it needs the ``path``, too. What is not defined is None, and ``notes`` says why.
+        Geometry metrics with the prefix ``tsdf_`` are of the TSDF surface, which needs the ``path``; those without are
+        of the Gaussians' means. ``observed`` is the share of the surface (%) that a keyframe saw, mapped or not; it
+        needs the ``path`` too. An undefined metric is None, and ``notes`` has its reason.
         """
         notes: dict[str, str] = {}
         means = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
         fused = self._fused_scores(gaussians, truth, path, notes)
-        views = self.looks(gaussians, truth, notes)
+        views = self.view_scores(gaussians, truth, notes)
         return {
             **dataclasses.asdict(means),
             **fused,
             "observed": self._observed(truth, path, notes),
             "true_area_m2": truth.surface.area,
             "true_samples": len(truth.surface.points),
-            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
+            **{name: mean_of_defined(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
             "lpips_weights": lpips.weights_name(),
-            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
-            "view_coverage": mean_of_known(view["coverage"] for view in views),
+            "depth_l1_cm": mean_of_defined(view["depth_l1_cm"] for view in views),
+            "view_coverage": mean_of_defined(view["coverage"] for view in views),
             "views": views,
             "notes": notes,
         }
@@ -165,7 +197,7 @@ class StandardProtocol:
         return share
 
     def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
-        """The share of the surface that any keyframe saw, %; None without poses or without a mesh."""
+        """Return the share of the surface (%) that at least one keyframe saw; None without poses or without a mesh."""
         if path is None or truth.scene is None:
             return None
         return 100.0 * float(np.mean(seen_by_keyframes(truth.surface.points, path, truth.scene, self.sight_margin_m)))
@@ -189,9 +221,9 @@ class StandardProtocol:
         return {f"tsdf_{name}": value for name, value in found.items()} | {"tsdf_area_m2": area}
 
     def surface(self, gaussians: GaussianMap, path: CameraPath) -> FusedSurface:
-        """The TSDF surface: the surface that the map shows at the keyframes, fused.
+        """Fuse the depth that the map renders at the keyframes into the TSDF surface.
 
-        Raises `InputError` where there is none.
+        Raise `InputError` if the protocol measures means only, or the surface is too large.
         """
         if self.points_source != "both":
             raise InputError("this protocol asks for means only")
@@ -206,24 +238,24 @@ class StandardProtocol:
         )
 
     def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
-        """Depth of what the map shows, 0 where it shows nothing: [K, H, W] metres."""
+        """Render the map's surface depth [K, H, W] in metres at the poses; 0 = no surface."""
         from activestructure_gym.splatting.surface_depth import surface_depth
 
         return surface_depth(gaussians.parameters, gaussians.count, camera, poses)
 
     def on_surface(self, triangles: Callable[[], Iterable[np.ndarray]]) -> SurfacePoints:
-        """Points on the triangles, uniform by area, the same ones for the same triangles.
+        """Sample points uniformly by area on the triangles; equal triangles give equal points.
 
-        As many as a distance to the nearest of them needs to be one to the surface: it decides about completion.
+        They are dense enough for the distance to the nearest point to approximate the distance to the surface.
         """
         return SurfacePoints(triangles, per_m2=self.tsdf_samples_per_m2, least=self.surface_samples)
 
-    def looks(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
-        """The numbers of every held-out view."""
+    def view_scores(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
+        """Return the image metrics of every held-out view; add the reasons of undefined ones to ``notes``."""
         if min(truth.views.camera.width, truth.views.camera.height) < MS_SSIM_SIDE:
             notes["ms_ssim"] = f"its five scales need images of at least {MS_SSIM_SIDE} pixels on the smaller side"
         with lpips.measuring(notes) as distance:
-            return every_view(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
+            return measure_views(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
 
     def checkpoint(
         self,
@@ -235,11 +267,13 @@ class StandardProtocol:
         samples: int,
         surface: bool = False,
     ) -> dict[str, float]:
-        """Measure an unfinished map: C.R. on about ``samples`` points of the surface.
+        """Return the scores of an unfinished map for its convergence curve.
 
-        Precision and Acc are of about as many of its means, if there are any. The ``path`` so far adds ``observed`` on
-        the same points. ``images`` adds PSNR and depth error, the means over all held-out views. ``surface`` adds the
-        C.R. of the TSDF surface, fused anew from the depth that the map shows at the keyframes of the ``path``.
+        - The completion ratio is computed on about ``samples`` points of the true surface, and ``observed`` on the same
+          points if the ``path`` so far is given.
+        - Precision and accuracy are computed on about ``samples`` means, if there are any.
+        - ``images`` adds PSNR and depth error, averaged over all held-out views.
+        - ``surface`` adds the completion ratio of the TSDF surface, fused at the keyframes of the ``path``.
         """
         every = slice(None, None, max(1, len(truth.surface.points) // samples))
         part = dataclasses.replace(
@@ -257,32 +291,32 @@ class StandardProtocol:
         if observed is not None:
             found["observed"] = observed
         if surface and path is not None:
-            with suppress(InputError):  # `evaluate` says why there is none
+            with suppress(InputError):  # `evaluate` records the reason
                 pieces = self.on_surface(self.surface(gaussians, path).pieces).pieces()
                 found["tsdf_completion_ratio"] = self._ratio(part, pieces)
         return found
 
     def _image_scores(self, gaussians: GaussianMap, truth: Truth) -> dict[str, float]:
-        """PSNR and depth error, each the mean over all held-out views that it is defined in."""
+        """Return PSNR and depth error, each averaged over the held-out views in which it is defined."""
 
         def look(index: int) -> tuple[float, float | None]:
             rendering = self._render(gaussians, truth, index, threads=1)
             fidelity = psnr(np.clip(rendering.color, 0.0, 1.0), _unit(truth.views.rgb[index]))
             return fidelity, self._depth_error(rendering, truth, index)
 
-        looks = every_view(look, len(truth.views))
-        means = {"psnr": mean_of_known(p for p, _ in looks), "depth_l1_cm": mean_of_known(d for _, d in looks)}
+        looks = measure_views(look, len(truth.views))
+        means = {"psnr": mean_of_defined(p for p, _ in looks), "depth_l1_cm": mean_of_defined(d for _, d in looks)}
         return {name: value for name, value in means.items() if value is not None}
 
     def _ratio(self, surface: SurfaceSamples, pieces: Iterable[np.ndarray]) -> float:
         return 100.0 * float(np.mean(streamed_distances(surface.points, pieces) < self.threshold_m))
 
     def points(self, gaussians: GaussianMap) -> np.ndarray:  # [P, 3]
-        """The reconstructed points: the means of the solid Gaussians."""
+        """Return the reconstructed points: the means of the Gaussians that reach the opacity threshold."""
         return gaussians.means[gaussians.opacities >= self.opacity_threshold]
 
     def picture(self, gaussians: GaussianMap, truth: Truth, index: int) -> np.ndarray:  # [H, W, 3] 0..1
-        """The map as seen from held-out view ``index``; black where there is none."""
+        """Render the map at held-out view ``index``; pixels without a Gaussian are black."""
         return np.clip(self._render(gaussians, truth, index).color, 0.0, 1.0)
 
     def _render(self, gaussians: GaussianMap, truth: Truth, index: int, threads: int | None = None) -> Rendering:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol
-from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN

@@ -10,7 +10,7 @@ from pathlib import Path
 _ALWAYS = {
     "envs.reward": "_mark_seen",
     "evaluation.metrics.fusion_kernels": (
-        "_add_free_space _add_row _cut _with_neighbours areas_of integrate mark range_of_tiles span triangles"
+        "_add_free_space _add_row _cut _with_neighbours areas_of integrate mark_blocks range_of_tiles span triangles"
     ),
     "evaluation.metrics.nearest": "_box_distance _build _search _squared",
     "evaluation.metrics.windows": "_compare _down _first _next _products _window_sums",

@@ -10,7 +10,7 @@ import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.protocols import CameraPath
-from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
 from activestructure_gym.evaluation.training.config import ORACLE, ORACLE_WAY
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.policies import travel_discount

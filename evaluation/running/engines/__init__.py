@@ -1,4 +1,4 @@
-"""Engines, which run a list of jobs: in this process, in processes of this machine, or on a cluster."""
+"""Define the engines that run a list of jobs: in this process, in processes of this machine, or on a cluster."""
 
 from __future__ import annotations
 

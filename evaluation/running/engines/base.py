@@ -1,4 +1,4 @@
-"""The interface of engines: limits, listener, outcomes."""
+"""Define the interface of engines: limits, listener and outcomes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,27 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.ranges import check_ranges
 
-LOGS = "logs"  # sub-directory of a comparison: what the workers wrote to standard error
-_RANGES = {"workers": "[0, 4096]", "timeout_min": "[0, 525600]", "retries": "[0, 1000]"}  # a timeout of up to a year
+LOGS = "logs"  # sub-directory of a comparison with the standard error of the workers
+_RANGES = {"workers": "[0, 4096]", "timeout_min": "[0, 525600]", "retries": "[0, 1000]"}  # 525600 min = 1 year
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a comparison: jobs at a time, minutes per attempt, further attempts."""
+    """Limit the jobs at a time, the time per attempt, and the number of attempts.
 
-    workers: int = 0  # jobs at a time; 0 = as many as there are cores
-    timeout_min: float = 0.0  # minutes per attempt at a job; 0 = any time
-    retries: int = 1  # further attempts at a job that was killed or ran out of time
+    Parameters
+    ----------
+    workers
+        Jobs at a time; 0 = number of cores.
+    timeout_min
+        Minutes per attempt at a job; 0 = no limit.
+    retries
+        Further attempts at a job that was killed or exceeded the time limit.
+    """
+
+    workers: int = 0
+    timeout_min: float = 0.0
+    retries: int = 1
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES, "--")
@@ -29,36 +39,36 @@ class Limits:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a job: finished, or the error."""
+    """Hold the outcome of a job: finished, or the error."""
 
     job: Job
-    error: str | None = None  # None: finished, and its run directory is whole
+    error: str | None = None  # None: finished, with a complete run directory
     attempts: int = 1
 
     @property
     def finished(self) -> bool:
-        """Whether there is a result."""
+        """Return whether the job has a result."""
         return self.error is None
 
 
 class Listener(Protocol):
-    """Callbacks while jobs run, all from one thread."""
+    """Receive callbacks while jobs run, all from one thread."""
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
-        """These jobs will run; so many more were finished before."""
+        """Receive the jobs to run, once before the first one. ``finished``: jobs skipped because results exist."""
 
     def progress(self, job: Job, progress: Progress) -> None:
-        """A running job got somewhere."""
+        """Receive the progress of a running job."""
 
     def on_retry(self, job: Job, error: str) -> None:
-        """An attempt at a job was lost, and another one follows."""
+        """Receive the error of a failed attempt; another attempt follows."""
 
     def ended(self, outcome: Outcome) -> None:
-        """A job ended, one way or the other."""
+        """Receive the outcome of a job, finished or failed."""
 
 
 class Run(Protocol):
-    """Works off a list of jobs."""
+    """Define the function of an engine that runs a list of jobs."""
 
     def __call__(
         self, jobs: Sequence[Job], directory: Path, listener: Listener, limits: Limits, *, keep_open: Sequence[int] = ()
@@ -68,8 +78,8 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Engine:
-    """A way to work off a list of jobs."""
+    """Describe a way to run a list of jobs."""
 
     run: Run
-    slots: Callable[[int, Limits], int]  # of so many jobs, how many run at a time
-    check: Callable[[Limits], None]  # raises `InputError` where it cannot work here; writes nothing
+    slots: Callable[[int, Limits], int]  # number of jobs -> jobs at a time
+    check: Callable[[Limits], None]  # raises `InputError` if the engine cannot work here; writes nothing

@@ -1,4 +1,4 @@
-"""One job after the other in this process: for debugging, and for one core."""
+"""Run jobs one after the other in this process, for debugging or a single core."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.temporary import unlinked
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
-from activestructure_gym.evaluation.running.engines.last_words import error_words
+from activestructure_gym.evaluation.running.engines.failure_text import error_text
 from activestructure_gym.evaluation.running.episode import run_job
 
 
 def run_inline(
     jobs: Sequence[Job], directory: Path, listener: Listener, limits: Limits, *, keep_open: Sequence[int] = ()
 ) -> list[Outcome]:
-    """Run all jobs; one that fails is reported and the others go on. What kills a job here kills the comparison."""
+    """Run all jobs. A failed job is reported and the others continue; a crash of the process ends the comparison."""
     outcomes = []
     for job in jobs:
         outcome = Outcome(job)
         try:
             run_job(job, run_directory(directory, job), partial(listener.progress, job))
-        except (Exception, SystemExit) as error:  # a third party's policy may raise anything
+        except (Exception, SystemExit) as error:  # a plug-in policy may raise any exception
             log = directory / LOGS / f"{job.name}.log"
             log.parent.mkdir(parents=True, exist_ok=True)
             unlinked(log).write_text(traceback.format_exc(), encoding="utf-8")
-            outcome = Outcome(job, error_words(error))
+            outcome = Outcome(job, error_text(error))
         listener.ended(outcome)
         outcomes.append(outcome)
     return outcomes

@@ -1,7 +1,7 @@
-"""One operating-system process per job, several at a time.
+"""Run each job in a process of its own, several at a time.
 
-A pool would lose every pending job when one worker dies (docs/notebook/groundwork.md); here a death costs the
-one job, which is tried again.
+A process pool would lose all pending jobs when one worker is killed (docs/notebook/groundwork.md). Here only the job of
+the killed process is affected, and it is retried.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ def run_local(
     limits: Limits,
     *,
     keep_open: Sequence[int] = (),
-    command: Sequence[str] = WORKER,  # what the interpreter runs, before the run directory
+    command: Sequence[str] = WORKER,  # arguments of the interpreter before the run directory
 ) -> list[Outcome]:
-    """Run all jobs, each in its own process, with the cores shared out evenly.
+    """Run all jobs, each in its own process with an equal share of the cores.
 
-    A job whose worker was killed or ran out of time is tried again when all others have had their turn; one that
-    failed by itself would fail again, and is reported with the last line of its log. On KeyboardInterrupt (or any
-    other error here) all workers are stopped and their half-written directories removed before it goes on upwards.
+    A job whose worker was killed or exceeded the time limit is retried after all others. A job that failed with an
+    error is not retried, and is reported with the last line of its log. On KeyboardInterrupt or another exception here,
+    all workers are stopped and their temporary folders removed before the exception propagates.
     """
     slots = count_slots(len(jobs), limits)
     environment = worker_environment(slots)
     environment["PYTHONPATH"] = os.pathsep.join(search_path())
     (directory / LOGS).mkdir(parents=True, exist_ok=True)
-    waiting = [(job, 1) for job in reversed(jobs)]  # and which attempt it is
+    waiting = [(job, 1) for job in reversed(jobs)]  # (job, number of the attempt)
     running = dict[str, tuple[WorkerProcess, int]]()
     outcomes = list[Outcome]()
     messages: Messages = queue.SimpleQueue()
@@ -80,7 +80,7 @@ def run_local(
 
 
 def count_slots(jobs: int, limits: Limits) -> int:
-    """Processes at a time: one per core unless asked for otherwise, at most one per job."""
+    """Return the number of processes at a time: ``limits.workers`` or one per core, at most one per job."""
     return max(1, min(jobs, limits.workers or core_count()))
 
 

@@ -1,7 +1,7 @@
-"""One attempt at one job in a process of its own: started, listened to, stopped in time, and judged by what it left.
+"""Run one attempt at a job in a process: start it, read its progress, enforce the time limit, return the result.
 
-The attempt ends when its process ends, whoever else holds the process's pipe open. What the process started in its
-session is then killed.
+The attempt ends when its process ends, even if another process still holds its pipe open. Then all processes of its
+session are killed.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.archive.temporary import remove_leftovers, unlinked
 from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.running.engines.base import LOGS
-from activestructure_gym.evaluation.running.engines.last_words import last_words
+from activestructure_gym.evaluation.running.engines.failure_text import failure_text
 from activestructure_gym.evaluation.running.episode import Progress
 
-# -P: nothing in front of the search path that it is given, so that it imports what its supervisor looked at.
+# -P: do not prepend a folder to the module search path, so that the worker imports the same files as its supervisor.
 WORKER = ("-P", "-m", "activestructure_gym.evaluation.running.worker")
-GRACE_SECONDS = 5.0  # between asking a worker to stop and killing it
-_DRAIN_SECONDS = 1.0  # after the end of a process, for what it wrote last
+GRACE_SECONDS = 5.0  # time for a worker to stop before it is killed
+_DRAIN_SECONDS = 1.0  # time to read the last output of an ended process
 
-# (name of the job, a line it wrote); None for the line: its process has ended.
+# (name of the job, line of output); the line is None when the process has ended.
 Messages = queue.SimpleQueue[tuple[str, str | None]]
 
 
 @dataclass(frozen=True)
 class Ended:
-    """The end of an attempt at a job."""
+    """Hold the result of an attempt at a job."""
 
-    error: str | None = None  # None: the run directory is whole
-    lost: bool = False  # killed or out of time, which says nothing about the next attempt
+    error: str | None = None  # None: the run directory is complete
+    lost: bool = False  # killed, or stopped at the time limit: another attempt may succeed
 
 
 class WorkerProcess:
-    """A running process and the job it works on."""
+    """Run a job in a process and watch it."""
 
     def __init__(
         self,
@@ -55,17 +55,17 @@ class WorkerProcess:
         messages: Messages,
         *,
         environment: Mapping[str, str],
-        command: Sequence[str] = WORKER,  # what the interpreter runs, before the run directory
-        minutes: float = 0.0,  # until it is stopped; 0 = never
+        command: Sequence[str] = WORKER,  # arguments of the interpreter before the run directory
+        minutes: float = 0.0,  # time limit; 0 = none
         attempt: int = 1,
-        keep_open: Sequence[int] = (),  # descriptors it keeps open while it lives
+        keep_open: Sequence[int] = (),  # file descriptors that the process inherits and keeps open
     ) -> None:
         self.job, self.directory, self._minutes = job, directory, minutes
         self._deadline = time.monotonic() + 60 * minutes if minutes else None
         self._overdue = False
         self._over = threading.Event()  # the process has ended
-        self._told = threading.Lock()
-        self._left_behind: list[str] = []  # processes that it had started and that were ended after it
+        self._message_lock = threading.Lock()  # no line follows the message that the process has ended
+        self._left_behind: list[str] = []  # processes of its session that were killed after its end
         path = directory / LOGS / f"{job.name}.log"
         path.parent.mkdir(parents=True, exist_ok=True)
         self._log = open(unlinked(path), "wb" if attempt == 1 else "ab")
@@ -79,20 +79,23 @@ class WorkerProcess:
             text=True,
             encoding="utf-8",
             errors="replace",
-            # Ctrl-C in a terminal goes to the whole group; the workers are stopped by us, in order.
+            # Ctrl-C in a terminal reaches the whole process group. A new session excludes the worker, which we stop.
             start_new_session=True,
             pass_fds=tuple(keep_open) if os.name == "posix" else (),
         )
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(job.as_dict()) + "\n")
-            self._process.stdin.flush()  # and left open: a worker ends when this pipe does
+            self._process.stdin.flush()  # the pipe stays open: a worker ends when it is closed
         except BrokenPipeError:
-            pass  # it ended at once; its log says why
+            pass  # the process ended at once; its log has the reason
         threading.Thread(target=self._await_end, args=(messages,), daemon=True).start()
 
     def seconds_left(self) -> float | None:
-        """Seconds until the next time limit, None without one; a process past its limit is terminated, then killed."""
+        """Return the seconds until the next time limit, None without one; stop a process that exceeds its limit.
+
+        Such a process is terminated first, and killed after `GRACE_SECONDS`.
+        """
         if self._deadline is None:
             return None
         left = self._deadline - time.monotonic()
@@ -112,30 +115,30 @@ class WorkerProcess:
         self._process.terminate()
 
     def stop(self) -> None:
-        """Wait for the process, kill it after `GRACE_SECONDS`, and remove its half-written files."""
+        """Wait for the process, kill it after `GRACE_SECONDS`, and remove its temporary folder."""
         if not self._over.wait(GRACE_SECONDS):
             self._process.kill()
             self._over.wait()
         self._close()
 
     def finish(self) -> Ended:
-        """Outcome of the attempt; call it when the process has ended."""
+        """Return the result of the attempt. Call this after the process has ended."""
         log, code = Path(self._log.name), self._process.returncode
-        words = last_words(log, self._log_start, code)
+        words = failure_text(log, self._log_start, code)
         if self._left_behind:
             number = pluralised(len(self._left_behind), "process", "processes")
             line = f"ended with this run: {number} that it had started: {', '.join(self._left_behind)}"
             self._log.seek(0, os.SEEK_END)
             self._log.write(f"{line}\n".encode())
         self._close()
-        # However it ended: a result that is whole counts, and is not computed twice.
+        # A complete result counts even if the process failed afterwards.
         if is_done(run_directory(self.directory, self.job), self.job):
             if not log.stat().st_size:
                 log.unlink()
             return Ended()
         if self._overdue:
             return Ended(f"stopped after {self._minutes:g} min (--timeout-min)", lost=True)
-        # Above 128: it was asked to end by a signal, and did so in order.
+        # Exit codes above 128 mean that a signal asked the process to end.
         return Ended(words, lost=code < 0 or code > 128)
 
     def _close(self) -> None:
@@ -146,10 +149,10 @@ class WorkerProcess:
         remove_leftovers(self.directory / JOBS, self.job.name)
 
     def _await_end(self, messages: Messages) -> None:
-        """Pass on what the process writes until it ends; a process that it left behind may hold the pipe for ever."""
+        """Forward the output of the process until it ends, even if another process still holds the pipe open."""
         reader = threading.Thread(target=self._listen, args=(messages,), daemon=True)
         reader.start()
-        if hasattr(os, "waitid"):  # its number stays its own until the next wait
+        if hasattr(os, "waitid"):  # WNOWAIT keeps the process id reserved until the session has ended
             with suppress(ChildProcessError):
                 os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
         else:
@@ -157,7 +160,7 @@ class WorkerProcess:
         self._left_behind = end_session(self._process.pid)
         self._process.wait()
         reader.join(_DRAIN_SECONDS)
-        with self._told:
+        with self._message_lock:
             self._over.set()
             messages.put((self.job.name, None))
 
@@ -165,13 +168,13 @@ class WorkerProcess:
         assert self._process.stdout is not None
         with self._process.stdout as lines:
             for line in lines:
-                with self._told:
+                with self._message_lock:
                     if not self._over.is_set():
                         messages.put((self.job.name, line))
 
 
 def next_message(messages: Messages, workers: Iterable[WorkerProcess]) -> tuple[str, str | None]:
-    """Wait for the next line of any of the workers; stops those whose time is over meanwhile."""
+    """Wait for the next message of any worker; meanwhile stop workers that exceed their time limit."""
     while True:
         times = [left for worker in workers if (left := worker.seconds_left()) is not None]
         try:
@@ -181,7 +184,7 @@ def next_message(messages: Messages, workers: Iterable[WorkerProcess]) -> tuple[
 
 
 def read_progress(line: str) -> Progress | None:
-    """The progress in a worker's line of output; None for any other line, such as a torn one."""
+    """Parse the progress in a line of a worker's output; return None for any other line, such as a truncated one."""
     try:
         return Progress(**json.loads(line))
     except (json.JSONDecodeError, TypeError):
@@ -189,6 +192,6 @@ def read_progress(line: str) -> Progress | None:
 
 
 def search_path() -> list[str]:
-    """This process's module search path, for workers to find the same modules."""
-    # Ray puts private copies of other packages in front.
+    """Return this process's module search path, so that workers find the same modules."""
+    # Ray prepends private copies of other packages, which are left out.
     return [path or os.getcwd() for path in sys.path if not path.endswith("thirdparty_files")]

@@ -1,9 +1,8 @@
-"""Jobs on the machines of a Ray cluster; all of them see the comparison's directory under the same path.
+"""Run jobs on the machines of a Ray cluster, which share the comparison's directory under the same path.
 
-A Ray task starts the same worker process as engine ``local`` and waits for it. So the caps on threads are set before
-any library loads, a job that crashes takes no Ray worker with it, and results are written in the same way. Ray runs a
-task again when it loses the worker or the machine; the process of a lost task ends
-by itself, because its standard input does.
+A Ray task starts the same worker process as engine ``local`` and waits for it. So thread limits are set before any
+library is loaded, a crash of a job does not end the Ray worker, and results are written in the same way. Ray repeats a
+task when its worker or machine is lost. The process of a lost task ends because its standard input is closed.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ from activestructure_gym.evaluation.running.engines.process import (
     search_path,
 )
 
-_LOSSES = 3  # workers or machines that may be lost during one job before it is given up: Ray's own default
-_TICK = 0.25  # seconds between two looks at the progress
-_PATIENCE = 10.0  # seconds until a file written on one machine is seen on another, where the file system is shared
+_LOSSES = 3  # lost workers or machines per job before it fails: Ray's default
+_TICK = 0.25  # seconds between two requests for progress
+_PATIENCE = 10.0  # seconds until a file written on one machine is visible on another through the shared file system
 
 
 def run_ray(
@@ -47,24 +46,24 @@ def run_ray(
     listener: Listener,
     limits: Limits,
     *,
-    keep_open: Sequence[int] = (),  # of no use to other machines
-    command: Sequence[str] = WORKER,  # what the interpreter runs, before the run directory
+    keep_open: Sequence[int] = (),  # ignored: descriptors cannot be passed to other machines
+    command: Sequence[str] = WORKER,  # arguments of the interpreter before the run directory
 ) -> list[Outcome]:
-    """Run all jobs, each in a process of its own on some machine of the cluster.
+    """Run all jobs, each in a process of its own on a machine of the cluster.
 
-    The cluster is the one of ``RAY_ADDRESS``, else one that ``ray start`` has started on this machine, else this
-    machine alone. ``limits.timeout_min`` and ``limits.retries`` are those of engine ``local``; a lost Ray worker or
-    machine is Ray's to replace, and counts as no attempt. Raises `InputError` where the cluster cannot be reached.
+    The cluster is that of ``RAY_ADDRESS``, else one started on this machine by ``ray start``, else this machine alone.
+    ``limits.timeout_min`` and ``limits.retries`` have the same meaning as for engine ``local``. A lost Ray worker or
+    machine is replaced by Ray and does not count as an attempt. Raise `InputError` if the cluster cannot be reached.
     """
     (directory / LOGS).mkdir(parents=True, exist_ok=True)
     ours, ray = _connect()
     threads = _threads(len(jobs), limits)
     board: Any = ray.remote(num_cpus=0)(_Board).options(scheduling_strategy=_here(ray)).remote()
-    news = _News(ray, board)
+    reader = _BoardReader(ray, board)
     task: Any = ray.remote(num_cpus=threads, max_retries=max(_LOSSES, limits.retries))(_attempt)
     variables = {name: value for name, value in os.environ.items() if name.startswith("ASG_")}
     variables["PYTHONPATH"] = os.pathsep.join(search_path())
-    waiting = [(job, 1) for job in reversed(jobs)]  # and which attempt it is
+    waiting = [(job, 1) for job in reversed(jobs)]  # (job, number of the attempt)
     running = dict[Any, tuple[Job, int]]()
     outcomes = list[Outcome]()
     try:
@@ -82,9 +81,9 @@ def run_ray(
                 )
                 running[task.remote(order, board)] = job, attempt
             ready, _ = ray.wait(list(running), timeout=_TICK)
-            lines = news.lines()
-            if ready:  # what these said is on the board, and may have come after the first question
-                lines += news.lines(_PATIENCE)
+            lines = reader.lines()
+            if ready:  # the last lines of ended jobs may have reached the board after the first request
+                lines += reader.lines(_PATIENCE)
             _pass_on(lines, {job.name: job for job, _ in running.values()}, listener)
             for reference in ready:
                 job, attempt = running.pop(reference)
@@ -107,7 +106,7 @@ def run_ray(
 
 @dataclass(frozen=True)
 class _Order:
-    """Arguments of a Ray task."""
+    """Hold the arguments of a Ray task."""
 
     job: dict[str, Any]
     directory: str
@@ -119,29 +118,31 @@ class _Order:
 
 
 class _Board:
-    """An actor that keeps what the workers say until the supervisor asks for it."""
+    """Collect the output lines of the workers, as a Ray actor, until the supervisor requests them."""
 
     def __init__(self) -> None:
         self._lines: list[tuple[str, str]] = []
 
-    def tell(self, name: str, line: str) -> None:
+    def add(self, name: str, line: str) -> None:
+        """Add a line of the named job."""
         self._lines.append((name, line))
 
     def take(self) -> list[tuple[str, str]]:
+        """Return all lines since the last call, with the names of their jobs."""
         lines, self._lines = self._lines, []
         return lines
 
 
 def _attempt(order: _Order, board: Any) -> Ended:
-    """One attempt at a job, on whichever machine this runs."""
+    """Run one attempt at a job on the machine of this task."""
     job, directory = Job.from_dict(order.job), Path(order.directory)
     if not directory.is_dir():
         return Ended(f"'{directory}' is not on every machine of the cluster; choose an --out that all of them share")
-    # This may be Ray's second attempt, after the first one had written its result.
+    # Ray may repeat a task after its first execution has written the result.
     if is_done(run_directory(directory, job), job):
         return Ended()
     messages: Messages = queue.SimpleQueue()
-    told: list[Any] = []
+    sent: list[Any] = []
     worker = WorkerProcess(
         job, directory, messages, environment=capped_environment(order.threads) | dict(order.variables),
         command=order.command, minutes=order.minutes, attempt=order.attempt,
@@ -151,25 +152,25 @@ def _attempt(order: _Order, board: Any) -> Ended:
             name, line = next_message(messages, [worker])
             if line is None:
                 ended = worker.finish()
-                _await_all(told)
+                _await_all(sent)
                 return ended
-            told = [board.tell.remote(name, line)]  # an actor hears what one caller says in order: the last is enough
+            sent = [board.add.remote(name, line)]  # calls of one caller run in order, so only the last is awaited
     except BaseException:
         worker.ask_to_stop()
         worker.stop()
         raise
 
 
-def _await_all(told: list[Any]) -> None:
-    """Wait until the board has heard this; without a board nobody listens."""
+def _await_all(sent: list[Any]) -> None:
+    """Wait until the board has received the lines, or `_PATIENCE` has passed."""
     import ray
 
-    if told:
-        ray.wait(told, timeout=_PATIENCE)
+    if sent:
+        ray.wait(sent, timeout=_PATIENCE)
 
 
 def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
-    """The outcome of a Ray task, as this machine sees it."""
+    """Return the result of a Ray task; wait until its files are visible on this machine."""
     try:
         ended: Ended = ray.get(reference)
     except ray.exceptions.RayError as error:
@@ -181,19 +182,19 @@ def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
             return Ended("finished on another machine, and not seen here; choose an --out that all machines share")
         time.sleep(_TICK)
         if place.parent.is_dir():
-            os.listdir(place.parent)  # a network file system looks again
+            os.listdir(place.parent)  # makes a network file system update its cache
     return ended
 
 
-class _News:
-    """Polls the board for messages, one request at a time: an answer may be late, and messages leave with it."""
+class _BoardReader:
+    """Request lines from the board, one request at a time: the board deletes the lines that it returns."""
 
     def __init__(self, ray: Any, board: Any) -> None:
         self._ray, self._board = ray, board
         self._asked: Any = None
 
     def lines(self, patience: float = 10 * _TICK) -> list[tuple[str, str]]:
-        """The lines since the last answer; none if it takes longer than ``patience`` seconds or there is no board."""
+        """Return the lines since the last answer; none if it takes over ``patience`` seconds or the board fails."""
         if self._asked is None:
             self._asked = self._board.take.remote()
         if not self._ray.wait([self._asked], timeout=patience)[0]:
@@ -214,9 +215,9 @@ def _pass_on(lines: Sequence[tuple[str, str]], jobs: Mapping[str, Job], listener
 
 
 def _connect() -> tuple[bool, Any]:
-    """Ray itself, connected, and whether it is ours to shut down."""
+    """Connect to a cluster; return whether this call started the connection, and the module ``ray``."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # what Ray will do anyway, without its warning
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # Ray's future default; avoids its warning
     _choose_token()
     import ray
 
@@ -235,11 +236,11 @@ def _connect() -> tuple[bool, Any]:
 
 
 def _choose_token() -> None:
-    """Show clusters the user's token; if there is none, one for a cluster that lives no longer than this process.
+    """Make Ray use the user's token; without one, create a token for this process only.
 
-    Ray by itself shows no token where ``RAY_ADDRESS`` is given. And it writes one to the home directory when it starts
-    a cluster of its own: from then on ``ray start --head`` would ask for it while ``ray start --address`` does not show
-    it, so that a run on one machine would break the recipe for many. A cluster that asks for no token takes any.
+    By default Ray sends no token if ``RAY_ADDRESS`` is set. When it starts a cluster itself, it writes a token to the
+    home directory. From then on ``ray start --head`` requires the token, but ``ray start --address`` does not send it.
+    So a run on one machine would break later runs on several. A cluster without tokens accepts any token.
     """
     if "RAY_AUTH_MODE" in os.environ or "ray" in sys.modules:  # Ray reads the mode when it is imported
         return
@@ -250,14 +251,14 @@ def _choose_token() -> None:
 
 
 def _here(ray: Any) -> Any:
-    """Scheduling strategy: on this machine if possible, so that the loss of another one costs nothing."""
+    """Return a scheduling strategy that prefers this machine, so that the board survives the loss of another one."""
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     return NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
 
 
 def _threads(jobs: int, limits: Limits) -> int:
-    """Threads of each job: the cluster's cores shared out evenly, never more than its smallest machine has."""
+    """Return the threads per job: an equal share of the cluster's cores, at most the cores of its smallest machine."""
     import ray
 
     machines = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]

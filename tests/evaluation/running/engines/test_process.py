@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import is_alive
 from activestructure_gym.evaluation.running.engines import process
 from activestructure_gym.evaluation.running.engines.base import LOGS, Limits
-from activestructure_gym.evaluation.running.engines.last_words import error_words, last_words
+from activestructure_gym.evaluation.running.engines.failure_text import error_text, failure_text
 from activestructure_gym.evaluation.running.engines.local import run_local
 from tests.evaluation.running.engines.test_local import Recorder
 
@@ -168,13 +168,13 @@ Extension modules: numpy._core (total: 1)
 ])  # fmt: skip
 def test_the_words_about_a_worker_that_left_no_result(tmp_path, code, said, words):
     (tmp_path / "log").write_text("of the first attempt\n" + said)
-    assert last_words(tmp_path / "log", len("of the first attempt\n"), code) == words
+    assert failure_text(tmp_path / "log", len("of the first attempt\n"), code) == words
 
 
 def test_the_words_about_an_exception_in_this_process():
-    assert error_words(KeyError("x")) == "KeyError: 'x'"
-    assert error_words(SystemExit()) == "the policy ended the process (exit code 0) before the run was done"
-    assert error_words(MemoryError()) == "MemoryError (memory ran out: use fewer --workers or a smaller scene)"
+    assert error_text(KeyError("x")) == "KeyError: 'x'"
+    assert error_text(SystemExit()) == "the policy ended the process (exit code 0) before the run was done"
+    assert error_text(MemoryError()) == "MemoryError (memory ran out: use fewer --workers or a smaller scene)"
 
 
 def lives(number: int) -> bool:

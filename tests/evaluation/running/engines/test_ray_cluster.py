@@ -232,8 +232,8 @@ def test_an_answer_that_comes_late_is_not_lost(cluster):
             return super().take()
 
     board = ray.remote(num_cpus=0)(Slow).remote()
-    board.tell.remote("job", "line")
-    news, looks, heard = ray_cluster._News(ray, board), 0, []
+    board.add.remote("job", "line")
+    news, looks, heard = ray_cluster._BoardReader(ray, board), 0, []
     while not heard and looks < 600:
         heard, looks = news.lines(0.1), looks + 1
     assert heard == [("job", "line")] and looks > 1

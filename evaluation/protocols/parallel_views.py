@@ -1,4 +1,4 @@
-"""Many views of one map, measured side by side."""
+"""Measure the views of one map in parallel threads."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from activestructure_gym.evaluation.machine.threads import thread_cap
 T = TypeVar("T")
 
 
-def every_view(measure: Callable[[int], T], count: int) -> list[T]:
-    """``measure(0) ... measure(count - 1)``, as many at a time as there are cores.
+def measure_views(measure: Callable[[int], T], count: int) -> list[T]:
+    """Return ``[measure(0), ..., measure(count - 1)]``, computed in parallel with one thread per view.
 
-    Views do not know of each other, so the result does not depend on the number of threads. One thread per view beats
-    all threads on one view: nothing waits for the slowest tile.
+    Views are independent, so the result does not depend on the number of threads. One thread per view is faster than
+    all threads on one view, because no thread waits for the slowest tile of an image.
     """
     threads = min(thread_cap(), count)
     if threads <= 1:
@@ -24,7 +24,7 @@ def every_view(measure: Callable[[int], T], count: int) -> list[T]:
         return list(pool.map(measure, range(count)))
 
 
-def mean_of_known(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None; None where there is none."""
+def mean_of_defined(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the values that are not None; None if all are None."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None

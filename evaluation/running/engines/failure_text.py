@@ -1,4 +1,4 @@
-"""The sentence about a worker process that ended without a result, from its exit code and its log."""
+"""Describe in one sentence why a worker process ended without a result, from its exit code and its log."""
 
 from __future__ import annotations
 
@@ -18,39 +18,40 @@ _REASONS = {
 _NO_MEMORY = "memory ran out: use fewer --workers or a smaller scene"
 
 
-def last_words(log: Path, start: int, code: int) -> str:
-    """Why a process with this exit code left no result; its log begins at byte ``start``."""
+def failure_text(log: Path, start: int, code: int) -> str:
+    """Describe why a process with this exit code has no result; its log begins at byte ``start`` of the file."""
     text = log.read_bytes()[start:].decode("utf-8", errors="replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    last = one_line(lines[-1]) if lines else ""  # a policy's exception may say anything
+    last = one_line(lines[-1]) if lines else ""  # a message of a plug-in may contain control characters
     if code < 0:
         return f"{_place_of_fault(lines) or last or 'the worker wrote nothing'} ({_signal(-code)})"
     if code == 0 or re.match(r"SystemExit\b", last):
-        return ended_by_its_code(code)
+        return exit_text(code)
     if is_memory_error(last):
         last = f"{last} ({_NO_MEMORY})"
     return f"{last or 'the worker wrote nothing'} (exit code {code})"
 
 
-def ended_by_its_code(code: object) -> str:
-    """The sentence about a process that a policy, a feature or a scene has ended, as with ``sys.exit``."""
+def exit_text(code: object) -> str:
+    """Describe the end of a process by a policy, a feature or a scene, for example with ``sys.exit``."""
     return f"the policy ended the process (exit code {0 if code is None else code}) before the run was done"
 
 
-def error_words(error: BaseException) -> str:
-    """The sentence about an exception of a run in this process."""
+def error_text(error: BaseException) -> str:
+    """Describe an exception of a run in this process."""
     if isinstance(error, SystemExit):
-        return ended_by_its_code(error.code)
+        return exit_text(error.code)
     words = one_line(f"{type(error).__name__}: {error}".removesuffix(": "))
     return f"{words} ({_NO_MEMORY})" if isinstance(error, MemoryError) else words
 
 
 def is_memory_error(line: str) -> bool:
-    """Whether the last line of a traceback says that memory ran out."""
+    """Return whether the last line of a traceback is about missing memory."""
     return bool(re.match(r"([\w.]*\b_?(Array)?MemoryError\b|std::bad_alloc|OpenBLAS error: Memory allocation)", line))
 
 
 def _signal(number: int) -> str:
+    """Describe the end of a process by a signal, with the probable reason."""
     try:
         name = signal.Signals(number).name
     except ValueError:
@@ -60,7 +61,7 @@ def _signal(number: int) -> str:
 
 
 def _place_of_fault(lines: list[str]) -> str:
-    """The fault and the line of Python it happened in, where Python's fault handler has written them."""
+    """Return the fault and its line of Python, if Python's fault handler has written them; else an empty text."""
     for at, line in enumerate(lines):
         if line.startswith("Fatal Python error: "):
             fault = line.removeprefix("Fatal Python error: ")

@@ -1,4 +1,4 @@
-"""What the keyframes of an episode saw of the true surface: lines of sight through the mesh, no matter the map."""
+"""Test which points of the true surface were visible in the keyframes of an episode, by lines of sight."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def seen_by_keyframes(
     points: np.ndarray,  # [S, 3] metres, on the surface
     path: CameraPath,
     scene: Scene,
-    margin: float,  # metres before a point that its line of sight spares
+    margin: float,  # metres in front of a point in which the mesh does not block the line of sight
 ) -> np.ndarray:  # [S] bool
-    """Which points any keyframe saw: inside the image, within the sensor's range, and nothing of the mesh before them.
+    """Return which points at least one keyframe saw: in the image, within the sensor's range, and not occluded.
 
-    A line of sight per point has no pixels, so a slanted surface is not lost between two of them. The side of the
-    surface does not matter, as for the observable surface itself.
+    Lines of sight end exactly at the points, so slanted surfaces are not missed between pixels. Both sides of a surface
+    count as visible, as for the observable surface.
     """
     camera, camera_from_world = path.camera, invert_rigid(path.keyframes)
 

@@ -5,7 +5,7 @@ import pytest
 
 from activestructure_gym.evaluation.metrics import SurfaceSamples
 from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol, Truth
-from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples

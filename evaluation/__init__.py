@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         StandardProtocol,
         get_protocol,
     )
+    from activestructure_gym.evaluation.protocols.metrics import METRICS, Metric, MetricContext
     from activestructure_gym.evaluation.running.api import compare
     from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits
@@ -45,6 +46,7 @@ _PLACES = {
     "archive.store": ("Run", "read_run"),
     "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
     "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "StandardProtocol", "get_protocol"),
+    "protocols.metrics": ("METRICS", "Metric", "MetricContext"),
     "running.api": ("compare",),
     "running.comparison": ("Comparison", "Result", "run_comparison"),
     "running.engines": ("Limits",),
@@ -53,12 +55,15 @@ _PLACES = {
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
 
 __all__ = [
+    "METRICS",
     "PROTOCOLS",
     "ActiveGamerProtocol",
     "Comparison",
     "Conditions",
     "Job",
     "Limits",
+    "Metric",
+    "MetricContext",
     "Result",
     "Run",
     "StandardProtocol",

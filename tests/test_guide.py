@@ -30,9 +30,10 @@ def shown() -> Iterator[Any]:
 @pytest.mark.parametrize(("page", "number"), shown())
 def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from activestructure_gym.evaluation.protocols import PROTOCOLS
+    from activestructure_gym.evaluation.protocols.metrics import METRICS
     from activestructure_gym.evaluation.running.engines import ENGINES
 
-    for registry in (PROTOCOLS, ENGINES):
+    for registry in (PROTOCOLS, ENGINES, METRICS):
         monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     module = ModuleType("shown_in_the_guide")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, module.__name__, module)

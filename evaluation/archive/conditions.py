@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
+from activestructure_gym.evaluation.protocols.metrics import METRICS, get_metric
 from activestructure_gym.policies.native_settings import NATIVE_PRESET, Setup, native_settings_of
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class Conditions:
         The protocol that measures every finished map.
     also
         Further protocols with their default constants, by name: ``("activegamer",)``, ``("mine:Protocol",)``.
+    metrics
+        Further metrics, by name: registered, or ``("mine:worst_tenth",)``.
     setup
         ``"shared"`` (equal candidates, keyframes and mapper) or ``"native"`` (each policy's own).
 
@@ -51,28 +54,34 @@ class Conditions:
     start_pose: tuple[float, float, float, float] | None = None
     protocol: StandardProtocol = field(default_factory=StandardProtocol)
     also: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = ()
     setup: Setup = "shared"
 
     def __post_init__(self) -> None:
         if self.frame_budget is not None and self.frame_budget < 1:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
-        if isinstance(self.also, str):
-            raise InputError(f"also is a list of names, as ['{self.also}'], got the text {short_repr(self.also)}")
+        for kind, names in (("also", self.also), ("metrics", self.metrics)):
+            if isinstance(names, str):
+                raise InputError(f"{kind} is a list of names, as ['{names}'], got the text {short_repr(names)}")
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
         for name in self.also:
             if not PROTOCOLS.imports(str(name)):
                 PROTOCOLS.get(name)
+        for name in self.metrics:
+            if not METRICS.imports(str(name)):
+                get_metric(name)
         native_settings_of(None, self.setup)
         if self.preset is None:
             object.__setattr__(self, "preset", NATIVE_PRESET if self.setup == "native" else "default")
         object.__setattr__(self, "also", tuple(sorted(set(self.also))))
+        object.__setattr__(self, "metrics", tuple(sorted(set(self.metrics))))
         object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the conditions as plain values for JSON, without ``setup`` if it is ``"shared"``.
+        """Return the conditions as plain values for JSON, without a shared ``setup`` and empty ``metrics``.
 
-        A plug-in protocol is not imported.
+        No plug-in is imported.
         """
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)
@@ -82,6 +91,8 @@ class Conditions:
         ]
         if self.setup == "shared":
             del content["setup"]
+        if not self.metrics:
+            del content["metrics"]
         return content
 
     @classmethod
@@ -97,7 +108,8 @@ class Conditions:
         start_pose = values.pop("start_pose")
         overrides = {k: tuple(v) if isinstance(v, list) else v for k, v in values.pop("overrides").items()}
         start_pose = None if start_pose is None else tuple(start_pose)
-        return cls(**values, overrides=overrides, start_pose=start_pose, protocol=protocol, also=also)
+        metrics = tuple(values.pop("metrics", ()))
+        return cls(**values, overrides=overrides, start_pose=start_pose, protocol=protocol, also=also, metrics=metrics)
 
     def changes(self, policy: Policy | type[Policy] | None) -> dict[str, Any]:
         """Return all changes of the preset: the policy's own settings in this setup, then the overrides."""

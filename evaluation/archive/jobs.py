@@ -18,6 +18,7 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import PROTOCOLS
+from activestructure_gym.evaluation.protocols.metrics import METRICS
 from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
@@ -121,13 +122,13 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
 
 
 def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
-    """Yield the parts that a job names, each with its registry: policy, protocols, parts in the overrides."""
+    """Yield the parts that a job names, each with its registry: policy, protocols, metrics, parts in the overrides."""
     from activestructure_gym.policies import POLICIES
 
     if not (is_reference(job.policy) or is_trajectory(job.policy)):
         yield POLICIES, job.policy
-    for name in job.conditions.also:
-        yield PROTOCOLS, name
+    yield from ((PROTOCOLS, name) for name in job.conditions.also)
+    yield from ((METRICS, name) for name in job.conditions.metrics)
     yield from named_in_overrides(job.conditions.overrides)
 
 

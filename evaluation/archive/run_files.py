@@ -22,6 +22,8 @@ from activestructure_gym.evaluation.archive.schema import (
     text,
 )
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE, LEVELS
+from activestructure_gym.evaluation.protocols.metrics import Metric
+from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD, SURFACE
 from activestructure_gym.ranges import MAX_ASPECT_RATIO, MAX_COORDINATE_M, MAX_FRAMES
 
 _MAX_IMAGE_SIDE = 16384  # pixels
@@ -42,7 +44,7 @@ JOB: Check = table(
         "start_pose": maybe(each(number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=4)), "protocol": PROTOCOL,
         "also": each(table({"name": text}, {"version": number(whole=True)})),
     },
-    {"setup": text},
+    {"setup": text, "metrics": each(text)},
 )  # fmt: skip
 COMPARISON: Check = table(
     {"jobs": table(others=JOB)},
@@ -78,9 +80,8 @@ CONFIG: Check = table(
 )  # fmt: skip
 
 _MEASURED = (
-    "accuracy_cm", "completion_cm", "precision", "f_score", "observed", "ssim", "ms_ssim", "lpips", "depth_l1_cm",
-    *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
-    "observed_area", *LATE.values(),
+    *(metric.name for metric in STANDARD), *(f"tsdf_{metric.name}" for metric in SURFACE), "observed_area",
+    *LATE.values(),
 )  # fmt: skip
 # Metrics of runs that follow a given trajectory.
 _FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
@@ -88,6 +89,10 @@ _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": number()}
 _POINT_MORE = {name: maybe(number()) for name in CURVE_MEASURES if name not in _POINT}
 CURVE: Check = each(table(_POINT, _POINT_MORE), least=1)
+_OWN_METRIC = table(
+    {"name": text, "label": text, "unit": text, "digits": number(0, 12, whole=True), "best": text, "meaning": text},
+    {"reason": text},
+)
 METRICS: Check = table(
     {
         "format": number(whole=True),
@@ -103,14 +108,14 @@ METRICS: Check = table(
         ),
         "curve": CURVE,
     },
-    {"protocol": PROTOCOL, "scene": text},
+    {"protocol": PROTOCOL, "scene": text, "own_metrics": each(_OWN_METRIC)},
 )  # fmt: skip
 EVALUATION: Check = table(
     {
         "protocol": PROTOCOL,
         "metrics": table(
             {**_VIEWS, "lpips": maybe(number())},
-            dict.fromkeys((*_MEASURED, "completion_ratio", "psnr"), maybe(number())),
+            dict.fromkeys(_MEASURED, maybe(number())),
         ),
     }
 )
@@ -261,6 +266,14 @@ def check_config(content: Any, place: str) -> None:
             raise Mismatch(f"configuration lacks {field}")
 
 
+def check_metrics(content: Any, place: str) -> None:
+    """Raise `Mismatch` unless ``metrics.json`` is valid, and every metric that it describes is a number or null."""
+    METRICS(content, place)
+    for described in content.get("own_metrics", ()):
+        metric = Metric.from_dict(described)
+        maybe(number())(content["metrics"].get(metric.name), f"metrics.{metric.name}")
+
+
 def check_steps(steps: list[Any]) -> None:
     """Raise `Mismatch` unless every decision is valid and the frames never decrease."""
     if len(steps) > MAX_FRAMES:
@@ -278,12 +291,12 @@ __all__ = [
     "CURVE",
     "EVALUATION",
     "JOB",
-    "METRICS",
     "TIMING",
     "TRAJECTORY",
     "anything",
     "check_config",
     "check_graph",
+    "check_metrics",
     "check_pictures",
     "check_plan",
     "check_steps",

@@ -94,7 +94,7 @@ def table(
 ) -> Check:
     """Return a check for an object with ``required`` and ``optional`` keys; ``others`` checks all other values."""
     needed = dict(required or {})
-    known = needed | dict(optional or {})
+    known = dict(optional or {}) | needed
 
     def check(value: Any, place: str) -> None:
         if not isinstance(value, dict):

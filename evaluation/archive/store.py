@@ -297,7 +297,7 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
     """Read a run as `read_run` does, without requiring its completion marker."""
     marker, checksums = marker_and_checksums(directory)
     found = {}
-    checks = {"config": run_files.check_config, "metrics": run_files.METRICS, "timing": run_files.TIMING}
+    checks = {"config": run_files.check_config, "metrics": run_files.check_metrics, "timing": run_files.TIMING}
     for name, check in checks.items():
         # Compare the format version first: files of other versions are not checked.
         content = found[name] = _read(directory, f"{name}.json", checksums, schema.read_checked_json)

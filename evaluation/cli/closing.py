@@ -32,6 +32,7 @@ def print_end(
     from activestructure_gym.evaluation.report.page.method_text import trajectories_text
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
+    from activestructure_gym.evaluation.report.tables.columns import own_absences
     from activestructure_gym.evaluation.report.tables.planning import rich_planning_table
     from activestructure_gym.evaluation.running.measuring import draw_missing_pictures
 
@@ -55,7 +56,7 @@ def print_end(
         left_out = print_result(console, result.runs, wide=wide)
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:
             print_whole(console, planning, wide=wide)
-        for text in trajectories_text(Results(result.runs, [])):
+        for text in [*own_absences(result.runs), *trajectories_text(Results(result.runs, []))]:
             console.print(escape(text.replace("`", "")))
         console.print(
             f"{pluralised(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, "

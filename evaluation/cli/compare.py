@@ -210,7 +210,8 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
         raise InputError(
             f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
         )
-    words = {"scene": "scenes", "policy": "policies"}  # code named by the user in an option needs no trust
+    # The option of each kind: what is typed needs no trust.
+    words = {"scene": "scenes", "policy": "policies", "protocol": "protocols", "metric": "metrics"}
     for kind, name in (code for job in jobs for code in code_of(job)):
         if not _typed(options, words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)

@@ -42,6 +42,8 @@ class ConditionOptions:
     """Measure geometry on this number of points of the true surface, observed or not."""
     protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
     """Measure finished maps by these protocols: always by standard, by activegamer as well."""
+    metrics: Annotated[Words, option("NAME [NAME ...]", "")] = None
+    """Measure finished maps by these metrics as well: registered names or package.module:Name."""
     lpips_weights: PathName = None
     """Read AlexNet's and LPIPS's weights from this folder; by default ASG_LPIPS_WEIGHTS or torch's hub cache."""
 
@@ -63,6 +65,8 @@ class ConditionOptions:
         }
         if self.protocols is not None:
             typed["also"] = [name for name in split_list(self.protocols) if name != begun.protocol.name]
+        if self.metrics is not None:
+            typed["metrics"] = split_list(self.metrics)
         return {name: value for name, value in typed.items() if value is not None}
 
 

@@ -20,11 +20,6 @@ from activestructure_gym.streams import complain, escape
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
-_SHOWN = (
-    "accuracy_cm", "completion_cm", "completion_ratio", "tsdf_completion_ratio", "observed", "precision", "psnr",
-    "ssim", "ms_ssim", "lpips", "depth_l1_cm",
-)  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Evaluate:
@@ -193,11 +188,10 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dic
     """Return a table of rows, each texts and metrics, headed as in reports; metrics that no row has are left out."""
     from activestructure_gym.evaluation.report.tables.columns import QUALITY
 
-    titles = {column.key: column.title for column in QUALITY}
-    keys = [key for key in _SHOWN if any(numbers.get(key) is not None for _, numbers in rows)]
-    table = plain_table(title, *heads, *(titles[key] for key in keys))
+    columns = [column for column in QUALITY if any(numbers.get(column.key) is not None for _, numbers in rows)]
+    table = plain_table(title, *heads, *(column.title for column in columns))
     for words, numbers in rows:
-        table.add_row(*words, *(_text(numbers.get(key)) for key in keys))
+        table.add_row(*words, *(_text(numbers.get(column.key)) for column in columns))
     return table
 
 

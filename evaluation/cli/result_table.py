@@ -13,13 +13,18 @@ from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.cli.fitting import fits
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole, width_of
-from activestructure_gym.evaluation.report.tables.columns import COLUMNS, Column, measured, value_of
+from activestructure_gym.evaluation.report.tables.columns import (
+    Column,
+    measured,
+    overview_columns,
+    own_metrics,
+    value_of,
+)
 from activestructure_gym.evaluation.report.tables.overview import AVERAGE, Cell, Row, rich_table, styled, table_rows
 from activestructure_gym.streams import escape
 
 _LOG = 80  # width of tables in a log, columns
-_BY_KEY = {column.key: column for column in COLUMNS}
-# The columns that are always shown, and those that are added while they fit.
+# The columns that are always shown, as are those of the runs' own metrics, and those that are added while they fit.
 _MAIN = ("observed", "completion_ratio", "psnr", "metres", "seconds")
 _MORE = ("tsdf_completion_ratio", "ssim", "completion_cm", "accuracy_cm", "precision", "frames")
 
@@ -27,13 +32,13 @@ _MORE = ("tsdf_completion_ratio", "ssim", "completion_cm", "accuracy_cm", "preci
 def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
     """Print a line per policy, or with ``wide`` all columns by scene; return whether something was left out."""
     if wide:
-        print_whole(console, rich_table(table_rows(runs), title=_title(runs)), wide=True)
+        print_whole(console, rich_table(table_rows(runs), overview_columns(runs), title=_title(runs)), wide=True)
         return False
     tables = result_tables(runs, width_of(console) or _LOG)
     for table in tables:
         print_whole(console, table)
     shown = len(tables[0].columns) - 1
-    return shown < len(COLUMNS) or len({run.scene for run in runs}) > len(tables)
+    return shown < len(overview_columns(runs)) or len({run.scene for run in runs}) > len(tables)
 
 
 def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
@@ -41,12 +46,14 @@ def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
     rows = table_rows(runs)
     scenes = list(dict.fromkeys(run.scene for run in runs))
     averages = [_with_deviation(row, runs) for row in rows if row.scene == AVERAGE]
-    keys = [column.key for column in measured(COLUMNS, runs)]
+    main = (*_MAIN[:3], *(metric.name for metric in own_metrics(runs)), *_MAIN[3:])
+    columns = {column.key: column for column in measured(overview_columns(runs), runs)}
+    first, more = ([columns[key] for key in keys if key in columns] for keys in (main, _MORE))
     if len(averages) == len({run.policy for run in runs}):
-        return [_fitting(averages, _title(runs), keys, width)]
+        return [_fitting(averages, _title(runs), first, more, width)]
     blocks = {scene: [row for row in rows if row.scene == scene] for scene in scenes}
     return [
-        _fitting(block, f"{scene}: {_title([run for run in runs if run.scene == scene])}", keys, width)
+        _fitting(block, f"{scene}: {_title([run for run in runs if run.scene == scene])}", first, more, width)
         for scene, block in blocks.items()
     ]
 
@@ -67,12 +74,10 @@ def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
     return replace(row, cells=cells)
 
 
-def _fitting(rows: Sequence[Row], title: str, keys: Sequence[str], width: int) -> Table:
-    """Return a table of the main columns among ``keys`` and as many further ones as fit into ``width``."""
-    more = [key for key in _MORE if key in keys]
+def _fitting(rows: Sequence[Row], title: str, first: Sequence[Column], more: Sequence[Column], width: int) -> Table:
+    """Return the table of the columns ``first``, with as many of ``more`` as fit the width."""
     for count in range(len(more), -1, -1):
-        shown = [*(key for key in _MAIN if key in keys), *more[:count]]
-        table = _table(rows, title, [_BY_KEY[key] for key in shown])
+        table = _table(rows, title, [*first, *more[:count]])
         if fits(table, width):
             break
     return table

@@ -25,7 +25,7 @@ from activestructure_gym.evaluation.report.page.method_text import (
 from activestructure_gym.evaluation.report.pictures.views_and_plans import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.results import Results, opened, source_of
 from activestructure_gym.evaluation.report.tables import verdicts
-from activestructure_gym.evaluation.report.tables.columns import aspects
+from activestructure_gym.evaluation.report.tables.columns import aspects, overview_columns
 from activestructure_gym.evaluation.report.tables.formats import code, documents, escaped, markdown, sentence
 from activestructure_gym.evaluation.report.tables.layout import Table
 from activestructure_gym.evaluation.report.tables.overview import overview, runs_csv, table_rows
@@ -91,7 +91,8 @@ def all_tables(results: Results) -> list[Table]:
     """Every table of the report, those in the paper's layout first."""
     tables: list[Table | None] = [*tables_like_the_papers(results), verdicts.difference_table(results)]
     tables += [verdicts.aggregate_table(results), planning_table(results)]
-    tables += [verdicts.area_table(results), verdicts.cost_table(results), overview(table_rows(results.runs))]
+    tables += [verdicts.area_table(results), verdicts.cost_table(results)]
+    tables.append(overview(table_rows(results.runs), overview_columns(results.runs)))
     return [table for table in tables if table is not None]
 
 
@@ -173,7 +174,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",
-        markdown(overview(table_rows(results.runs))),
+        markdown(overview(table_rows(results.runs), overview_columns(results.runs))),
         f"{spread}; the first three of each scene marked. Executed steps through the true mesh: {collisions}"
         f"{' (must be 0!)' if collisions else ''}.",
         "",

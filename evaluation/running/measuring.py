@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.archive.temporary import atomic_files
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.evaluation.protocols.metrics import MetricContext, measure_metrics
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
 from activestructure_gym.npz import write_npz
 
@@ -35,16 +36,20 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
 
     began = time.perf_counter()
     episode = played.read_episode(place)
-    path, gaussians = CameraPath.from_arrays(played.read_path(place)), GaussianMap.load_npz(place / store.MAP)
+    arrays, gaussians = played.read_path(place), GaussianMap.load_npz(place / store.MAP)
+    path, poses = CameraPath.from_arrays(arrays), arrays["world_from_camera"]
     metrics = job.conditions.protocol.evaluate(gaussians, truth, path)
     # The last point of the curve has the numbers of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
     episode["curve"][-1] |= last
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
+    context = MetricContext(gaussians, truth, known, job.conditions.protocol, path, poses, dict(metrics))
+    values, described = measure_metrics(job.conditions.metrics, context)
+    metrics |= {name: value for name, value in values.items() if name not in metrics}
     with store.atomic_directory(directory) as part:
         played.link_files(place, part)
-        _write_numbers(part, job, known, metrics, episode["curve"])
+        _write_numbers(part, job, known, metrics, episode["curve"], described)
         _write_steps(place / store.STEPS, part / store.STEPS, last)
         for other in map(get_protocol, job.conditions.also):
             numbers = other.evaluate(gaussians, other.truth(known), path)
@@ -71,14 +76,20 @@ def measure_played(directory: Path) -> store.Run | None:
     if place is None:
         return None
     job = played.job_of(place)
-    # No policy acts here: only the scene and the protocols of the job are loaded.
-    refuse_code([replace(job, policy="random", conditions=Conditions(also=job.conditions.also))], place / store.CONFIG)
+    # No policy acts here: only the scene, the protocols and the metrics of the job are loaded.
+    measured = Conditions(also=job.conditions.also, metrics=job.conditions.metrics)
+    refuse_code([replace(job, policy="random", conditions=measured)], place / store.CONFIG)
     known = ground_truth_of(load_job_scene(job))
     return measure(job, place, directory, known, job.conditions.protocol.truth(known))
 
 
 def _write_numbers(
-    part: Path, job: Job, known: GroundTruth, metrics: Mapping[str, Any], curve: list[dict[str, Any]]
+    part: Path,
+    job: Job,
+    known: GroundTruth,
+    metrics: Mapping[str, Any],
+    curve: list[dict[str, Any]],
+    described: list[dict[str, Any]],  # of the metrics in ``metrics`` that no protocol measures
 ) -> None:
     results = {
         "format": store.FORMAT_VERSION,
@@ -86,6 +97,7 @@ def _write_numbers(
         "scene": known.scene.content_hash,
         "metrics": metrics,
         "curve": curve,
+        **({"own_metrics": described} if described else {}),
     }
     store.write_json(part / store.METRICS, results)
 

@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.protocols.metrics import Metric, standard
 from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, span
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.style import is_grey
@@ -24,11 +25,13 @@ _TAIL = 0.5  # share of a chart's width that may show settled curves only
 class Measure:
     """A quantity on the vertical axis."""
 
-    key: str  # in the points of metrics.json's curve
-    header: str
-    unit: str
-    digits: int
+    metric: Metric  # its name is the key in the points of metrics.json's curve
     label: str
+
+    @property
+    def key(self) -> str:
+        """Key in the points of the curve."""
+        return self.metric.name
 
 
 @dataclass(frozen=True)
@@ -40,10 +43,10 @@ class Cost:
 
 
 MEASURES = (
-    Measure("completion_ratio", "C.R.", "%", 1, "C.R. at 5 cm [%]"),
-    Measure("tsdf_completion_ratio", "C.R. surface", "%", 1, "C.R. of the TSDF surface [%]"),
-    Measure("observed", "observed", "%", 1, "surface observed [%]"),
-    Measure("psnr", "PSNR", "dB", 2, "PSNR of held-out views [dB]"),
+    Measure(standard.RATIO, "C.R. at 5 cm [%]"),
+    Measure(standard.TSDF_RATIO, "C.R. of the TSDF surface [%]"),
+    Measure(standard.OBSERVED, "surface observed [%]"),
+    Measure(standard.PSNR, "PSNR of held-out views [dB]"),
 )
 COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seconds", "wall clock [s]"))
 

@@ -62,16 +62,16 @@ def reading(lines: Sequence[Line], measure: Measure) -> str:
     if not lines:
         return ""
     half = 0.5 * max(float(line.x[-1]) for line in lines)
-    ends = {line.name: f"{line.y[-1]:.{measure.digits}f}" for line in lines}
-    middles = {line.name: f"{np.interp(half, line.x, line.y):.{measure.digits}f}" for line in lines}
+    ends = {line.name: f"{line.y[-1]:.{measure.metric.digits}f}" for line in lines}
+    middles = {line.name: f"{np.interp(half, line.x, line.y):.{measure.metric.digits}f}" for line in lines}
     best, early = (max(map(float, found.values())) for found in (ends, middles))
     last, first = (
         [name for name, text in found.items() if float(text) == top] for found, top in ((ends, best), (middles, early))
     )
-    top, before = f"{best:.{measure.digits}f} {measure.unit}", f"{early:.{measure.digits}f} {measure.unit}"
+    top, before = (f"{value:.{measure.metric.digits}f} {measure.metric.unit}" for value in (best, early))
     if len(lines) == 1:
-        return f"{measure.header}: {before} at frame {half:.0f}, {top} in the end."
-    text = f"{measure.header}: {_named(last)} highest in the end with {top}"
+        return f"{measure.metric.label}: {before} at frame {half:.0f}, {top} in the end."
+    text = f"{measure.metric.label}: {_named(last)} highest in the end with {top}"
     return f"{text}{f'; {_named(first)} so' if first != last else ', and'} at frame {half:.0f} with {before}."
 
 

@@ -6,8 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from activestructure_gym.evaluation.archive.jobs import is_trajectory
+from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD
 from activestructure_gym.evaluation.report.results import Results
-from activestructure_gym.evaluation.report.tables.columns import QUALITY, aspects, measured, reason_of, value_of
+from activestructure_gym.evaluation.report.tables.columns import (
+    aspects,
+    own_metrics,
+    quality_columns,
+    reason_of,
+    value_of,
+)
 from activestructure_gym.evaluation.report.text_filters import without_folders
 from activestructure_gym.evaluation.statistics import resampling
 from activestructure_gym.specs import Spec
@@ -17,30 +24,16 @@ def meanings(results: Results) -> dict[str, str]:
     """Explanation of each quality column, by its header."""
     protocol = results.runs[0].job.conditions.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
-    every = {
-        "accuracy_cm": "mean distance from the reconstructed points to the true surface",
-        "completion_cm": "mean distance from the true surface to the reconstructed points; what was missed counts",
-        "completion_ratio": f"completion ratio, the share of the true surface with a point nearer than {near}",
-        "tsdf_completion_ratio": "the same of the surface that is fused from the map's own depth at the keyframes; it "
-        "hardly depends on how densely Gaussians stand",
-        "observed": "share of the true surface that any keyframe saw, mapped or not: exploring raises it; high with "
-        "a low C.R. is seen and not mapped. C.R. may exceed it, since it reaches a little beyond what was seen",
-        "precision": f"share of the reconstructed points nearer than {near} to the true surface",
-        "f_score": "harmonic mean of completion ratio and precision",
-        "psnr": "how closely rendered views that no policy has chosen match the true ones; 1 dB more is a fifth less "
-        "squared error",
-        "ssim": "likeness of structure in the same views; 1 is equal",
-        "ms_ssim": "the same over five scales",
-        "lpips": "distance of the same views as a network sees them",
-        "depth_l1_cm": "mean error of the depth in the same views",
-    }
-    return {column.header: every[column.key] for column in measured(QUALITY, results.runs)}
+    described = {metric.name: metric for metric in (*STANDARD, *own_metrics(results.runs))}
+    shown = [described[column.key] for column in quality_columns(results.runs)]
+    return {metric.label: metric.meaning.replace("{near}", near) for metric in shown if metric.meaning}
 
 
 def absences(results: Results) -> list[str]:
     """Why columns were left out, or stand with gaps: one sentence each."""
     shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
-    columns = [(column.header, column.key) for column in QUALITY if not column.key.startswith("tsdf_")] + [
+    described = (*STANDARD, *own_metrics(results.runs))
+    columns = [(metric.label, metric.name) for metric in described if not metric.name.startswith("tsdf_")] + [
         ("The TSDF surface", "tsdf_accuracy_cm")
     ]
     reasons: dict[str, list[str]] = {}

@@ -19,7 +19,7 @@ from activestructure_gym.evaluation.report.page.tiles import Tiles, plan_tile, p
 from activestructure_gym.evaluation.report.pictures.floor_plan import flight
 from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK
 from activestructure_gym.evaluation.report.results import Results, opened
-from activestructure_gym.evaluation.report.tables.columns import COLUMNS
+from activestructure_gym.evaluation.report.tables.columns import overview_columns
 from activestructure_gym.evaluation.report.tables.overview import overview, table_rows
 from activestructure_gym.evaluation.report.text_filters import without_folders
 
@@ -32,8 +32,10 @@ def scene_section(results: Results, scene: str, anchor: str, directory: Path | N
     numbers = curves = None
     if len(results.scenes) > 1:
         # Its quality stands among that of all scenes; here its spread over the seeds, if there is one, and its costs.
-        columns = COLUMNS if len(results.seeds) > 1 else [column for column in COLUMNS if column.best is None]
-        table = overview(table_rows(results.of(None, scene)), name=anchor, columns=columns)
+        runs = results.of(None, scene)
+        columns = overview_columns(runs)
+        columns = columns if len(results.seeds) > 1 else [column for column in columns if column.best is None]
+        table = overview(table_rows(runs), columns, name=anchor)
         numbers, curves = html_table(table, colours=results.palette), chart_grid(results, scene)
     views, plans = views_strip(shown, tiles), [plan_tile(run, tiles) for run in shown]
     graphs = [planes_tile(run, tiles) for run in shown if run.graph is not None]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
+from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import LEVELS
+from activestructure_gym.evaluation.protocols.metrics import Metric, standard
+from activestructure_gym.evaluation.protocols.metrics.base import Best
 
 # Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
 PLANNING = ("planning", "features", "policy")
@@ -24,7 +26,7 @@ class Column:
     header: str
     unit: str
     digits: int
-    best: Literal["lowest", "highest"] | None = None  # None: a cost or a size that has no best
+    best: Best | None = None  # None: a cost or a size that has no best
 
     @property
     def arrow(self) -> str:
@@ -46,45 +48,28 @@ class Column:
         """-1 where smaller is better, else 1."""
         return -1 if self.best == "lowest" else 1
 
+    @classmethod
+    def of(cls, metric: Metric) -> Column:
+        """Return the column of a metric."""
+        return cls(metric.name, metric.label, metric.unit, metric.digits, metric.best)
+
 
 # How much was seen and how much of it is mapped: C.R. of the means, of the TSDF surface, and what any keyframe saw.
-RATIOS = (
-    Column("completion_ratio", "C.R.", "%", 1, "highest"),
-    Column("tsdf_completion_ratio", "C.R. surface", "%", 1, "highest"),
-    Column("observed", "observed", "%", 1, "highest"),
-)
-_SHAPE = (
-    Column("accuracy_cm", "Acc", "cm", 2, "lowest"),
-    Column("completion_cm", "Com.", "cm", 2, "lowest"),
-)
-_PRECISION = Column("precision", "Prec.", "%", 1, "highest")
-_F_SCORE = Column("f_score", "F", "%", 1, "highest")
-_PICTURE = (Column("psnr", "PSNR", "dB", 2, "highest"), Column("ssim", "SSIM", "", 3, "highest"))
-_DEPTH = Column("depth_l1_cm", "Depth", "cm", 2, "lowest")
+RATIOS = tuple(map(Column.of, (standard.RATIO, standard.TSDF_RATIO, standard.OBSERVED)))
 _EXPLORATION = Column("observed_area", "exploration", "%", 1, "highest")
 
 # The overview's: one line per scene and policy.
 COLUMNS = (
-    *_SHAPE,
+    *map(Column.of, (standard.ACCURACY, standard.COMPLETION)),
     *RATIOS,
-    _PRECISION,
-    *_PICTURE,
+    *map(Column.of, (standard.PRECISION, standard.PSNR, standard.SSIM)),
     Column("frames", "frames", "", 0),
     Column("metres", "path", "m", 1),
     Column("seconds", "time", "s", 1),
 )
 
 # Everything the paper's Tables 1 to 3 may hold, in their order; what no run has is left out.
-QUALITY = (
-    *_SHAPE,
-    *RATIOS,
-    _PRECISION,
-    _F_SCORE,
-    *_PICTURE,
-    Column("ms_ssim", "MS-SSIM", "", 3, "highest"),
-    Column("lpips", "LPIPS", "", 3, "lowest"),
-    _DEPTH,
-)
+QUALITY = tuple(map(Column.of, standard.STANDARD))
 
 # How soon the surface was seen, and what late frames were worth; see `metrics.planning`.
 LOWER_BOUND = "least_"  # before the name of a number of frames: where the budget was too small, the budget
@@ -111,7 +96,35 @@ COSTS = (
 
 # The metrics of the cards and of the comparison with the baseline. Acc and Prec. are not among them: a policy that
 # maps little has the best of both.
-MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], _PICTURE[0], _DEPTH)
+MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], Column.of(standard.PSNR), Column.of(standard.DEPTH))
+
+
+def own_metrics(runs: Sequence[Run]) -> list[Metric]:
+    """Return the metrics that the runs were measured by besides their protocols."""
+    found = {one["name"]: one for run in runs for one in run.metrics.get("own_metrics", ())}
+    return list(map(Metric.from_dict, found.values()))
+
+
+def own_absences(runs: Sequence[Run]) -> list[str]:
+    """Return a sentence for every own metric that is not defined in some run, with the reason."""
+    texts = []
+    for metric in own_metrics(runs):
+        reasons = [reason_of(run, metric.name) for run in runs if value_of(run, metric.name) is None]
+        if reasons:
+            texts.append(f"{metric.name}: n/a in {len(reasons)} of {pluralised(len(runs), 'run')}, {reasons[0]}")
+    return texts
+
+
+def overview_columns(runs: Sequence[Run]) -> list[Column]:
+    """Return the columns of the overview, those of the runs' own metrics before the costs."""
+    own = map(Column.of, own_metrics(runs))
+    quality = [column for column in COLUMNS if column.best is not None]
+    return [*quality, *own, *COLUMNS[len(quality) :]]
+
+
+def quality_columns(runs: Sequence[Run]) -> list[Column]:
+    """Return the columns of quality that at least one run has a number for, those of the runs' own metrics last."""
+    return measured([*QUALITY, *map(Column.of, own_metrics(runs))], runs)
 
 
 def value_of(run: Run, key: str) -> float | None:
@@ -170,9 +183,9 @@ class Aspect:
 
 def aspects(runs: Sequence[Run]) -> list[Aspect]:
     """The runs' own protocol, its TSDF surface if there is one, and every further protocol."""
-    surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in (*_SHAPE, RATIOS[0], _PRECISION, _F_SCORE))
+    surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in map(Column.of, standard.SURFACE))
     own = runs[0].job.conditions.protocol.name
-    found = [Aspect("", own, tuple(measured(QUALITY, runs)))]
+    found = [Aspect("", own, tuple(quality_columns(runs)))]
     found.append(Aspect("tsdf", f"{own}, TSDF surface", tuple(measured(surface, runs))))
     others = dict.fromkeys(name for run in runs for name in run.protocols if name != own)
     for name in others:
@@ -184,6 +197,9 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
 def reason_of(run: Run, key: str) -> str:
     """Why a number is not defined, as far as the protocol said."""
     protocol, _, name = key.rpartition("/")
+    for own in run.metrics.get("own_metrics", ()):
+        if own["name"] == key:
+            return str(own.get("reason", ""))
     content = run.protocols.get(protocol or run.job.conditions.protocol.name)
     notes = content["metrics"].get("notes") or {} if content else {}
     return notes.get(name) or notes.get(name.partition("_")[0], "")

@@ -13,7 +13,7 @@ import numpy as np
 from activestructure_gym.evaluation.archive.jobs import ranked_among
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.tables import layout
-from activestructure_gym.evaluation.report.tables.columns import COLUMNS, Column, value_of
+from activestructure_gym.evaluation.report.tables.columns import Column, overview_columns, value_of
 from activestructure_gym.evaluation.report.tables.formats import spreadsheet_text
 from activestructure_gym.evaluation.report.tables.layout import Heading, Table
 
@@ -57,19 +57,21 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
     scenes = list(dict.fromkeys(run.scene for run in runs))
     policies = list(dict.fromkeys(run.policy for run in runs))
     ranked = ranked_among({run.job.policy for run in runs})
+    columns = overview_columns(runs)
     rows: list[Row] = []
     for scene in scenes:
         block = []
         for policy in policies:
             cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
             if cell_runs:
-                cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
+                cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in columns}
                 planner = cell_runs[0].job.policy in ranked
                 block.append(Row(scene, policy, len(cell_runs), cells, planner))
-        rows += _marked(block)
+        rows += _marked(block, columns)
     if len(scenes) > 1:
         complete = [[row for row in rows if row.policy == policy] for policy in policies]
-        rows += _marked([_average(block) for block in complete if len(block) == len(scenes)])
+        averages = [_average(block, columns) for block in complete if len(block) == len(scenes)]
+        rows += _marked(averages, columns)
     return rows
 
 
@@ -85,19 +87,19 @@ def styled(text: str, best: bool) -> str:
     return f"[bold green]{text}[/]" if best else text
 
 
-def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
-    """Return the table with every column, scene by scene; the best numbers are bold and green."""
+def rich_table(rows: Sequence[Row], columns: Sequence[Column], *, title: str) -> RichTable:
+    """Return the table of these columns, scene by scene; the best numbers are bold and green."""
     from activestructure_gym.streams import escape
 
     table = empty_rich_table(title)
     table.add_column("scene")
     table.add_column("policy")
-    for column in COLUMNS:
+    for column in columns:
         table.add_column(column.title, justify="right")
     for index, row in enumerate(rows):
         new_scene = index == 0 or rows[index - 1].scene != row.scene
         ends_block = index + 1 == len(rows) or rows[index + 1].scene != row.scene
-        cells = [styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in COLUMNS]
+        cells = [styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in columns]
         table.add_row(escape(row.scene) if new_scene else "", escape(row.policy), *cells, end_section=ends_block)
     return table
 
@@ -115,7 +117,7 @@ def in_terminal(table: Table) -> RichTable:
     return shown
 
 
-def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
+def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "overview") -> Table:
     """The table for documents: the first three of every block marked; a single scene is not named."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
@@ -170,22 +172,22 @@ def _over_runs(values: Sequence[float | None]) -> Cell:
     return Cell(float(np.mean(defined)), deviation)
 
 
-def _average(block: Sequence[Row]) -> Row:
+def _average(block: Sequence[Row], columns: Sequence[Column]) -> Row:
     """The mean over scenes of the means over seeds: every scene counts the same."""
     cells = {}
-    for column in COLUMNS:
+    for column in columns:
         means = [row.cells[column.key].mean for row in block]
         cells[column.key] = Cell(None if None in means else float(np.mean([m for m in means if m is not None])), None)
     return Row(AVERAGE, block[0].policy, sum(row.runs for row in block), cells, block[0].planner)
 
 
-def _marked(block: Sequence[Row]) -> list[Row]:
+def _marked(block: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
     """The block with the best of every column marked; equal as printed is equally good, alone is not best.
 
     Among the planners: a reference is never best, and who is alone beside references is not either.
     """
     marked = [dict(row.cells) for row in block]
-    for column in COLUMNS:
+    for column in columns:
         means = {i: row.cells[column.key].mean for i, row in enumerate(block) if row.planner}
         rounded = {i: round(mean, column.digits) for i, mean in means.items() if mean is not None}
         if column.best is None or len(means) < 2 or not rounded:

@@ -14,10 +14,10 @@ from activestructure_gym.evaluation.report.tables.columns import (
     COSTS,
     MAIN,
     PROGRESS,
-    QUALITY,
     Column,
     exceeded,
     measured,
+    quality_columns,
     unreached,
 )
 from activestructure_gym.evaluation.report.tables.layout import (
@@ -131,7 +131,7 @@ def difference_table(results: Results) -> Table | None:
         if policy == results.baseline:
             continue
         own = []
-        for column in measured(dict.fromkeys((*MAIN, *QUALITY, *PROGRESS)), results.runs):
+        for column in measured(dict.fromkeys((*MAIN, *quality_columns(results.runs), *PROGRESS)), results.runs):
             pair = differences(results, column).get(policy)
             both = (*results.of(policy), *results.of(results.baseline))
             if pair is None or all(exceeded(run, column.key) for run in both):
@@ -196,7 +196,7 @@ def aggregate_table(results: Results) -> Table:
     """Mean, median and interquartile mean of every metric, with intervals."""
     rows: list[list[Cell]] = []
     blocks: list[int] = []
-    for column in measured(QUALITY, results.runs):
+    for column in quality_columns(results.runs):
         block = []
         for name, statistic in STATISTICS.items():
             found = []
@@ -221,7 +221,7 @@ def area_table(results: Results) -> Table:
     """Area under the convergence curves, normalised by the budget, for every measure and cost."""
     columns = []
     for measure in measures_of(results):
-        column = Column(measure.key, measure.header, measure.unit, measure.digits, "highest")
+        column = Column.of(measure.metric)
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
             found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]

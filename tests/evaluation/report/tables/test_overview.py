@@ -7,6 +7,7 @@ from rich.console import Console
 
 from activestructure_gym.evaluation.archive.store import read_run, write_evaluation
 from activestructure_gym.evaluation.cli.output import print_whole
+from activestructure_gym.evaluation.report.tables.columns import COLUMNS
 from activestructure_gym.evaluation.report.tables.formats import markdown
 from activestructure_gym.evaluation.report.tables.overview import AVERAGE, overview, rich_table, runs_csv, table_rows
 from tests.evaluation.written_runs import write_run
@@ -46,7 +47,7 @@ def test_a_reference_is_never_best_and_marks_nobody_who_is_alone_beside_it(make_
     rows = table_rows([seen, make_run(policy="a", psnr=20.0), make_run(policy="b", psnr=21.0)])
     assert [row.cells["psnr"].best for row in rows] == [False, False, True]
     assert not any(cell.best for cell in rows[0].cells.values())
-    table = overview(rows)
+    table = overview(rows, COLUMNS)
     psnr = [heading.text for heading in table.headings].index("PSNR (dB) ↑")
     assert [row[psnr].rank for row in table.rows] == [0, 2, 1]
     alone = table_rows([seen, make_run(policy="a", psnr=20.0)])
@@ -78,12 +79,12 @@ def test_what_is_not_defined_is_not_a_number(make_run):
 def test_the_overview_marks_ranks_within_a_scene(make_run):
     cells = [(scene, policy) for scene in ("room", "box") for policy in ("a|b", "c")]
     runs = [make_run(scene, policy, psnr=20.0 + (policy == "c")) for scene, policy in cells]
-    one = markdown(overview(table_rows(runs[:2])))
+    one = markdown(overview(table_rows(runs[:2]), COLUMNS))
     header, rule, first, second = one.splitlines()
     assert header.startswith("| policy | Acc (cm) ↓ | Com. (cm) ↓ | C.R. (%) ↑ | C.R. surface (%) ↑ | observed (%) ↑ |")
     assert rule.count("|") == header.count("|")
     assert "a\\|b" in first and "**21.00** ¹" in second and "20.00 ²" in first
-    table = overview(table_rows(runs))
+    table = overview(table_rows(runs), COLUMNS)
     assert [row[0].text for row in table.rows] == ["room", "room", "box", "box", AVERAGE, AVERAGE]
     assert list(table.blocks) == [2, 4]
 
@@ -110,7 +111,7 @@ def test_csv_has_an_lpips_that_was_measured_later(tmp_path):
 def test_a_narrow_terminal_cuts_no_number(make_run, width):
     out = io.StringIO()
     rows = table_rows([make_run(policy="a[b]", seed=seed, psnr=20.0 + seed) for seed in range(2)])
-    print_whole(Console(file=out, width=width), rich_table(rows, title="title"))
+    print_whole(Console(file=out, width=width), rich_table(rows, COLUMNS, title="title"))
     assert "20.50 ± 0.71" in out.getvalue() and "a[b]" in out.getvalue() and "…" not in out.getvalue()
 
 

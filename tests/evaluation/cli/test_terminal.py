@@ -25,6 +25,7 @@ from activestructure_gym.evaluation.cli.closing import command_lines, print_end
 from activestructure_gym.evaluation.cli.compare import Compare, _announce, _with_demo_defaults, comparison_of
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
+from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD
 from activestructure_gym.evaluation.report.tables.columns import COLUMNS
 from activestructure_gym.evaluation.report.tables.overview import table_rows
 from activestructure_gym.evaluation.running.comparison import Result
@@ -261,14 +262,15 @@ def test_measured_rows_are_parted_and_not_cut(width, monkeypatch):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_numbers_measured_again_fit(width):
-    from activestructure_gym.evaluation.cli.evaluate import _SHOWN, _table
+    from activestructure_gym.evaluation.cli.evaluate import _table
     from activestructure_gym.evaluation.cli.output import print_whole
 
+    names = [metric.name for metric in STANDARD]
     numbers = [(["apartment?rooms=2 · active_gs?travel=shared · seed 0", "activegamer", "✓"], {})]
-    numbers[0][1].update({key: 10.0 + k + 0.123 for k, key in enumerate(_SHOWN)})
+    numbers[0][1].update({key: 10.0 + k + 0.123 for k, key in enumerate(names)})
     lines = seen(width, lambda: print_whole(make_console(), _table("again", ["run", "protocol", "same"], numbers)))
     assert widest(lines) <= width
-    assert all(any(f"{10 + k + 0.123:.4g}" in line for line in lines) for k in range(len(_SHOWN)))
+    assert all(any(f"{10 + k + 0.123:.4g}" in line for line in lines) for k in range(len(names)))
 
 
 def test_a_command_goes_on_behind_backslashes():

@@ -12,7 +12,8 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES
 from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
-from activestructure_gym.evaluation.running import episode, recorded_scene
+from activestructure_gym.evaluation.running import comparison, episode, recorded_scene
+from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """
@@ -34,6 +35,7 @@ def place(tmp_path_factory):
         patch.setenv("ASG_CACHE_DIR", str(directory / "cache"))
         patch.chdir(directory)
         patch.syspath_prepend(str(directory))
+        patch.setattr(comparison, "warming_up", warming_up)  # it alone compiles ahead: see `unwarmed`
         yield directory
 
 

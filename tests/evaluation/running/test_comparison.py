@@ -10,21 +10,17 @@ import trimesh
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running import comparison as module
 from activestructure_gym.evaluation.running.comparison import Comparison, check_output
 from activestructure_gym.evaluation.running.warmup import smallest_job, warming_up
 
 
 @pytest.fixture
-def no_warm_up(monkeypatch):
-    """Nothing is compiled in another process, and a scene's truth is left alone."""
-    from contextlib import nullcontext
-
-    monkeypatch.setattr(module, "warming_up", lambda *_: nullcontext())
+def no_truth(monkeypatch):
+    """Leave a scene's truth alone."""
     monkeypatch.setattr(StandardProtocol, "truth", lambda self, scene: None)
 
 
-def test_the_grid_has_its_seeds_outside(no_warm_up):
+def test_the_grid_has_its_seeds_outside(no_truth):
     jobs = Comparison(["box", "box?seed=1", "box"], ["random", "pixel_only"], seeds=[3, 4]).prepare()
     cells = [(job.seed, job.scene, job.policy) for job in jobs]
     assert cells == list(itertools.product((3, 4), ("box", "box?seed=1"), ("random", "pixel_only")))
@@ -32,7 +28,7 @@ def test_the_grid_has_its_seeds_outside(no_warm_up):
     assert all(len(job.scene_hash) == 64 for job in jobs)
 
 
-def test_a_file_spelt_in_two_ways_is_one_scene_and_a_twin_of_it_is_refused(no_warm_up, tmp_path, monkeypatch):
+def test_a_file_spelt_in_two_ways_is_one_scene_and_a_twin_of_it_is_refused(no_truth, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("x", "y"):
         (tmp_path / folder).mkdir()
@@ -46,7 +42,7 @@ def test_a_file_spelt_in_two_ways_is_one_scene_and_a_twin_of_it_is_refused(no_wa
         Comparison(["x/h.glb?up=z", "y/h.glb?up=z"], ["random"]).prepare()
 
 
-def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
+def test_a_policy_spelt_in_two_ways_runs_once(no_truth, monkeypatch):
     from activestructure_gym.policies import POLICIES, Greedy
 
     class Plain(Greedy):
@@ -82,11 +78,7 @@ def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
 )
 def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, message, request):
     if "protocol" not in change:
-        request.getfixturevalue("no_warm_up")
-    else:
-        from contextlib import nullcontext
-
-        request.getfixturevalue("monkeypatch").setattr(module, "warming_up", lambda *_: nullcontext())
+        request.getfixturevalue("no_truth")
     with pytest.raises(InputError) as error:
         shared = {name: change.pop(name) for name in ("preset", *vars(Conditions())) if name in change}
         grid = {"scenes": ["box"], "policies": ["random"]} | change

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.parsed import tree
+
 ROOT = Path(__file__).resolve().parents[1]
 CODE = ("activestructure_gym", "envs", "policies", "evaluation", "benchmarks", "examples", "tests", "docs")
 # Documents that are not part of the repository, in pieces so that this file does not name them.
@@ -50,7 +52,7 @@ def words(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
         return re.sub(r"`[^`\n]*`", "", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
-    read = [ast.get_docstring(node) or "" for node in with_docstrings(ast.parse(text))]
+    read = [ast.get_docstring(node) or "" for node in with_docstrings(tree(path))]
     if any("#" in line and any(sought.search(line) for sought in (KEY, PAGE, ELSEWHERE)) for line in text.splitlines()):
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
         read += [token.string for token in tokens if token.type == tokenize.COMMENT]

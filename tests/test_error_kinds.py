@@ -107,6 +107,8 @@ def raises() -> list[Raise]:
 
 def _raises_in(node: ast.AST, path: str, around: tuple[str, ...]) -> Iterator[Raise]:
     for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.expr):
+            continue  # which holds no statement
         named = isinstance(child, ast.FunctionDef | ast.ClassDef)
         inner = (*around, child.name) if named else around  # type: ignore[union-attr]
         if isinstance(child, ast.Raise) and child.exc is not None:

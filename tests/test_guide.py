@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.bare_jobs import bare_jobs
+
 GUIDE = Path(__file__).resolve().parents[1] / "docs" / "guide"
 SHOWN = ("first_episode.md", "compare.md", "own_parts.md", "run_format.md", "watching.md")
 
@@ -27,7 +29,7 @@ def shown() -> Iterator[Any]:
             yield pytest.param(page, number, marks=[pytest.mark.slow] if slow else [])
 
 
-@pytest.mark.parametrize(("page", "number"), shown())
+@pytest.mark.parametrize(("page", "number"), list(shown()))
 def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from activestructure_gym.evaluation.protocols import PROTOCOLS
     from activestructure_gym.evaluation.protocols.metrics import METRICS
@@ -37,7 +39,8 @@ def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.Monk
         monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     module = ModuleType("shown_in_the_guide")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    exec(compile(blocks(page)[number], f"{page}, block {number}", "exec"), module.__dict__)
+    with bare_jobs():
+        exec(compile(blocks(page)[number], f"{page}, block {number}", "exec"), module.__dict__)
 
 
 def test_no_page_shows_python_that_no_test_runs() -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.parsed import nodes
+
 ROOT = Path(__file__).resolve().parents[1]
 # Rooms and pages that were read against the style page. The others follow; this list only grows.
 READ = (
@@ -144,7 +146,7 @@ def texts_of(path: Path) -> Iterator[tuple[int, str]]:
     if path.suffix != ".py":
         yield from ((1 + offset, text) for offset, text in paragraphs(source))
         return
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(path):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             for offset, text in paragraphs(node.value.value):
                 yield node.lineno + offset, text

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from setuptools import find_packages
 
-from tests.parsed import tree
+from tests.parsed import nodes
 from tests.requirements import closure, extras, ours
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,7 +40,7 @@ def test_every_folder_with_code_is_a_package_that_is_found() -> None:
 def test_tools_that_read_the_checkout_find_every_module() -> None:
     """Every import of this package names a file below ``activestructure_gym/``, as type checkers and editors look."""
     for module in modules():
-        for node in ast.walk(tree(module)):
+        for node in nodes(module):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("activestructure_gym"):
                 place = ROOT.joinpath(*(node.module or "").split("."))
                 assert place.is_dir() or place.with_suffix(".py").is_file(), f"{module}:{node.lineno}: {node.module}"
@@ -68,7 +68,7 @@ def test_what_is_kept_on_disk_is_compiled_by_our_decorator() -> None:
     # numba's own would compile in silence, once in every process that starts at the same time, and would not notice
     # that another file has changed, nor that its own has been damaged.
     for path in modules():
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "njit":
                 assert "cache" not in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}: use @kernel"
 

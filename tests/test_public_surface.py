@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from activestructure_gym.policies import POLICIES
+from tests.bare_jobs import bare_jobs
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("", ".envs", ".policies", ".evaluation")
@@ -135,7 +136,8 @@ DEEP = doctest.DocTestFinder(exclude_empty=True)
 def test_the_examples_do_what_they_say(example: doctest.DocTest) -> None:
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
-    outcome = runner.run(example, out=said.append)
+    with bare_jobs():
+        outcome = runner.run(example, out=said.append)
     assert outcome.attempted and not outcome.failed, "".join(said)
 
 

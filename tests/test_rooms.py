@@ -14,7 +14,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from tests.parsed import tree
+from tests.parsed import nodes
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "activestructure_gym"
@@ -84,7 +84,7 @@ def room_of(module: str) -> str:
 def imports_of(name: str, path: Path) -> Iterator[Import]:
     """Every import of our own modules, those for types and those inside functions too."""
     known = modules()
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             targets = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from tests.parsed import tree
+from tests.parsed import nodes
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation")
@@ -17,7 +17,7 @@ def positional_parameters() -> dict[str, int]:
     found = {}
     for top in TOP:
         for path in sorted((ROOT / top).rglob("*.py")):
-            for node in ast.walk(tree(path)):
+            for node in nodes(path):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                     names = [one.arg for one in (*node.args.posonlyargs, *node.args.args)]
                     count = len(names) - (names[:1] in (["self"], ["cls"], ["ctx"]))

@@ -1,6 +1,7 @@
 """The main job on the smallest scene: compared, resumed, measured again."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def place(tmp_path_factory):
         patch.setenv("ASG_CACHE_DIR", str(directory / "cache"))
         patch.chdir(directory)
         patch.syspath_prepend(str(directory))
-        patch.setattr(comparison, "warming_up", warming_up)  # it alone compiles ahead: see `unwarmed`
+        patch.setattr(comparison, "warming_up", warming_up)  # it alone compiles ahead: see `bare_jobs`
         yield directory
 
 
@@ -130,8 +131,9 @@ def test_another_process_and_engine_give_the_same_bits(runs, tmp_path):
     np.testing.assert_array_equal(first.parameters, second.parameters)
 
 
-def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys):
+def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys, monkeypatch):
     _, out = finished
+    monkeypatch.setattr(comparison, "warming_up", lambda *_: nullcontext())
     stamps = {run.directory: (run.directory / store.DONE).stat().st_mtime_ns for run in runs}
     text = " ".join(COMMAND).replace("third_party:Crashing", "random").split()
     assert main(text) == 2  # not without --resume

@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay import Recording, play_again
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     """`hole_area` and `random` in the box room, with a map that is optimised."""
     result = compare(
@@ -30,6 +30,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     return list(result.runs)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def recordings(finished: list[Run]) -> list[Recording]:
     return [play_again(run) for run in finished]

@@ -13,6 +13,7 @@ from activestructure_gym.compiling.files import package_folders
 from activestructure_gym.evaluation.running import warmup
 from activestructure_gym.evaluation.running.first_kernels import kernels_of, not_compiled
 from activestructure_gym.features import FEATURES
+from tests.parsed import dotted, nodes
 
 
 def kernels_in_the_sources() -> set[str]:
@@ -21,19 +22,19 @@ def kernels_in_the_sources() -> set[str]:
     for room in package_folders():
         package = "activestructure_gym" if room.name == "activestructure_gym" else f"activestructure_gym.{room.name}"
         for file in room.rglob("*.py"):
-            if (text := file.read_text(encoding="utf-8")).find("kernel") < 0:
+            if "kernel" not in file.read_text(encoding="utf-8"):
                 continue
             module = ".".join([package, *file.relative_to(room).with_suffix("").parts])
             imported = {
                 alias.name: node.module
-                for node in ast.walk(ast.parse(text))
+                for node in nodes(file)
                 if isinstance(node, ast.ImportFrom)
                 for alias in node.names
             }
-            for node in ast.walk(ast.parse(text)):
-                if isinstance(node, ast.FunctionDef) and any(ast.unparse(d) == "kernel" for d in node.decorator_list):
+            for node in nodes(file):
+                if isinstance(node, ast.FunctionDef) and any(dotted(d) == "kernel" for d in node.decorator_list):
                     found.add(f"{module}.{node.name}")
-                if isinstance(node, ast.Call) and ast.unparse(node.func) == "kernel":
+                if isinstance(node, ast.Call) and dotted(node.func) == "kernel":
                     name = ast.unparse(node.args[0])
                     found.add(f"{imported.get(name, module)}.{name}")
     return found

@@ -22,7 +22,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts.convergence import curve_of
-from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, panel_chart, span, standalone
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, panel_chart, standalone, value_range
 from activestructure_gym.evaluation.report.results import gather
 
 FRAMES = np.arange(0, 301, 10)
@@ -91,7 +91,9 @@ def drawn() -> str:
         Line(name, index, frames[later], np.array(curves[name]["observed"])[later]) for index, name in enumerate(DRAWN)
     ]
     names = [f"{name} (reference, sees the truth)" if name in content["references"] else name for name in DRAWN]
-    chart = line_chart(lines, title="observed", x_label="frames", y_label="surface observed [%]", holds=span(lines))
+    chart = line_chart(
+        lines, title="observed", x_label="frames", y_label="surface observed [%]", y_includes=value_range(lines)
+    )
     return standalone([[chart]], names, title="What was observed over 300 frames")
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts.convergence import curve_of
-from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, span, standalone
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, standalone, value_range
 from activestructure_gym.evaluation.report.results import gather
 
 ROWS = (
@@ -40,7 +40,7 @@ def main(directories: Sequence[Path]) -> None:
         drawn = []
         for measure, label in row:
             lines = [line(run, name, index, measure) for index, (run, name) in enumerate(zip(runs, names))]
-            drawn.append(line_chart(lines, title=label, x_label="frames", y_label=label, holds=span(lines)))
+            drawn.append(line_chart(lines, title=label, x_label="frames", y_label=label, y_includes=value_range(lines)))
         charts.append(drawn)
     picture = standalone(charts, names, title="The map over 2,000 frames")
     Path(__file__).with_name("curves_2000.svg").write_text(picture, encoding="utf-8")

@@ -28,7 +28,7 @@ def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | N
         name = "validation" if key.startswith("validation/") else "training"
         holds = (0.0, 1.0) if name == "validation" else ()  # a fixed range, or small changes look large
         line = Line(name, index, x, y)
-        charts.append(line_chart([line], title=f"{method}: {label}", x_label=unit, y_label=label, holds=holds))
+        charts.append(line_chart([line], title=f"{method}: {label}", x_label=unit, y_label=label, y_includes=holds))
         names.append(name)
     return standalone([charts], names, title=f"asg train {method}") if charts else None
 

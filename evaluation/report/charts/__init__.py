@@ -1,1 +1,1 @@
-"""Charts as SVG: convergence curves, intervals, the timeline of an episode."""
+"""Draw charts as SVG: convergence curves, intervals, and the history of an episode."""

@@ -1,4 +1,4 @@
-"""Convergence curves: completion ratios, what was observed, and PSNR over frames, metres and seconds."""
+"""Compute convergence curves: completion ratios, observed surface and PSNR over frames, metres and seconds."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
-from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, span
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, value_range
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.style import is_grey
 from activestructure_gym.evaluation.statistics import BAND_REPEATS, Statistic, area_under, curve_band, mean, on_axis
 
-_POINTS = 61  # places of the common axis
-_SETTLED = 0.01  # of a chart's height, within which of its end a curve says nothing more
-_TAIL = 0.5  # share of a chart's width that may show settled curves only
+_POINTS = 61  # samples of the common horizontal axis
+_SETTLED = 0.01  # a curve has settled within this share of the chart's height around its last value
+_TAIL = 0.5  # maximum share of a chart's width in which all curves have settled
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A quantity on the vertical axis."""
+    """Define a quantity on the vertical axis."""
 
-    metric: Metric  # its name is the key in the points of metrics.json's curve
+    metric: Metric  # its name is a field of the points of the curve in metrics.json
     label: str
 
     @property
     def key(self) -> str:
-        """Key in the points of the curve."""
+        """Return the field of the points of the curve in metrics.json."""
         return self.metric.name
 
 
 @dataclass(frozen=True)
 class Cost:
-    """A cost on the horizontal axis."""
+    """Define a cost on the horizontal axis."""
 
     key: str
     label: str
@@ -52,9 +52,10 @@ COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seco
 
 
 def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points of one run's curve at which the measure was taken, cost rising strictly (of equal costs the last counts).
+    """Return costs [P] and values [P] of one run's curve, where the measure was taken.
 
-    Seconds are those at the end of a decision, without the evaluation; the point before the first decision has none.
+    Costs increase strictly; of points with equal cost the last one counts. Seconds are those at the end of a decision,
+    without evaluation; the point before the first decision has none.
     """
     points: dict[float, float] = {}
     for point in run.metrics["curve"]:
@@ -73,7 +74,7 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
 
 @once
 def measures_of(results: Results) -> list[Measure]:
-    """The measures that some run has a curve of."""
+    """Return the measures for which at least one run has a curve."""
     return [m for m in MEASURES if any(p.get(m.key) is not None for run in results.runs for p in run.metrics["curve"])]
 
 
@@ -87,11 +88,11 @@ def convergence(
     until: float = math.inf,
     banded: bool = True,
 ) -> list[Line]:
-    """A line per policy that has curves on the scene, or on all of them: the statistic with its 95 % band.
+    """Return one line per policy: the statistic over runs with its 95 % band, on one scene or over all scenes.
 
-    Those without a colour have their bands only where everybody is ``banded``. Curves are brought onto one axis; a run
-    that has ended keeps its last value. A line begins where all of its runs have begun and ends with the longest of
-    them, or at ``until``.
+    Policies without a curve on every scene are left out. Curves are resampled onto one axis; a run that has ended keeps
+    its last value. A line begins where all its runs have begun. It ends with the longest run, or at ``until``. Policies
+    drawn in grey have a band only if ``banded``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
@@ -111,33 +112,33 @@ def convergence(
 
 @once
 def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
-    """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
+    """Return a row of charts per measure, one chart per cost; the charts of a row share one vertical axis."""
     rows = []
     for measure in measures_of(results):
-        curves = [_telling(results, cost, measure, scene, statistic) for cost in COSTS]
-        holds = span([line for lines in curves for line in lines])
+        curves = [_trimmed(results, cost, measure, scene, statistic) for cost in COSTS]
+        values = value_range([line for lines in curves for line in lines])
         rows.append([
             line_chart(
                 lines,
                 title=f"{measure.label} over {cost.label}, {scene or 'all scenes'}",
                 x_label=cost.label,
                 y_label=measure.label,
-                holds=holds,
+                y_includes=values,
             )
             for cost, lines in zip(COSTS, curves)
         ])  # fmt: skip
     return rows
 
 
-def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
-    """The curves of `convergence`, cut soon after the last of them has settled; frames are shown whole.
+def _trimmed(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
+    """Return the curves of `convergence`, cut shortly after the last of them has settled.
 
-    Frames are the budget and always shown whole.
+    Curves over frames are not cut, since frames are the budget.
     """
     lines = convergence(results, cost.key, measure.key, scene, statistic, banded=False)
     if cost.key == "frames" or not lines:
         return lines
-    low, high = span(lines)
+    low, high = value_range(lines)
     settled = max(_settled(line, _SETTLED * (high - low)) for line in lines)
     if not max(line.x[0] for line in lines) < settled < _TAIL * max(line.x[-1] for line in lines):
         return lines
@@ -145,24 +146,25 @@ def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, 
 
 
 def _settled(line: Line, within: float) -> float:
-    """The cost from which on the curve and its band stay within ``within`` of their last values."""
+    """Return the cost after which the curve and its band stay within ``within`` of their last values."""
     moving = [np.flatnonzero(np.abs(y - y[-1]) > within) for y in (line.y, line.low, line.high) if y is not None]
     last = max((int(places[-1]) for places in moving if len(places)), default=-1)
     return float(line.x[min(last + 1, len(line.x) - 1)])
 
 
 def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:
-    """Areas under the runs' curves by scene, in the measure's unit; None where a scene has no curve.
+    """Return the areas under the runs' curves by scene, in the measure's unit; None if a scene has no curve.
 
-    The budget is the frame budget; for metres and seconds the least that any run on the scene spent.
+    An area is divided by the budget: the frame budget, or for metres and seconds the lowest cost of any run on the
+    scene.
     """
     strata = []
     for scene in results.scenes:
-        everyone = _curves(results.of(None, scene), cost, measure)
+        all_curves = _curves(results.of(None, scene), cost, measure)
         own = _curves(results.of(policy, scene), cost, measure)
         if not own:
             return None
-        budget = min(float(x[-1]) for x, _ in everyone)
+        budget = min(float(x[-1]) for x, _ in all_curves)
         if cost == "frames":
             budget = max(float(run.config["configuration"]["frame_budget"]) for run in results.of(None, scene))
         if budget <= 0:

@@ -1,4 +1,4 @@
-"""Series of an episode's timeline: phases, state of the Plane Scene Graph, terms and factors of chosen views."""
+"""Extract series of an episode: phases, state of the Plane Scene Graph, terms and factors of chosen views."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ import numpy as np
 
 Steps = Sequence[Mapping[str, Any]]  # the lines of steps.jsonl
 
-SETTLED = "settled"  # the band of what is decided once nothing is left for the last phase to do
-_MAX_DRAWN = 2000  # decisions of an episode; of more, an even choice: the picture has fewer pixels
+SETTLED = "settled"  # name of the phase after the last one has finished
+_MAX_DRAWN = 2000  # decisions in a chart; of more, an even selection, since a chart has fewer pixels
 
 
 @dataclass(frozen=True)
 class Band:
-    """Decisions in a row with the same phase."""
+    """Hold an interval of frames with the same phase."""
 
     phase: str
     start: float  # frames
     end: float
-    reason: str | None = None  # why it began
+    reason: str | None = None  # for the change to this phase
 
 
 def bands(steps: Steps) -> list[Band]:
-    """The phases of an episode, what follows once its trace says ``settled`` as one more; empty without phases."""
+    """Return the phases of an episode; empty without phases.
+
+    Decisions whose trace contains ``settled`` form a further phase.
+    """
     found: list[Band] = []
     for step, start in zip(steps, starts(steps)):
         trace = step.get("trace") or {}
@@ -42,18 +45,18 @@ def bands(steps: Steps) -> list[Band]:
 
 
 def drawn_decisions(count: int) -> list[int]:
-    """Return the numbers of the decisions that are shown: all, or an even choice of them with the last one."""
+    """Return the numbers of the decisions to show: all, or an even selection that includes the last one."""
     every = -(-count // _MAX_DRAWN) or 1
     return sorted({*range(0, count, every), *range(max(count - 1, 0), count)})
 
 
 def drawn_steps(steps: Steps) -> Steps:
-    """Return the decisions of `drawn_decisions`."""
+    """Return the decisions that `drawn_decisions` selects."""
     return [steps[number] for number in drawn_decisions(len(steps))]
 
 
-def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where a decision has no such number
-    """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one."""
+def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, NaN if a decision lacks it
+    """Return the terms and factors of each chosen view: those in the trace's ``chosen``, else those of the trace."""
     traces = [step.get("trace") or {} for step in steps]
     rows = [
         {name: value for name, value in (trace.get("chosen") or trace).items() if isinstance(value, float)}
@@ -64,12 +67,12 @@ def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where 
 
 
 def starts(steps: Steps) -> list[float]:
-    """Frames paid when each decision was made; the first frame belongs to none."""
+    """Return the frames used before each decision; the first frame precedes all decisions."""
     return [1, *(step["frames"] for step in steps[:-1])][: len(steps)]
 
 
 def graph_series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frames and values of one number of the graph at the end of each decision; nan, a gap, where there was none."""
+    """Return frames [T] and values [T] of a field of the graph at the end of each decision; NaN if it is missing."""
     values = [(step.get("graph") or {}).get(name) for step in steps]
     frames = np.array([step["frames"] for step in steps], float)
     return frames, np.array([np.nan if value is None else value for value in values], float)

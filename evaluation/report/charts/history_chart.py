@@ -1,4 +1,4 @@
-"""A run's own numbers over its frames, as SVG in the page's colours: what the planes lack, what decided each view."""
+"""Draw the history of one run over its frames as SVG: deficit and quality of planes, terms of the chosen views."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from activestructure_gym.evaluation.report.charts.episode_series import (
     starts,
 )
 from activestructure_gym.evaluation.report.charts.plots import tick_text, ticks
-from activestructure_gym.evaluation.report.charts.svg import Group, Part, drawing, path, shape, stroke, words
+from activestructure_gym.evaluation.report.charts.svg import Group, Part, drawing, label, path, shape, stroke
 
 _WIDTH, _LEFT, _RIGHT = 640, 52, 10
-_HEAD, _FOOT = 24, 34  # above every panel its title and legend, below the last one its axis
-_LETTER, _SWATCH = 7.3, 26  # widths of a letter and of a legend's line with the space around it
-DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # the gain that stands for IG_px
-FACTORS = ("travel", "discount", "suppressed")  # in 0..1
-# Classes of colours of terms, those of the curves of policies; a policy's other numbers take turns.
+_HEAD, _FOOT = 24, 34  # height of title and legend above each panel, and of the axis below the last one
+_LETTER, _SWATCH = 7.3, 26  # width of a letter, and of a line in the legend with its margins
+DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # exploration terms; a policy has one of them
+FACTORS = ("travel", "discount", "suppressed")  # in [0, 1]
+# CSS classes of the terms' colours. Terms without an entry take `_OTHER_HUES` in turn.
 _HUES = dict.fromkeys(DISCOVERY, "p5")
 _HUES |= {"structure": "p0", "deficiency": "p1", "visibility floor": "p6", "total": "rest"}
 _HUES |= {"travel": "p2", "discount": "p3", "suppressed": "p4"}
@@ -33,20 +33,20 @@ _KINDS = {"structural": "p0", "objects": "p4", "all planes": "rest"}
 
 @dataclass(frozen=True)
 class _Panel:
-    """Series that share a vertical axis."""
+    """Hold series that share a vertical axis."""
 
     title: str
     height: float
-    series: Mapping[str, tuple[str, np.ndarray]]  # class of the colour and values [T], nan where there is none
-    ends: tuple[float, ...] = ()  # what the axis holds besides
-    held: bool = False  # each value holds for a whole decision, from its start to its end
+    series: Mapping[str, tuple[str, np.ndarray]]  # CSS class and values [T], NaN if missing
+    ends: tuple[float, ...] = ()  # values that the axis includes
+    held: bool = False  # draw each value as a level from the start to the end of its decision
 
 
 def history_chart(steps: Steps) -> Markup | None:
-    """Panels one below the other over the frames paid; None where no decision has such numbers.
+    """Return stacked panels over the frames used, or None if no decision has values for them.
 
-    Mean deficit and quality of structural and object planes, area of the deficiency centres, then the terms and the
-    factors of the chosen views. Phases are bands.
+    Panels show mean deficit and quality of structural and object planes, area of the deficiency centres, and terms and
+    factors of the chosen views. Phases are shaded bands.
     """
     panels = [
         panel for panel in _panels(steps) if any(np.isfinite(values).any() for _, values in panel.series.values())
@@ -76,7 +76,7 @@ def history_chart(steps: Steps) -> Markup | None:
         for tick in y_ticks:
             level = float(y_of(np.array(tick)))
             parts.append(stroke("grid", _LEFT, level, _WIDTH - _RIGHT, level))
-            parts.append(words(tick_text(tick, y_ticks), _LEFT - 6, level + 4, "end"))
+            parts.append(label(tick_text(tick, y_ticks), _LEFT - 6, level + 4, "end"))
         for kind, own in panel.series.values():
             places = np.stack([starting, ending], axis=1) if panel.held else ending[:, None]
             heights = np.repeat(y_of(own)[:, None], places.shape[1], axis=1)
@@ -85,10 +85,12 @@ def history_chart(steps: Steps) -> Markup | None:
         groups.append(Group({"transform": f"translate(0 {top:g})"}, parts))
         top += _HEAD + panel.height
     x_ticks = [tick for tick in ticks(0.0, end) if tick <= end * (1 + 1e-9)]
-    labels: list[Part] = [words("frames", _LEFT + width / 2, top + _FOOT - 4, "middle", "label")]
+    labels: list[Part] = [label("frames", _LEFT + width / 2, top + _FOOT - 4, "middle", "label")]
     for tick in x_ticks:
-        labels.append(words(tick_text(tick, x_ticks), _LEFT + tick / end * width, top + 16, "middle"))
-    return drawing("chart history", (_WIDTH, top + _FOOT), "the run over its frames", groups=groups, labels=labels)
+        labels.append(label(tick_text(tick, x_ticks), _LEFT + tick / end * width, top + 16, "middle"))
+    return drawing(
+        "chart history", (_WIDTH, top + _FOOT), "history of the run over frames", groups=groups, labels=labels
+    )
 
 
 def _panels(steps: Steps) -> list[_Panel]:
@@ -105,13 +107,13 @@ def _panels(steps: Steps) -> list[_Panel]:
         _Panel("mean deficit", 90, by_kind("deficit"), (0.0,)),
         _Panel("mean quality", 70, by_kind("quality"), (1.0,)),
         _Panel("deficient area [m²]", 60, {"": ("rest", graph_series(steps, "deficiency_area")[1])}, (0.0,)),
-        _Panel("gain of the chosen view", 90, gains, (0.0,), held=True),
+        _Panel("gain terms of the chosen view", 90, gains, (0.0,), held=True),
         _Panel("factors", 60, factors, (0.0, 1.0), held=True),
     ]
 
 
 def _pieces(x: np.ndarray, y: np.ndarray) -> str:  # [T, n] each: n points per decision
-    """A path through the decisions that have a value; it is broken where one has none."""
+    """Return a path through the decisions with a value, interrupted at the others."""
     whole = np.isfinite(y).all(axis=1)
     starting = np.flatnonzero(whole & ~np.concatenate([[False], whole[:-1]]))
     ending = np.flatnonzero(whole & ~np.concatenate([whole[1:], [False]])) + 1
@@ -122,10 +124,10 @@ def _pieces(x: np.ndarray, y: np.ndarray) -> str:  # [T, n] each: n points per d
 
 
 def _legend(panel: _Panel) -> list[Part]:
-    parts: list[Part] = [words(panel.title, _LEFT, _HEAD - 8, "start", "label")]
+    parts: list[Part] = [label(panel.title, _LEFT, _HEAD - 8, "start", "label")]
     x = _LEFT + _LETTER * len(panel.title) + 16
     for name, (kind, _) in panel.series.items():
         if name:
-            parts += [shape(f"curve {kind}", f"M{x:.1f} {_HEAD - 12}h18"), words(name, x + 23, _HEAD - 8, "start")]
+            parts += [shape(f"curve {kind}", f"M{x:.1f} {_HEAD - 12}h18"), label(name, x + 23, _HEAD - 8, "start")]
             x += _SWATCH + _LETTER * len(name) + 8
     return parts

@@ -1,7 +1,7 @@
-"""Line charts and interval charts as SVG: sharp at any size, in the page's colours by day and by night.
+"""Draw line charts and interval charts as SVG, in the page's light and dark colours.
 
-The SVG of a chart is a sixth to a third of what matplotlib writes, takes the page's colours when these change, and says
-where its axes lie, so that the page can read a curve off (docs/notebook/performance.md).
+The SVG of a chart has a sixth to a third of the size of matplotlib's. Its data attributes give the positions of the
+axes; the page uses them to show values at the pointer (docs/notebook/performance.md).
 """
 
 from __future__ import annotations
@@ -17,61 +17,63 @@ from activestructure_gym.evaluation.report.charts.svg import (
     Group,
     Part,
     drawing,
-    mark,
+    label,
+    marker,
     path,
     shape,
+    simplified,
     stroke,
-    thinned,
-    words,
 )
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT, hue, is_grey
 from activestructure_gym.evaluation.report.tables.layout import Judgement
 
-_SIZE = (460, 300)  # of a line chart, in the units of its view box
-_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 18, 10, 44
-_LABEL, _DIGIT = 24, 8  # to the left of a tick's text stands the axis' label
-_PANEL = (184, 104)  # of one policy among many
-_LETTERS = 27  # of a name beside or above a curve
-_BETWEEN = (12, 30)  # panels, to the right and downwards
-_EMPTY = 0.2  # share of the horizontal axis that may lie before the first curve
+_SIZE = (460, 300)  # width and height of a line chart, in units of its view box
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 18, 10, 44  # margins
+_LABEL, _DIGIT = 24, 8  # width of the vertical axis label, and of a digit
+_PANEL = (184, 104)  # width and height of one policy's panel
+_LETTERS = 27  # maximum length of a policy's name in a chart
+_BETWEEN = (12, 30)  # horizontal and vertical gap between panels
+_EMPTY = 0.2  # maximum share of the horizontal axis before the first curve
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
 
 
 @dataclass(frozen=True)
 class Line:
-    """One policy's curve."""
+    """Hold one policy's curve."""
 
     name: str
-    index: int  # of the policy: its colour, dash and mark
+    index: int  # of the policy; selects colour, dash pattern and marker
     x: np.ndarray  # [G]
     y: np.ndarray  # [G]
-    low: np.ndarray | None = None  # [G] band
+    low: np.ndarray | None = None  # [G] confidence band
     high: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Bar:
-    """One policy's interval."""
+    """Hold one policy's value and confidence interval."""
 
     name: str
     index: int
     value: float
     low: float | None
     high: float | None
-    tone: Judgement = ""  # good or bad: the interval excludes 0
+    tone: Judgement = ""  # good or bad if the interval excludes 0
 
 
-def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Markup:
-    """Curves with bands; the vertical axis reaches what it ``holds``, wherever the curves are.
+def line_chart(
+    lines: Sequence[Line], *, title: str, x_label: str, y_label: str, y_includes: Sequence[float] = ()
+) -> Markup:
+    """Return a line chart with confidence bands. The vertical axis includes all values in ``y_includes``.
 
-    The horizontal axis begins at 0, or where the first curve does if that would leave too much of it empty.
+    The horizontal axis begins at 0, or near the first point if more than a fifth of the axis would be empty.
     """
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
     first = min((float(line.x[0]) for line in lines), default=0.0)
     begin = 0.0 if first <= _EMPTY * right else max(tick for tick in ticks(0.0, right, 20) if tick < first)
-    bottom, top = span(lines, holds)
+    bottom, top = value_range(lines, y_includes)
     x_ticks = [tick for tick in ticks(begin, right) if begin <= tick <= right * (1 + 1e-9)]
     y_ticks = ticks(bottom, top)
     left = max(_LEFT, _LABEL + _DIGIT * max(len(tick_text(tick, y_ticks)) for tick in y_ticks))
@@ -87,16 +89,16 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
     parts: list[Part] = []
     for tick in y_ticks:
         parts.append(stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
-        parts.append(words(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
+        parts.append(label(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
     for tick in x_ticks:
         parts.append(stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
-        parts.append(words(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
+        parts.append(label(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
     parts.append(stroke("axis", left, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
-    parts.append(words(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    parts.append(label(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
     middle = (_TOP + height - _BOTTOM) / 2
-    parts.append(words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
+    parts.append(label(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
     groups = []
-    for line in sorted(lines, key=lambda line: not is_grey(line.index)):  # those in colour lie on top
+    for line in sorted(lines, key=lambda line: not is_grey(line.index)):  # coloured curves are drawn last
         places = [x_of(float(x)) for x in line.x]
         own: list[Part] = []
         grey = is_grey(line.index)
@@ -105,10 +107,10 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
             own.append(shape("band", path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
         curve = [(x, y_of(float(y))) for x, y in zip(places, line.y)]
         if grey:
-            own.append(shape("curve", path(thinned(curve))))
+            own.append(shape("curve", path(simplified(curve))))
         else:
             own.append(shape("curve", path(curve), **{"stroke-dasharray": _DASHES[line.index] or None}))
-            own.append(mark(line.index, *curve[-1]))
+            own.append(marker(line.index, *curve[-1]))
         groups.append(Group({"class": f"series s{line.index} {hue(line.index)}", "data-name": line.name}, own))
     data = {
         "data-frame": f"{left} {_TOP} {width - _RIGHT} {height - _BOTTOM}",
@@ -119,20 +121,20 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
     return drawing("chart", (width, height), title, axes=parts, groups=groups, data=data)
 
 
-def span(lines: Sequence[Line], holds: Sequence[float] = ()) -> tuple[float, float]:
-    """The lowest and the highest value of curves, their bands, and what an axis is to hold besides."""
+def value_range(lines: Sequence[Line], further: Sequence[float] = ()) -> tuple[float, float]:
+    """Return the lowest and highest value of curves, their bands, and ``further`` values."""
     drawn = [values for line in lines for values in (line.y, line.low, line.high) if values is not None]
-    everything = np.concatenate([*drawn, np.asarray(holds, np.float64)])
-    if not len(everything):
+    values = np.concatenate([*drawn, np.asarray(further, np.float64)])
+    if not len(values):
         return 0.0, 0.0
-    return float(everything.min()), float(everything.max())
+    return float(values.min()), float(values.max())
 
 
 def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Markup:
-    """A panel per policy: its own curve with its band before the curves of all others.
+    """Return one panel per policy: its curve with its band, and the curves of all policies in grey behind it.
 
-    For more policies than can be told apart in one chart. All panels have the axes of the first chart's kind: from 0
-    to the right, and the range of all curves upwards.
+    It serves for more policies than there are colours. All panels share their axes: from 0 to the largest cost, and the
+    range of all curves.
     """
     panel_width, panel_height = _PANEL
     columns = max(1, min(columns, len(lines)))
@@ -140,12 +142,12 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
     width = _LEFT + columns * (panel_width + _BETWEEN[0]) - _BETWEEN[0] + _RIGHT
     height = rows * (panel_height + _BETWEEN[1]) + _BOTTOM
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
-    everything = np.concatenate([line.y for line in lines] or [np.zeros(1)])
+    values = np.concatenate([line.y for line in lines] or [np.zeros(1)])
     x_ticks = [tick for tick in ticks(0.0, right, 3) if tick <= right * (1 + 1e-9)]
-    y_ticks = ticks(float(everything.min()), float(everything.max()), 3)
+    y_ticks = ticks(float(values.min()), float(values.max()), 3)
     y_low, y_high = y_ticks[0], y_ticks[-1]
 
-    def places(x: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:  # in a panel
+    def places(x: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:  # in the panel's units
         upwards = np.clip((y - y_low) / (y_high - y_low), 0.0, 1.0)
         return list(zip((x / right * panel_width).tolist(), ((1.0 - upwards) * panel_height).tolist()))
 
@@ -154,37 +156,39 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
     groups = []
     for number, line in enumerate(lines):
         column, row = number % columns, number // columns
-        lowest = number + columns >= len(lines)  # nothing stands below it
+        lowest = number + columns >= len(lines)  # no panel below
         below: list[Part] = []
         for tick in y_ticks:
             y = panel_height * (1.0 - (tick - y_low) / (y_high - y_low))
             below.append(stroke("grid", 0.0, y, panel_width, y))
             if column == 0:
-                below.append(words(tick_text(tick, y_ticks), -7, y + 4, "end"))
+                below.append(label(tick_text(tick, y_ticks), -7, y + 4, "end"))
         if lowest:
             for tick in x_ticks:
                 x = tick / right * panel_width
-                anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"  # panels stand close
-                below.append(words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
+                anchor = (
+                    "start" if x < 15 else "end" if x > panel_width - 15 else "middle"
+                )  # keeps labels inside their panel
+                below.append(label(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
         own: list[Part] = []
         if line.low is not None and line.high is not None:
             edge = [*places(line.x, line.high), *reversed(places(line.x, line.low))]
             own.append(shape("band", path(edge) + "Z"))
         own.append(shape("curve", path(places(line.x, line.y))))
-        own.append(words(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
+        own.append(label(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
         place = f"translate({_LEFT + column * (panel_width + _BETWEEN[0])} {20 + row * (panel_height + _BETWEEN[1])})"
         groups.append(Group({"class": f"panel {hue(line.index)}", "transform": place}, own, below))
     middle = height / 2
     labels = [
-        words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"),
-        words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"),
+        label(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"),
+        label(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"),
     ]
     shared = {"id": others_id, "d": others}
     return drawing("chart panels", (width, height), title, groups=groups, labels=labels, shared=shared)
 
 
-def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
-    """A row per policy: its difference and interval, around a line at 0."""
+def interval_chart(bars: Sequence[Bar], *, title: str, x_label: str) -> Markup:
+    """Return one row per policy with its difference and confidence interval, and a line at 0."""
     letters = max((len(shortened(bar.name, _LETTERS)) for bar in bars), default=0)
     width, row, name_width = _SIZE[0], 26, max(132, 18 + 7 * letters)
     height = _TOP + row * len(bars) + _BOTTOM
@@ -201,34 +205,34 @@ def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
     parts: list[Part] = []
     for tick in x_ticks:
         parts.append(stroke("grid", x_of(tick), _TOP, x_of(tick), floor))
-        parts.append(words(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
+        parts.append(label(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
     parts.append(stroke("zero", x_of(0.0), _TOP - 4, x_of(0.0), floor))
-    parts.append(words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    parts.append(label(x_label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
     groups = []
     for number, bar in enumerate(bars):
         y = _TOP + row * (number + 0.5)
-        own: list[Part] = [words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
+        own: list[Part] = [label(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
         if bar.low is not None and bar.high is not None:
             own.append(stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
             own += [stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
-        own.append(mark(bar.index, x_of(bar.value), y))
-        says = f"{bar.name}: {bar.value:+.3g}"
+        own.append(marker(bar.index, x_of(bar.value), y))
+        tooltip = f"{bar.name}: {bar.value:+.3g}"
         if bar.low is not None and bar.high is not None:
-            says += f", 95 % interval {bar.low:+.3g} to {bar.high:+.3g}"
-        groups.append(Group({"class": f"row {bar.tone} {hue(bar.index)}"}, own, says=says))
+            tooltip += f", 95 % interval {bar.low:+.3g} to {bar.high:+.3g}"
+        groups.append(Group({"class": f"row {bar.tone} {hue(bar.index)}"}, own, tooltip=tooltip))
     return drawing("chart intervals", (width, height), title, axes=parts, groups=groups)
 
 
-def key_mark(index: int) -> Markup:
-    """A policy's line and mark, for a legend."""
+def legend_marker(index: int) -> Markup:
+    """Return a policy's line and marker for a legend."""
     line = shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
-    return render("legend_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, mark(index, 17, 7)])
+    return render("legend_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, marker(index, 17, 7)])
 
 
 def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, title: str) -> str:
-    """Rows of charts as one SVG file with a legend of ``names``, for pages that are not ours.
+    """Return rows of charts as one SVG file with a legend of ``names``, for use outside the page.
 
-    Those that are grey share an entry.
+    All policies drawn in grey share one entry.
     """
     names, grey = names[: len(COLOURS)], len(names[len(COLOURS) :])
     placed, right, y = [], 0.0, 40.0
@@ -244,18 +248,20 @@ def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, titl
         needed = 64 + 7.2 * len(name)
         if x > 16.0 and x + needed > right:
             x, y = 16.0, y + 22
-        legend.append((_placed(key_mark(index), x, y, 34, 14), words(name, x + 40, y + 11, "start")))
+        legend.append((_placed(legend_marker(index), x, y, 34, 14), label(name, x + 40, y + 11, "start")))
         x += needed
     if grey:
         x, y = 16.0, y + 22
-        legend.append((_placed(key_mark(len(COLOURS)), x, y, 34, 14), words(f"{grey} others", x + 40, y + 11, "start")))
+        legend.append(
+            (_placed(legend_marker(len(COLOURS)), x, y, 34, 14), label(f"{grey} others", x + 40, y + 11, "start"))
+        )
     right, y = max(right, math.ceil(x)), y + 26 if names else y
     whole = render(
         "standalone.svg.j2",
         width=f"{right:g}",
         height=f"{y:g}",
         style=Markup(chart_style()),
-        heading=[words(title, 12, 24, "start", "heading")],
+        heading=[label(title, 12, 24, "start", "heading")],
         charts=placed,
         legend=legend,
     )
@@ -263,18 +269,18 @@ def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, titl
 
 
 def _placed(chart: Markup, x: float, y: float, width: float, height: float) -> Markup:
-    """A chart within another one: an inner ``svg`` with its place and its size."""
+    """Return a chart as an inner ``svg`` element with position and size."""
     return Markup(f'<svg x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"{chart[len("<svg") :]}')
 
 
 def _size(chart: Markup) -> tuple[float, float]:
-    """Width and height of a chart's view box."""
+    """Return width and height of a chart's view box."""
     _, _, width, height = chart.split('viewBox="', 1)[1].split('"', 1)[0].split()
     return float(width), float(height)
 
 
 def chart_style() -> str:
-    """CSS of a chart that stands outside of the page: background, ink and colours."""
+    """Return the CSS of a chart outside the page: text, axis and policy colours, light and dark."""
     colours = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
     by_night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
     return (
@@ -291,7 +297,7 @@ def chart_style() -> str:
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Round numbers that span ``low`` to ``high``: steps of 1, 2 or 5 times a power of ten."""
+    """Return round numbers that enclose [``low``, ``high``], in steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not span > 0:
         span = abs(low) or 1.0
@@ -303,7 +309,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> str:
-    """A tick with as many digits as the step between ticks needs."""
+    """Format a tick with as many digits as the step between ticks needs."""
     step = among[1] - among[0] if len(among) > 1 else abs(tick) or 1.0
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     text = f"{tick:+.{digits}f}" if signed and round(tick, digits) else f"{abs(tick) if not tick else tick:.{digits}f}"
@@ -311,7 +317,7 @@ def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> s
 
 
 def shortened(text: str, letters: int) -> str:
-    """Cut in the middle, where names of one family are alike."""
+    """Shorten a text in the middle, since related names differ at their end."""
     if len(text) <= letters:
         return text
     head = (letters - 1) // 2

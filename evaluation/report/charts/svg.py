@@ -1,4 +1,4 @@
-"""The parts that charts are drawn of, as SVG: paths, words, and groups of them."""
+"""Build the SVG elements of charts: paths, texts, and groups of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.html import render
 
-_MARKS = (
+_MARKERS = (
     "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", "M-3.6 -3.6h7.2v7.2h-7.2z", "M0 -4.8L4.6 3.4H-4.6z", "M0 -5L5 0L0 5L-5 0z",
     "M0 4.8L4.6 -3.4H-4.6z", "M-1.6 -4.6h3.2v3h3v3.2h-3v3h-3.2v-3h-3v-3.2h3z",
     "M-4.6 -2.8L-2.8 -4.6L0 -1.8L2.8 -4.6L4.6 -2.8L1.8 0L4.6 2.8L2.8 4.6L0 1.8L-2.8 4.6L-4.6 2.8L-1.8 0z",
@@ -20,13 +20,13 @@ _MARKS = (
 
 
 class Shape(NamedTuple):
-    """An SVG element of a chart, by its attributes."""
+    """Hold a path element by its attributes."""
 
     attributes: dict[str, str | None]
 
 
-class Words(NamedTuple):
-    """A text element of a chart."""
+class Text(NamedTuple):
+    """Hold a text element; ``anchor`` is SVG's ``text-anchor``, ``kind`` its CSS class."""
 
     text: str
     x: float
@@ -36,33 +36,36 @@ class Words(NamedTuple):
     transform: str | None
 
 
-Part = Shape | Words
+Part = Shape | Text
 
 
 class Group(NamedTuple):
-    """The elements of one policy."""
+    """Hold the elements of one policy or panel."""
 
     attributes: dict[str, str]
     parts: Sequence[Part]
-    below: Sequence[Part] = ()  # painted before what all groups share
-    says: str = ""
+    below: Sequence[Part] = ()  # drawn before the path that all groups share
+    tooltip: str = ""
 
 
 def path(points: Sequence[tuple[float, float]]) -> str:
-    """From the first point by steps, in tenths of a unit: half the bytes of the places themselves."""
+    """Return path data: the first point, then relative steps, both in tenths of a unit.
+
+    Relative steps take half the bytes of absolute positions. Rounded positions are subtracted, so errors do not add up.
+    """
     places = [(round(10 * x), round(10 * y)) for x, y in points]
     steps = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in zip(places, places[1:])]
     return f"M{_tenths(*places[0])}" + ("l" + " ".join(_tenths(x, y) for x, y in steps) if steps else "")
 
 
-def thinned(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Without the points that lie within a third of a unit of the line through the others (Douglas and Peucker)."""
+def simplified(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the points without those that deviate from the remaining line by less than 0.3 (Douglas and Peucker)."""
     kept = cv2.approxPolyDP(np.array(points, np.float32)[:, None], 0.3, closed=False)
     return [(float(x), float(y)) for x, y in kept[:, 0]]
 
 
 def _tenths(x: int, y: int) -> str:
-    """Two numbers of tenths, as short as SVG can read them: ``.5-12`` for 5 and -120."""
+    """Format two numbers of tenths in the fewest characters that SVG can parse: ``.5-12`` for 5 and -120."""
     first, second = (
         f"{number / 10:g}".replace("0.", ".") if abs(number) < 10 else f"{number / 10:g}" for number in (x, y)
     )
@@ -70,19 +73,23 @@ def _tenths(x: int, y: int) -> str:
 
 
 def shape(kind: str, d: str, **attributes: str | None) -> Shape:
+    """Return a path of CSS class ``kind`` with path data ``d``."""
     return Shape({"class": kind, "d": d, **attributes})
 
 
 def stroke(kind: str, x1: float, y1: float, x2: float, y2: float) -> Shape:
+    """Return a straight line of CSS class ``kind``."""
     return shape(kind, f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}")
 
 
-def mark(index: int, x: float, y: float) -> Shape:
-    return shape("mark", _MARKS[index % len(_MARKS)], transform=f"translate({x:.1f} {y:.1f})")
+def marker(index: int, x: float, y: float) -> Shape:
+    """Return the marker of the policy with this index."""
+    return shape("mark", _MARKERS[index % len(_MARKERS)], transform=f"translate({x:.1f} {y:.1f})")
 
 
-def words(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> Words:
-    return Words(text, x, y, anchor, kind, transform)
+def label(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> Text:
+    """Return a text at a position."""
+    return Text(text, x, y, anchor, kind, transform)
 
 
 def drawing(
@@ -94,8 +101,9 @@ def drawing(
     groups: Sequence[Group] = (),
     labels: Sequence[Part] = (),
     data: Mapping[str, str] | None = None,
-    shared: Mapping[str, str] | None = None,  # a path that every group has
+    shared: Mapping[str, str] | None = None,  # id and data of a path drawn in every group
 ) -> Markup:
+    """Return the SVG of a chart: axes, then groups, then labels."""
     width, height = size
     return render(
         "chart.svg.j2", kind=kind, width=width, height=height, title=title, axes=axes, groups=groups, labels=labels,

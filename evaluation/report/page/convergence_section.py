@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.report.charts.convergence import (
     convergence,
     measures_of,
 )
-from activestructure_gym.evaluation.report.charts.plots import Line, key_mark, panel_chart
+from activestructure_gym.evaluation.report.charts.plots import Line, legend_marker, panel_chart
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.tables import verdicts
@@ -31,7 +31,7 @@ def convergence_section(results: Results) -> Markup:
     says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
     return render(
         "convergence.html.j2",
-        legend=[(policy, key_mark(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],
+        legend=[(policy, legend_marker(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],
         rest=results.palette[len(style.COLOURS) :],
         says=says,
         charts=chart_grid(results),

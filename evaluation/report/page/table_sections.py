@@ -65,7 +65,7 @@ def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
         return None
     title = f"{column.title}: difference to {results.baseline}"
     label = f"{column.header} [{column.unit}], better is {'left' if column.sign < 0 else 'right'}"
-    return title, interval_chart(bars, title=title, label=label)
+    return title, interval_chart(bars, title=title, x_label=label)
 
 
 def costs_section(results: Results) -> Markup:

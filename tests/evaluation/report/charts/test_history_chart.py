@@ -20,7 +20,13 @@ def places(path):  # of every unbroken piece [P, 2]
 
 def test_panels_stand_over_the_frames_and_values_hold_for_their_decision(steps):
     svg = ElementTree.fromstring(history_chart(steps))
-    assert titles(svg) == ["mean deficit", "mean quality", "deficient area [m²]", "gain of the chosen view", "factors"]
+    assert titles(svg) == [
+        "mean deficit",
+        "mean quality",
+        "deficient area [m²]",
+        "gain terms of the chosen view",
+        "factors",
+    ]
     width = float(svg.get("viewBox").split()[2])
     gain = svg.findall("g")[3].findall("path[@class='curve p5']")[0]  # pixel: 0.5, 0.25, ...
     (found,) = places(gain.get("d"))

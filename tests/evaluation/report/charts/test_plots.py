@@ -97,7 +97,7 @@ def test_numbers_have_room_beside_the_label(low, high):
 
 def test_the_axis_reaches_what_it_is_to_hold():
     curve = Line("a", 0, np.array([1.0, 2.0]), np.array([0.93, 0.95]))
-    chart = line_chart([curve], title="t", x_label="x", y_label="y", holds=(0.0, 1.0))
+    chart = line_chart([curve], title="t", x_label="x", y_label="y", y_includes=(0.0, 1.0))
     assert ElementTree.fromstring(chart).get("data-y") == "0 1"
 
 
@@ -150,7 +150,7 @@ def test_names_are_escaped_and_no_curve_is_no_error():
 
 def test_intervals_stand_around_their_zero():
     bars = [Bar("a", 0, 2.0, 1.0, 3.0), Bar("b", 1, -1.0, None, None)]
-    svg = ElementTree.fromstring(interval_chart(bars, title="t", label="l"))
+    svg = ElementTree.fromstring(interval_chart(bars, title="t", x_label="l"))
     zero = float(re.match(r"M([\d.]+)", svg.find("path[@class='zero']").get("d")).group(1))
     first, second = svg.findall("g")
     low, high = (float(n) for n in re.findall(r"[ML]([\d.]+)", first.find("path[@class='interval']").get("d")))

@@ -1,4 +1,4 @@
-"""The report: one page, tables, convergence curves, pictures; all made from run directories.
+"""Write the report from run directories: one page, tables, convergence curves, images.
 
 `results.Results` holds the data of a report, `page.document.html_page` builds the page, and `summary.write_results`
 writes all files.

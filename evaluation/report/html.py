@@ -1,4 +1,4 @@
-"""The page's markup: templates of Jinja2, in which everything is escaped that is not markup already."""
+"""Render the page's Jinja2 templates, which escape all text that is not markup."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 from activestructure_gym.evaluation.report.text_filters import compressed, without_folders
 
 _TEMPLATES = Path(__file__).with_name("templates")
-# A line break beside a tag, with the indentation after it: there for whoever reads the template.
+# A line break next to a tag, with the following indentation.
 _BREAK_AT_TAG = re.compile(r"(?:(?<=>)|(?<=%\})|(?<=#\}))\s*\n\s*|\s*\n\s*(?=<|\{%|\{#)")
 _BREAK = re.compile(r"\s*\n\s*")
 
 
 class _LinesJoined(Extension):
-    """Line breaks of templates: none beside tags, a space within text. Ninety runs' worth of indentation is no use."""
+    """Remove line breaks next to tags in templates, and replace those within text by spaces.
+
+    This reduces the size of pages with many runs.
+    """
 
     def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
-        """See `jinja2.ext.Extension`."""
+        """Return the source of a template with its lines joined."""
         return _BREAK.sub(" ", _BREAK_AT_TAG.sub("", source.strip()))
 
 
@@ -41,31 +44,32 @@ def _environment() -> Environment:
         "hue": hue,
         "compressed": compressed,
         "place": "{:.1f}".format,
-        "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # none begins a line
+        "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # no break before it
         "without_folders": without_folders,
     }
     return environment
 
 
 def render(template: str, **content: Any) -> Markup:
-    """One of ``templates/`` with its content."""
+    """Return a template of ``templates/`` filled with content."""
     return Markup(_environment().get_template(template).render(content))
 
 
 class _Shown(NamedTuple):
-    """One cell of a table, as the fields that the template reads."""
+    """Hold the fields of a table cell for the template."""
 
     tag: str
     attributes: dict[str, Any]
     text: str
-    spread: str  # interval or deviation, set smaller
-    dot: int | None  # of the policy it names
+    spread: str  # interval or deviation, in a smaller font
+    dot: int | None  # index of the policy that the cell names
 
 
 def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True) -> Markup:
-    """A table with its caption; policies named in ``colours`` carry their colour. Sortable where rows stand alone.
+    """Return a table with its caption.
 
-    By numbers in full where ``exact``, else as they are printed.
+    Policies in ``colours`` get a dot in their colour. Tables without blocks of rows can be sorted: by full-precision
+    values if ``exact``, else by printed ones.
     """
     ends = [0, *table.blocks, len(table.rows)]
     blocks = [
@@ -76,7 +80,7 @@ def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True)
 
 
 def _row(table: Table, index: int, end: int, colours: Sequence[str], exact: bool) -> list[_Shown]:
-    """A row of the block that ends before row ``end``; a first cell that repeats the one above it is left out."""
+    """Return a row of the block that ends before row ``end``; a first cell equal to the one above is left out."""
     cells = []
     for column, cell in enumerate(table.rows[index]):
         rows_below = 1
@@ -91,7 +95,7 @@ def _row(table: Table, index: int, end: int, colours: Sequence[str], exact: bool
 def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[str], exact: bool) -> _Shown:
     numeric, name = table.headings[column].numeric, cell.note or cell.text
     kinds = ("n" if numeric else "", f"r{cell.rank}" if cell.rank else "", cell.tone)
-    text, spread = _parted(cell.text) if numeric else (cell.text, "")
+    text, spread = _split_spread(cell.text) if numeric else (cell.text, "")
     attributes = {
         "class": " ".join(filter(None, kinds)) or None,
         "title": {1: "1st", 2: "2nd", 3: "3rd"}.get(cell.rank, cell.note if cell.note != cell.text else "") or None,
@@ -103,8 +107,8 @@ def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[s
     return _Shown("th" if column == 0 else "td", attributes, text, spread, dot)
 
 
-def _parted(text: str) -> tuple[str, str]:
-    """A cell's text as (number, interval or deviation behind it); the second is empty where there is none."""
+def _split_spread(text: str) -> tuple[str, str]:
+    """Split a cell's text into number and following interval or deviation; the second is empty if there is none."""
     for mark in (" [", " ± "):
         number, found, rest = text.partition(mark)
         if found:

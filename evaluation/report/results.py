@@ -1,4 +1,4 @@
-"""The data of a report: finished runs from one or more directories, missing ones, and a baseline."""
+"""Hold the data of a report: finished runs of one or more directories, missing runs, and a baseline."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from activestructure_gym.evaluation.statistics import mean, pooled
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_ON_A_SCREEN = 7  # policies side by side
-# Whom the others are measured against if nobody is named: the first of these that took part.
-_DIGITS = 8  # of a content hash, to tell two apart
+_ON_A_SCREEN = 7  # maximum number of policies side by side
+_DIGITS = 8  # shown digits of a content hash
+# The default baseline is the first of these that has a run.
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A directory that runs were read from."""
+    """Hold a directory from which runs were read."""
 
     directory: Path
-    command: str = ""  # empty for a single run's directory
+    command: str = ""  # of the comparison; empty for a single run
     workers: int | None = None
-    missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # jobs without a result, and why
+    missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # reason by title of each job without a result
 
 
 @dataclass(frozen=True)
 class Results:
-    """Finished runs; every cell of scene, policy and seed at most once."""
+    """Hold finished runs, at most one per scene, policy and seed."""
 
     runs: Sequence[Run]
     sources: Sequence[Source]
-    baseline: str | None = None  # a policy; None: chosen by `_BASELINES`
+    baseline: str | None = None  # a policy; None selects one by `_BASELINES`
 
     def __post_init__(self) -> None:
         if not self.runs:
@@ -62,8 +62,8 @@ class Results:
         for name, found in conditions(self.runs).items():
             if len(found) > 1:
                 raise InputError(
-                    f"these runs were made under different conditions ({name}: {listed(found)}); a report compares "
-                    "like with like, so make one for each"
+                    f"these runs were made under different conditions ({name}: {listed(found)}); a report needs "
+                    "equal conditions, so write one report for each"
                 )
         if self.baseline is None and len(self.policies) > 1:
             usual = [name for name in _BASELINES if name in self.policies]
@@ -71,14 +71,15 @@ class Results:
 
     @cached_property
     def policies(self) -> list[str]:
-        """Policies, in the order of the runs."""
+        """Return the policies in the order of the runs."""
         return list(dict.fromkeys(run.policy for run in self.runs))
 
     @cached_property
     def palette(self) -> list[str]:
-        """Policies in the order of their colours: that of the runs; where colours do not suffice, the foremost first.
+        """Return the policies in the order of their colours: the order of the runs if there are enough colours.
 
-        Those are the baseline and those with the highest mean C.R. of the policies that finished on every scene.
+        Otherwise the baseline is first, then the policies by falling mean C.R.; policies without a run on every scene
+        are last.
         """
         if len(self.policies) <= len(COLOURS):
             return self.policies
@@ -91,29 +92,29 @@ class Results:
 
     @cached_property
     def planners(self) -> list[bool]:
-        """Of every policy whether it has a rank: a reference has none, nor has a trajectory beside planners."""
+        """Return whether each policy is ranked; references are not, nor are trajectories compared with planners."""
         ranked = ranked_among({run.job.policy for run in self.runs})
         names = {run.policy for run in self.runs if run.job.policy in ranked}
         return [policy in names for policy in self.policies]
 
     @cached_property
     def scenes(self) -> list[str]:
-        """Scenes, in the order of the runs."""
+        """Return the scenes in the order of the runs."""
         return list(dict.fromkeys(run.scene for run in self.runs))
 
     @cached_property
     def seeds(self) -> list[int]:
-        """Seeds, ascending."""
+        """Return the seeds in ascending order."""
         return sorted({run.job.seed for run in self.runs})
 
     @cached_property
     def missing(self) -> dict[str, str]:
-        """Jobs that were asked for and have no result, each with the reason."""
+        """Return the reason for each requested job without a result, by title."""
         return {name: why for source in self.sources for name, why in source.missing.items()}
 
     @cached_property
     def _by_cell(self) -> dict[tuple[str | None, str | None], list[Run]]:
-        """The runs by policy and scene; None stands for all of them."""
+        """Return the runs by policy and scene; None selects all policies or scenes."""
         found: dict[tuple[str | None, str | None], list[Run]] = {}
         for run in self.runs:
             for cell in ((None, None), (run.policy, None), (None, run.scene), (run.policy, run.scene)):
@@ -122,20 +123,20 @@ class Results:
 
     @cached_property
     def found(self) -> dict[Hashable, Any]:
-        """What functions under `once` have found in these results."""
+        """Return the results cached by `once`."""
         return {}
 
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
-        """The runs of a policy, of a scene, or of both."""
+        """Return the runs of a policy, of a scene, or of a policy on a scene."""
         return list(self._by_cell.get((policy, scene), ()))
 
     def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
-        """A policy's numbers by scene and seed, where they are defined."""
+        """Return a policy's values of a metric by scene and seed, where they are defined."""
         values = {(run.scene, run.job.seed): value_of(run, key) for run in self.of(policy, scene)}
         return {cell: float(value) for cell, value in values.items() if value is not None}
 
     def strata(self, policy: str, key: str, scene: str | None = None) -> list[np.ndarray] | None:
-        """A policy's numbers, scene by scene; None if a scene of the report has none."""
+        """Return a policy's values of a metric, one array per scene; None if a scene has none."""
         cells = self.cells(policy, key, scene)
         found = [
             np.array([value for (own, _), value in cells.items() if own == name])
@@ -144,10 +145,10 @@ class Results:
         return found if all(len(values) for values in found) else None
 
     def shown(self, scene: str, key: str = "completion_ratio") -> list[Run]:
-        """The runs on a scene whose pictures stand side by side: of one seed, so that all began at the same place.
+        """Return the runs on a scene whose images are compared: those of one seed, which share the start pose.
 
-        Of the seeds that most policies finished it is the one with the median result, averaged over the policies; of
-        an even number the lower of the middle two.
+        Of the seeds finished by most policies, it is the one with the median result, averaged over the policies. Of an
+        even number of seeds it is the lower of the middle two.
         """
         by_seed: dict[int, list[Run]] = {}
         for policy in self.policies:
@@ -162,7 +163,7 @@ class Results:
         return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
 
     def foremost(self, scene: str, key: str = "completion_ratio") -> list[Run]:
-        """As many of the shown runs as fit on a screen: those with the best result, the baseline in any case."""
+        """Return at most seven of the `shown` runs: the baseline and those with the best results."""
         runs = self.shown(scene)
         ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, key) or 0.0)))
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
@@ -170,51 +171,51 @@ class Results:
 
 
 def opened(runs: Sequence[Run]) -> list[Run]:
-    """The same runs for a look at their pictures: arrays that are read for it go when these runs go.
+    """Return copies of runs for reading their images; the arrays are freed with the copies.
 
-    Raises `InputError` where runs of one scene have not kept the same views.
+    Raises `InputError` if the runs have not stored the same views.
     """
     copies = [copy.copy(run) for run in runs]
     for run in copies[1:]:
         if run.pictures["true"].shape != copies[0].pictures["true"].shape:
             raise InputError(
-                f"'{run.directory}' and '{copies[0].directory}' have not kept the same held-out views of "
-                f"{run.scene}: report them apart, or make one of them again"
+                f"'{run.directory}' and '{copies[0].directory}' have not stored the same held-out views of "
+                f"{run.scene}: report them separately, or repeat one of them"
             )
     return copies
 
 
 def once(function: Callable[Concatenate[Results, P], T]) -> Callable[Concatenate[Results, P], T]:
-    """A function of results and of what can be hashed, which works once for each: page, files and summary ask alike."""
+    """Decorate a function of `Results` and hashable arguments to cache its values in the results."""
 
     @functools.wraps(function)
-    def asked(results: Results, *args: P.args, **kwargs: P.kwargs) -> T:
+    def cached(results: Results, *args: P.args, **kwargs: P.kwargs) -> T:
         key = function.__module__, function.__qualname__, args, tuple(sorted(kwargs.items()))
         if key not in results.found:
             results.found[key] = function(results, *args, **kwargs)
         return cast(T, results.found[key])
 
-    return asked
+    return cached
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """Values of every condition that compared runs must share, as found in the runs.
+    """Return the values found for each condition that compared runs must share.
 
-    What only some of them were told, as a changed field of the preset, the others have as ``not given``.
+    A condition given for some of the runs only, such as an override, is ``not given`` for the others.
     """
     found: dict[str, dict[str, None]] = {}
-    told = [_told(run) for run in runs]
-    names = list(dict.fromkeys(name for flat in told for name in flat))
-    for run, flat in zip(runs, told):
+    given = [_given_conditions(run) for run in runs]
+    names = list(dict.fromkeys(name for flat in given for name in flat))
+    for run, flat in zip(runs, given):
         for name in names:
             found.setdefault(name, {})[flat.get(name, "not given")] = None
         found.setdefault(f"start_pose in {run.scene}", {})[str(run.job.conditions.start_pose)] = None
-        if run.job.scene_hash:  # one name, as of a file that was changed
+        if run.job.scene_hash:  # a scene's file may have changed under the same name
             found.setdefault(f"content of {run.scene}", {})[run.job.scene_hash[:_DIGITS]] = None
     return {name: list(values) for name, values in found.items()}
 
 
-def _told(run: Run) -> dict[str, str]:
+def _given_conditions(run: Run) -> dict[str, str]:
     job = run.job.as_dict()
     flat = {name: job[name] for name in ("preset", "frame_budget")} | {"setup": run.job.conditions.setup}
     flat |= {f"set {name}": value for name, value in job["overrides"].items()}
@@ -223,10 +224,10 @@ def _told(run: Run) -> dict[str, str]:
 
 
 def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
-    """The runs of comparisons' directories and of single runs' directories, in the order given.
+    """Read the runs of comparison directories and of single run directories, in the given order.
 
-    A job that is in two of them counts once. A damaged run is left out, and is among the missing with its damage.
-    Raises `InputError` for a directory that is neither, and where no run is left.
+    A job in two directories counts once. A damaged run is listed as missing, with the reason. Raises `InputError` for
+    other directories, and if no run is left.
     """
     runs: dict[str, Run] = {}
     sources, reasons = list[Source](), list[str]()
@@ -259,7 +260,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             f"there is no finished run in {listed(directories)}"
             + (f": {pluralised(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
         )
-    # One content under one file's name is one scene, wherever each machine has it.
+    # Files with equal name and content are one scene, although their paths may differ between machines.
     first: dict[tuple[str, str], str] = {}
     specs = [
         first.setdefault((job.scene_hash or job.scene, scene_label(job.scene)), job.scene)
@@ -273,14 +274,19 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 def source_of(
     directory: Path, record: Mapping[str, Any], runs: Sequence[Run], damaged: Mapping[str, str] | None = None
 ) -> Source:
-    """A comparison as a source: what of its record (``compare.json``) has no run is missing, or ``damaged``."""
+    """Return the source of a comparison; jobs of its record (``compare.json``) without a run are missing.
+
+    ``damaged`` holds the reasons of damaged runs by title.
+    """
     finished = {run.job.hash: run.job.title for run in runs}
-    said = record.get("failed") or {}
-    missing = {title: why for title, why in said.items() if title not in finished.values()}  # others finished it later
+    failed = record.get("failed") or {}
+    missing = {
+        title: why for title, why in failed.items() if title not in finished.values()
+    }  # another process may have finished it
     for content in (record.get("jobs") or {}).values():
         job = Job.from_dict(content)
         if job.hash not in finished:
-            reasons = ((damaged or {}).get(job.title), said.get(job.title))
-            kept = "; its episode was played and is kept, to be measured" * is_played(run_directory(directory, job))
-            missing[job.title] = next(filter(None, reasons), "not run to its end") + kept
+            reasons = ((damaged or {}).get(job.title), failed.get(job.title))
+            kept = "; its episode is complete, but not measured yet" * is_played(run_directory(directory, job))
+            missing[job.title] = next(filter(None, reasons), "not finished") + kept
     return Source(directory, record.get("command", ""), record.get("workers"), missing)

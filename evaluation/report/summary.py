@@ -1,4 +1,4 @@
-"""Write a report into one directory: the page, the tables, and a summary in Markdown."""
+"""Write a report into one directory: page, tables, images, and a summary in Markdown."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from activestructure_gym.evaluation.report.charts.plots import standalone
 from activestructure_gym.evaluation.report.page.convergence_section import policy_panels
 from activestructure_gym.evaluation.report.page.document import html_page
 from activestructure_gym.evaluation.report.page.method_text import (
-    absences,
     machine_text,
-    meanings,
+    metric_definitions,
+    missing_value_texts,
     protocol_texts,
     statistics_text,
 )
@@ -40,21 +40,19 @@ PAGE = "report.html"
 def write_report(
     directory: Path, runs: Sequence[Run], comparison: Mapping[str, Any], baseline: str | None = None
 ) -> list[Path]:
-    """The report of one comparison beside its runs; ``comparison`` is the content of ``compare.json``.
+    """Write the report of one comparison into its directory, and return the written files.
 
-    A baseline that finished nothing is among the missing, and another one takes its place.
+    ``comparison`` is the content of ``compare.json``. If the baseline has no finished run, the default one is used.
     """
     baseline = baseline if any(run.policy == baseline for run in runs) else None
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
 def write_results(directory: Path, results: Results, *, published: bool = False) -> list[Path]:
-    """Write the report, all of it or nothing; returns the files, ``summary.md`` and ``report.html`` last.
+    """Write the report atomically, and return the written files; ``summary.md`` and ``report.html`` are last.
 
-    With ``published`` the paper's Tables 1 and 2 stand in it, too, with these runs beside their values.
-
-    Only finished runs are given, and only they are counted; everything is rebuilt from their directories. Raises
-    `InputError` where those are damaged, or where ``directory`` cannot be written.
+    ``published`` adds the paper's Tables 1 and 2 with these runs next to their values. All content is read from the
+    directories of the runs. Raises `InputError` if one is damaged, or if ``directory`` cannot be written.
     """
     with temporary.atomic_files(directory) as part:
         written = _write_into(part, results, directory, published_tables(results) if published else [])
@@ -62,7 +60,7 @@ def write_results(directory: Path, results: Results, *, published: bool = False)
 
 
 def _write_into(part: Path, results: Results, directory: Path, published: Sequence[Table]) -> list[Path]:
-    """Write all files into ``part``; links between them and the runs are those from ``directory``."""
+    """Write all files into ``part``, with links relative to ``directory``, their later place."""
     tables = part / TABLES
     tables.mkdir()
     written = [_written(part / "results.csv", runs_csv(results.runs))]
@@ -75,7 +73,7 @@ def _write_into(part: Path, results: Results, directory: Path, published: Sequen
         sections.append(_scene_section(results, scene, pictures, directory))
     overall = [_curves(part / "convergence.svg", results, None)] if len(results.scenes) > 1 else []
     if panels := policy_panels(results):
-        title = f"Each of {len(results.policies)} policies, all others behind it"
+        title = f"One panel for each of {len(results.policies)} policies, with all others in grey"
         charts = standalone([[chart] for chart in panels], (), title=title)
         overall.append(_written(part / "policies.svg", charts))
     if overall:
@@ -88,7 +86,7 @@ def _write_into(part: Path, results: Results, directory: Path, published: Sequen
 
 
 def all_tables(results: Results) -> list[Table]:
-    """Every table of the report, those in the paper's layout first."""
+    """Return every table of the report; those in the paper's layout are first."""
     tables: list[Table | None] = [*tables_like_the_papers(results), verdicts.difference_table(results)]
     tables += [verdicts.aggregate_table(results), planning_table(results)]
     tables += [verdicts.area_table(results), verdicts.cost_table(results)]
@@ -102,7 +100,7 @@ def _written(path: Path, text: str) -> Path:
 
 
 def _endings(scenes: Sequence[str]) -> list[str]:
-    """Suffixes of each scene's picture files; different even where names look the same as file names."""
+    """Return a unique suffix for the image files of each scene."""
     if len(scenes) == 1:
         return [""]
     endings: list[str] = []
@@ -117,7 +115,7 @@ def _endings(scenes: Sequence[str]) -> list[str]:
 
 
 def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) -> list[Path]:
-    """One view with the plans, curves, held-out views and plans: of the runs that `Results.foremost` picks."""
+    """Write curves and images of the runs that `Results.foremost` selects, and return their paths."""
     shown = opened(results.foremost(scene))
     strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
     compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
@@ -127,7 +125,7 @@ def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) 
 
 
 def _curves(path: Path, results: Results, scene: str | None) -> Path:
-    """All measures over frames, metres and seconds as one SVG."""
+    """Write all measures over frames, metres and seconds as one SVG."""
     title = f"Convergence on {scene}" if scene else f"Convergence, mean over {len(results.scenes)} scenes"
     return _written(path, standalone(chart_rows(results, scene), results.palette, title=title))
 
@@ -137,7 +135,7 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     info = runs[0].config["scene"]
     size = " x ".join(f"{side:.1f}" for side in info["extent_m"])
     metrics = runs[0].metrics["metrics"]
-    seen = f"{metrics['true_area_m2']:.1f} m2 of surface can be seen ({metrics['true_samples']:,} samples)"
+    seen = f"{metrics['true_area_m2']:.1f} m2 of observable surface ({metrics['true_samples']:,} samples)"
     lines = [
         f"## {escaped(scene)}",
         "",
@@ -145,9 +143,9 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     ]
     lines += [f"Note: {note}." for note in info["notes"]]
     lines = [lines[0], *(escaped(without_folders(line)) for line in lines[1:])]
-    if len(kept := results.foremost(scene)) < (everyone := len(results.shown(scene))):
-        lines += ["", f"Pictures of the {len(kept)} policies with the highest C.R. (the baseline among them) of "
-                  f"{everyone}; those of all stand on the page."]  # fmt: skip
+    if len(kept := results.foremost(scene)) < (count := len(results.shown(scene))):
+        lines += ["", f"Images of the {len(kept)} of {count} policies with the highest C.R., including the baseline; "
+                  "the page has images of all."]  # fmt: skip
     for path in pictures:
         lines += ["", f"![{path.stem.partition('-')[0]}](./{path.name})"]
     return "\n".join([*lines, "", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""])
@@ -163,7 +161,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     missing = [f"- {escaped(without_folders(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
-    meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in meanings(results).items()]
+    meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in metric_definitions(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
     compared += [verdicts.difference_table(results), planning_table(results), verdicts.area_table(results)]
     compared.append(verdicts.cost_table(results))
@@ -171,33 +169,33 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         "# Comparison",
         "",
         *(f"{code(without_folders(source.command))}\n" for source in results.sources if source.command),
-        f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
+        f"Page with curves, images and all decisions: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",
         markdown(overview(table_rows(results.runs), overview_columns(results.runs))),
-        f"{spread}; the first three of each scene marked. Executed steps through the true mesh: {collisions}"
+        f"{spread}; the first three of each scene are marked. Executed steps through the true mesh: {collisions}"
         f"{' (must be 0!)' if collisions else ''}.",
         "",
         *meaning,
         "",
-        *(f"{sentence(text)}\n" for text in absences(results)),
-        *([f"Not finished, and not counted ({len(missing)}):", "", *missing, ""] if missing else []),
+        *(f"{sentence(text)}\n" for text in missing_value_texts(results)),
+        *([f"Not finished, not counted ({len(missing)}):", "", *missing, ""] if missing else []),
     ]
     for table in compared:
         if table is not None:
             parts += [f"## {escaped(table.title)}", "", markdown(table), f"{sentence(table.caption)}.", ""]
-    parts += [*sections, "## How it was measured", "", *(f"{sentence(text)}\n" for text in protocol_texts(results))]
+    parts += [*sections, "## Method", "", *(f"{sentence(text)}\n" for text in protocol_texts(results))]
     for text in statistics_text():
         parts += [text, ""]
     workers = {source.workers for source in results.sources if source.workers}
-    at_a_time = f" {' or '.join(map(str, sorted(workers)))} jobs at a time." if workers else ""
+    parallel = f" {' or '.join(map(str, sorted(workers)))} parallel jobs." if workers else ""
     return "\n".join(
         [
             *parts,
-            sentence(machine_text(results)) + at_a_time,
+            sentence(machine_text(results)) + parallel,
             "",
-            "Every run's directory holds its configuration, numbers, decisions, path, Plane Scene Graph and map "
-            "(`map.ply` opens in any Gaussian splat viewer), and its own pictures: `views.png`, `plan.png`, "
+            "Each run's directory contains its configuration, metrics, decisions, path, Plane Scene Graph and map "
+            "(`map.ply` opens in any Gaussian splat viewer), and its images: `views.png`, `plan.png`, "
             "`psg_plan.png` and `psg_3d.png`. `results.csv` has one line per run.",
             "",
         ]

@@ -2,7 +2,7 @@
 (() => {
   const root = document.documentElement;
 
-  // Light and dark: the system's choice until somebody makes another; kept where the browser lets a local file do so.
+  // Light or dark theme: the system's setting until the button is used; stored if the browser permits it for local files.
   const kept = (value) => {
     try {
       if (value) localStorage.setItem("asg-theme", value);
@@ -19,7 +19,7 @@
     kept(root.dataset.theme);
   });
 
-  // Sorting: numbers by value, texts by letters, what has no value last.
+  // Sort tables: numbers by value, then texts by letters, empty cells last.
   const key = (row, column) => {
     const cell = row.cells[column];
     const value = cell.dataset.value;
@@ -54,13 +54,13 @@
     }
   };
 
-  // A hint beside every table that goes on to the right.
+  // Show a hint next to tables with hidden columns on the right.
   const hint = (box) => {
     box.parentElement.classList.toggle("cut", box.scrollLeft + box.clientWidth < box.scrollWidth - 2);
     box.parentElement.style.setProperty("--tall", `${box.offsetHeight - 2}px`);
   };
   const sizes = new ResizeObserver((entries) => entries.forEach((entry) => hint(entry.target)));
-  // Pictures, enlarged: click or Enter opens, click or Escape closes, arrows go to the one before and after.
+  // Enlarge images: click or Enter opens, click or Escape closes, arrow keys select the previous or next image.
   const overlay = document.getElementById("enlarged");
   const images = [...document.querySelectorAll("main img")];
   const large = new Image();
@@ -68,7 +68,7 @@
     overlay.dataset.at = images.indexOf(image);
     large.src = image.src;
     large.alt = image.alt;
-    // Those of the markup: what was never scrolled to is not loaded yet.
+    // Sizes from the markup, since lazy images may not be loaded yet.
     large.style.setProperty("--ratio", image.getAttribute("width") / image.getAttribute("height"));
     overlay.querySelector("figcaption").textContent = `${image.alt} (← →)`;
     overlay.querySelector("figure").prepend(large);
@@ -91,7 +91,7 @@
     if (next) show(next);
   });
 
-  // A policy's curves, hidden and shown everywhere.
+  // Hide and show a policy's curves in all charts.
   const legend = [...document.querySelectorAll("button.legend")];
   const follow = (button, part) => {
     const shown = button.getAttribute("aria-pressed") === "true";
@@ -107,14 +107,14 @@
     });
   }
 
-  // Reading values off a chart: a line at the pointer, and what every curve has there.
+  // Show a line at the pointer and the value of each curve there.
   const svgNamespace = "http://www.w3.org/2000/svg";
   const reading = document.createElement("div");
   reading.className = "reading";
   reading.hidden = true;
   document.body.append(reading);
   const numbersOf = (text) => text.split(" ").map(Number);
-  const pointsOf = (series) => {  // a place, then steps
+  const pointsOf = (series) => {  // first point, then relative steps
     const numbers = series.querySelector(".curve").getAttribute("d").match(/-?[\d.]+/g).map(Number);
     const points = [[numbers[0], numbers[1]]];
     for (let at = 2; at < numbers.length; at += 2) {
@@ -169,7 +169,7 @@
     });
   };
 
-  // What a part of the page needs, be it there from the start or unpacked later.
+  // Add behaviour to a part of the page, at the start or after it was unpacked.
   const dress = (part) => {
     part.querySelectorAll("table.sortable").forEach(makeSortable);
     part.querySelectorAll("svg.chart[data-frame]").forEach(makeReadable);
@@ -181,7 +181,7 @@
   };
   dress(document);
 
-  // Folded parts, unpacked when the first of a group is opened.
+  // Unpack folded parts when the first of a group is opened.
   const unpack = async (word) => {
     const bytes = Uint8Array.from(atob(word), (letter) => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -197,7 +197,7 @@
           part.insertAdjacentHTML("beforeend", (await texts)[number]);
           dress(part);
         } catch {
-          part.append("This browser cannot unpack what is folded here.");
+          part.append("This browser cannot unpack the folded parts.");
         }
       };
       part.addEventListener("toggle", open, { once: true });

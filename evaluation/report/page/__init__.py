@@ -1,1 +1,1 @@
-"""The HTML page: its sections, legends and embedded pictures."""
+"""Build the HTML page: sections, legends and embedded images."""

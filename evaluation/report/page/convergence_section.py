@@ -1,4 +1,4 @@
-"""The part of the page about convergence: curves of all scenes together, and the charts that a scene's part has too."""
+"""Build the convergence section: curves over all scenes, and the chart grid that scene sections use, too."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from activestructure_gym.evaluation.statistics import Statistic, interquartile_m
 
 
 def convergence_section(results: Results) -> Markup:
-    """Curves with a legend that hides them everywhere, and the areas below them."""
+    """Return the section: a legend that hides curves, the curves, the planning table and the areas under the curves."""
     seeds, scenes = len(results.seeds), len(results.scenes)
-    says = "Mean over all scenes and seeds" if scenes > 1 else "Mean over the seeds" if seeds > 1 else "One run each"
+    caption = "Mean over scenes and seeds" if scenes > 1 else "Mean over seeds" if seeds > 1 else "One run per policy"
     planning = planning_table(results)
-    says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
+    caption += "; band: pointwise 95 % bootstrap interval" if seeds > 1 else "; no band with one seed"
     return render(
         "convergence.html.j2",
         legend=[(policy, legend_marker(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],
         rest=results.palette[len(style.COLOURS) :],
-        says=says,
+        caption=caption,
         charts=chart_grid(results),
         panels=policy_panels(results),
         interquartile=chart_grid(results, None, interquartile_mean) if seeds > 1 else None,
@@ -43,7 +43,7 @@ def convergence_section(results: Results) -> Markup:
 
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
-    """All measures over frames, metres and seconds, each with a sentence of what there is to see."""
+    """Return all measures over frames, metres and seconds, each with a sentence that states the best policies."""
     ranked = {name for name, planner in zip(results.policies, results.planners) if planner}
 
     def compared(measure: Measure) -> list[Line]:
@@ -58,7 +58,7 @@ def chart_grid(results: Results, scene: str | None = None, statistic: Statistic 
 
 
 def reading(lines: Sequence[Line], measure: Measure) -> str:
-    """Who is highest in the end and half way through the frames, as the curves show it."""
+    """Return a sentence that names the highest curves at half of the frames and at the end, as printed."""
     if not lines:
         return ""
     half = 0.5 * max(float(line.x[-1]) for line in lines)
@@ -70,26 +70,26 @@ def reading(lines: Sequence[Line], measure: Measure) -> str:
     )
     top, before = (f"{value:.{measure.metric.digits}f} {measure.metric.unit}" for value in (best, early))
     if len(lines) == 1:
-        return f"{measure.metric.label}: {before} at frame {half:.0f}, {top} in the end."
-    text = f"{measure.metric.label}: {_named(last)} highest in the end with {top}"
-    return f"{text}{f'; {_named(first)} so' if first != last else ', and'} at frame {half:.0f} with {before}."
+        return f"{measure.metric.label}: {before} at frame {half:.0f}, {top} at the end."
+    text = f"{measure.metric.label}: highest at the end: {_named(last)}, {top}"
+    return f"{text}; highest at frame {half:.0f}: {_named(first)}, {before}."
 
 
 def _named(names: Sequence[str]) -> str:
     shown = ", ".join(names[:3]) if len(names) != 2 else " and ".join(names)
-    return f"{shown}{f' and {len(names) - 3} more' if len(names) > 3 else ''} {'is' if len(names) == 1 else 'are'}"
+    return shown + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 @once
 def policy_panels(results: Results) -> list[Markup]:
-    """All measures over the frames with a panel for each policy; none while colours tell all policies apart."""
+    """Return all measures over frames with a panel per policy; empty if there are enough colours for all policies."""
     if len(results.policies) <= len(style.COLOURS):
         return []
     frames = COSTS[0]
     return [
         panel_chart(
             convergence(results, frames.key, measure.key),
-            title=f"{measure.label} over {frames.label}, policy by policy",
+            title=f"{measure.label} over {frames.label}, one panel per policy",
             x_label=frames.label,
             y_label=measure.label,
         )

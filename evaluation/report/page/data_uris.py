@@ -1,4 +1,4 @@
-"""Pictures inside a page: data URIs, small enough that hundreds of runs fit into one file."""
+"""Embed images in the page as data URIs, small enough for hundreds of runs in one file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report.html import render
 
-WIDE, THUMBNAIL = 480, 240  # pixels: of a picture that is looked at, of one among many
-_QUALITY = 55  # of WebP
+WIDE, THUMBNAIL = 480, 240  # pixels: width of a full image, and of a thumbnail
+_QUALITY = 55  # of WebP, in [0, 100]
 
 
 def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:
-    """The image as WebP: half the bytes of JPEG for photographs and for drawings over them."""
+    """Return an image as WebP in a data URI; WebP takes half the bytes of JPEG for these images."""
     if image.width > widest:
         size = widest, max(1, round(image.height * widest / image.width))
         image = image.resize(size, Image.Resampling.LANCZOS, reducing_gap=2.0)
@@ -25,6 +25,6 @@ def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:
 
 
 def picture(image: Image.Image, alt: str, *, widest: int = WIDE) -> Markup:
-    """An ``img`` that needs nothing but the page."""
+    """Return an ``img`` element with embedded data."""
     source = data_uri(image, widest=widest)
     return render("picture.html.j2", source=source, alt=alt, width=image.width, height=image.height)

@@ -1,4 +1,4 @@
-"""A run's decisions, one after the other: where it went, what decided it, what it brought."""
+"""Show a run's decisions in order: target, terms of the chosen view, cost and result."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "d
 
 
 def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
-    """Identity and result in one line, and what is folded behind it: phases, decisions, where the run's files are."""
+    """Return a one-line summary of a run, and its folded details: phases, history, decisions, links to files."""
     numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
     parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
     for key, form in (("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
@@ -35,7 +35,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
     return " · ".join(parts), render(
         "decisions.html.j2",
-        timeline=timeline(run),
+        phases=phase_strip(run),
         history=history_chart(drawn_steps(run.steps)),
         table=html_table(trace_table(run), exact=False),
         job=run.job.hash,
@@ -44,8 +44,8 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
     )
 
 
-def timeline(run: Run) -> Markup | None:
-    """The phases as a strip over the frames, with why each began; None for a policy without phases."""
+def phase_strip(run: Run) -> Markup | None:
+    """Return the phases as a strip over the frames, with the reason for each; None for a policy without phases."""
     found = bands(drawn_steps(run.steps))
     if not found:
         return None
@@ -59,9 +59,9 @@ def timeline(run: Run) -> Markup | None:
 
 
 def trace_table(run: Run) -> Table:
-    """A row per decision: cost, phase, target, the chosen view's terms, the runner-up, and what followed.
+    """Return a row per decision: cost, phase, target, terms of the chosen view, runner-up, and resulting state.
 
-    Of very many decisions an even choice.
+    Long episodes show the even selection of `drawn_decisions`.
     """
     steps, terms = run.steps, chosen_terms(run.steps)
     phased = any((step.get("trace") or {}).get("phase") for step in steps)
@@ -69,7 +69,7 @@ def trace_table(run: Run) -> Table:
     surface = any("observed" in (step.get("checkpoint") or {}) for step in steps)
     headings = [Heading("#"), Heading("frames"), Heading("path (m)"), Heading("s")]
     headings += [Heading("phase", numeric=False)] if phased else []
-    headings += [Heading("to x, y, z (m)", numeric=False), Heading("way (m)"), Heading("candidates")]
+    headings += [Heading("to x, y, z (m)", numeric=False), Heading("path to it (m)"), Heading("candidates")]
     headings += [Heading(name) for name in terms]
     headings += [Heading("runner-up")] if second else []
     headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)")]
@@ -86,7 +86,7 @@ def trace_table(run: Run) -> Table:
         if phased:
             changed = trace.get("changed")
             row.append(Cell(f"{trace.get('phase') or ''}{' ←' if changed else ''}", note=changed or ""))
-        row += [Cell(_place(view)), number(view.get("path_length"), 1), number(step.get("candidates"), 0)]
+        row += [Cell(_position(view)), number(view.get("path_length"), 1), number(step.get("candidates"), 0)]
         row += [_term(values[k]) for values in terms.values()]
         if second:
             row.append(_term((trace.get("runner_up") or {}).get("total")))
@@ -106,13 +106,13 @@ def trace_table(run: Run) -> Table:
     return Table(f"trace-{run.job.name}", title, headings, rows)
 
 
-def _place(view: Mapping[str, Any]) -> str:
+def _position(view: Mapping[str, Any]) -> str:
     if not {"x", "y", "z"} <= view.keys():
         return ""
     return ", ".join(f"{view[axis]:.1f}" for axis in "xyz")
 
 
 def _term(value: float | None) -> Cell:
-    if value is None or value != value:  # nan: this decision has no such number
+    if value is None or value != value:  # NaN: this decision has no such term
         return Cell("")
     return Cell(f"{value:.{_DIGITS}f}", float(value))

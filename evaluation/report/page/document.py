@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no network, no other file, no library."""
+"""Build the report as one self-contained HTML file without network access."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.page.convergence_section import convergence_section
 from activestructure_gym.evaluation.report.page.glance_section import glance_section
-from activestructure_gym.evaluation.report.page.header_figure import first_sight
+from activestructure_gym.evaluation.report.page.header_figure import header_figure
 from activestructure_gym.evaluation.report.page.method_section import method_section
 from activestructure_gym.evaluation.report.page.scene_section import scene_section
 from activestructure_gym.evaluation.report.page.table_sections import (
@@ -25,18 +25,19 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 from activestructure_gym.evaluation.report.tables.layout import Table
 
 _ASSETS = Path(__file__).parents[1] / "assets"
-# Whatever a scene's or a policy's name may hold, the page loads nothing and sends nothing.
+# Blocks all loading and sending, whatever text a scene's or policy's name contains.
 CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def html_page(results: Results, directory: Path | None = None, published: Sequence[Table] = ()) -> str:
-    """The whole page; with the ``directory`` it will lie in also links to the files of runs that lie beside it.
+    """Return the page.
 
-    ``published`` are tables of published values, if any are to stand in it.
+    ``directory`` is the page's future directory, for links to files of runs in or next to it; None makes no links.
+    ``published`` are tables of published values.
     """
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
-    everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
-    title = f"{everyone} on {pluralised(len(results.scenes), 'scene')}"
+    policies = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
+    title = f"{policies} on {pluralised(len(results.scenes), 'scene')}"
     sections = [
         _header(results, title, anchors[0], directory),
         glance_section(results),
@@ -53,7 +54,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         "costs": "Costs",
         "published": "Published values",
         **dict(zip(anchors, results.scenes)),
-        "how": "How measured",
+        "how": "Method",
     }
     body = Markup().join(section for section in sections if section is not None)
     return render(
@@ -68,7 +69,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
 
 
 def _asset(name: str) -> Markup:
-    """One of the page's own files, as it is."""
+    """Return the text of a file in ``assets/`` as markup."""
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))
 
 
@@ -87,7 +88,7 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
         facts=facts,
         crossed={run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])},
         missing=results.missing,
-        first_sight=first_sight(results, anchor, directory),
+        figure=header_figure(results, anchor, directory),
     )
 
 

@@ -1,4 +1,4 @@
-"""The part of the page that says who leads, by how much, and what the numbers mean."""
+"""Build the first section: best policy per metric, its lead, the definitions, and the table of all policies."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.html import html_table, render
-from activestructure_gym.evaluation.report.page.method_text import absences, meanings
+from activestructure_gym.evaluation.report.page.method_text import metric_definitions, missing_value_texts
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables import verdicts
 from activestructure_gym.evaluation.report.tables.columns import aspects
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.tables.paper import ablation_table
 
 
 def glance_section(results: Results) -> Markup:
-    """Cards of the leaders, the meanings, and the table of all policies side by side."""
+    """Return the section with one card per main metric, the definitions, and the table of all policies."""
     first, *others = [
         html_table(ablation_table(results, aspect), colours=results.palette) for aspect in aspects(results.runs)
     ]
@@ -25,10 +25,10 @@ def glance_section(results: Results) -> Markup:
         cards=[_card(results, lead) for lead in verdicts.leads(results)],
         collisions=sum(run.metrics["metrics"]["collisions"] for run in results.runs),
         runs=len(results.runs),
-        says=_cards_say(results),
-        meanings=meanings(results),
+        caption=_cards_caption(results),
+        definitions=metric_definitions(results),
         first=first,
-        absences=absences(results),
+        missing_value_texts=missing_value_texts(results),
         others=others,
     )
 
@@ -52,17 +52,17 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
     }
 
 
-def _cards_say(results: Results) -> str:
-    """Sentences on what the cards show, and why an interval may be missing."""
+def _cards_caption(results: Results) -> str:
+    """Return sentences on the content of the cards, and on the reason if intervals are missing."""
     several = len(results.scenes) > 1
-    text = "First of each metric" + (", by the mean over the scenes" if several else "")
+    text = "Best policy of each metric" + (", by the mean over scenes" if several else "")
     if len(results.policies) > 1:
-        text += "; behind it the paired difference to the second"
+        text += ", and its paired difference to the second"
     if verdicts.can_tell(results):
         return f"{text} with its 95 % interval."
     if len(results.policies) == 1:
         return f"{text}."
     seeds = "a single seed" if len(results.seeds) == 1 else "a single pair on a scene"
     return (
-        f"{text}. With {seeds} there are no intervals: whether a difference is chance cannot be told from these runs."
+        f"{text}. With {seeds} there are no intervals, so these runs cannot show whether a difference is significant."
     )

@@ -1,4 +1,4 @@
-"""The pictures that open the page: one view and one path per policy, of one scene and one seed."""
+"""Build the figure at the top of the page: one view and one path per policy, on one scene and seed."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from markupsafe import Markup
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.page.data_uris import picture
-from activestructure_gym.evaluation.report.page.html_legends import PLAN_KEY
+from activestructure_gym.evaluation.report.page.html_legends import PLAN_LEGEND
 from activestructure_gym.evaluation.report.page.run_links import replay_link
 from activestructure_gym.evaluation.report.pictures.canvas import to_image
-from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan, flight
-from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK, typical_view
+from activestructure_gym.evaluation.report.pictures.floor_plan import camera_height_text, draw_plan
+from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK_NOTE, typical_view
 from activestructure_gym.evaluation.report.results import Results, opened
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal
 
 
-def first_sight(results: Results, anchor: str, directory: Path | None = None) -> Markup:
-    """The first scene's typical view, true and as every map renders it, and below it every map with its path."""
-    everyone = results.shown(results.scenes[0])
+def header_figure(results: Results, anchor: str, directory: Path | None = None) -> Markup:
+    """Return the first scene's typical view, true and as rendered from each map, above each map with its path."""
+    candidates = results.shown(results.scenes[0])
     runs = opened(results.foremost(results.scenes[0]))
     index = typical_view(runs)
     where = f"{results.scenes[0]}, seed {runs[0].job.seed}"
-    if len(runs) < len(everyone):
-        where += f", the {len(runs)} policies with the highest C.R. (the baseline among them) of {len(everyone)}"
+    if len(runs) < len(candidates):
+        where += f", the {len(runs)} of {len(candidates)} policies with the highest C.R., including the baseline"
     return render(
         "header_figure.html.j2",
         truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
-        plan_key=PLAN_KEY,
+        plan_legend=PLAN_LEGEND,
         tiles=[_tile(run, index, results.palette.index(run.policy), directory) for run in runs],
         where=where,
-        black=BLACK,
-        flight=flight([(run.trajectory, run.graph) for run in runs]),
+        black=BLACK_NOTE,
+        camera_height=camera_height_text([(run.trajectory, run.graph) for run in runs]),
         anchor=anchor,
     )
 
@@ -48,7 +48,7 @@ def _tile(run: Run, index: int, number: int, directory: Path | None) -> dict[str
         "replay": replay_link(run, directory),
         "ratios": ratios_text(run),
         "metrics": run.metrics["metrics"],
-        "view": picture(view, f"the same view in the map of {run.policy}"),
+        "view": picture(view, f"the same view rendered from the map of {run.policy}"),
         "psnr": decimal(float(run.pictures["psnr"][index]), 1),
-        "plan": picture(plan, f"the map of {run.policy} from above, with the path"),
+        "plan": picture(plan, f"map of {run.policy} from above, with its path"),
     }

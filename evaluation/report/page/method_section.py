@@ -1,4 +1,4 @@
-"""The part of the page that says how it was measured: definitions, commands, hardware, configuration, versions."""
+"""Build the method section: definitions, commands, hardware, configuration and versions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
+from activestructure_gym.evaluation.archive.plugin_code import KEY as PLUGIN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.page.method_text import definitions
@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def method_section(results: Results) -> Markup:
-    """The section with protocol, commands, machine, configuration and versions."""
+    """Return the section with definitions, commands, hardware, protocols, configuration and versions."""
     return render(
         "method.html.j2",
         definitions=definitions(results),
@@ -38,8 +38,8 @@ def _sources(results: Results) -> Table:
         ]
         for source in results.sources
     ]
-    headings = [*_two("directory", "command"), Heading("jobs at a time")]
-    return Table("sources", "Where the runs are", headings, rows)
+    headings = [*_two("directory", "command"), Heading("parallel jobs")]
+    return Table("sources", "Source directories", headings, rows)
 
 
 def _protocols(run: Run) -> list[Table]:
@@ -63,7 +63,7 @@ def _configuration(runs: Sequence[Run]) -> Table:
         [Cell(name), Cell(", ".join(values) if len(values) == 1 else "; ".join(f"{p}: {v}" for v, p in values.items()))]
         for name, values in found.items()
     ]
-    caption = "One row per field; where policies differ, one value each"
+    caption = "One row per field; one value per policy if they differ"
     return Table("configuration", "Configuration", _two("field", "value"), rows, caption)
 
 
@@ -77,15 +77,15 @@ def _machines(runs: Sequence[Run]) -> Table:
         [*(Cell(str(hardware.get(name, ""))) for name in names), Cell(str(count), count)]
         for hardware, count in found.values()
     ]
-    caption = "Seconds of different machines cannot be compared" if len(rows) > 1 else ""
+    caption = "Seconds of different machines are not comparable" if len(rows) > 1 else ""
     return Table("hardware", "Hardware", [*(Heading(n, numeric=False) for n in names), Heading("runs")], rows, caption)
 
 
 def _versions(runs: Sequence[Run]) -> Table:
     found: dict[str, dict[str, None]] = {}
     for run in runs:
-        own = {name: total[:12] for name, total in run.config.get(OWN_CODE, {}).items()}
-        for name, version in (*run.config["versions"].items(), *own.items()):
+        plugins = {name: checksum[:12] for name, checksum in run.config.get(PLUGIN_CODE, {}).items()}
+        for name, version in (*run.config["versions"].items(), *plugins.items()):
             found.setdefault(name, {})[version] = None
     rows = [
         [Cell(name), Cell(", ".join(versions), tone="alarm" if len(versions) > 1 else "")]

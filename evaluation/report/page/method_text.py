@@ -1,4 +1,4 @@
-"""Texts of the page about the method: what was measured, and how the statistics are defined."""
+"""Write the page's texts on the method: metrics, protocols, statistics, machine."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from activestructure_gym.evaluation.statistics import resampling
 from activestructure_gym.specs import Spec
 
 
-def meanings(results: Results) -> dict[str, str]:
-    """Explanation of each quality column, by its header."""
+def metric_definitions(results: Results) -> dict[str, str]:
+    """Return the definition of each quality column, by its header."""
     protocol = results.runs[0].job.conditions.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
     described = {metric.name: metric for metric in (*STANDARD, *own_metrics(results.runs))}
@@ -29,8 +29,8 @@ def meanings(results: Results) -> dict[str, str]:
     return {metric.label: metric.meaning.replace("{near}", near) for metric in shown if metric.meaning}
 
 
-def absences(results: Results) -> list[str]:
-    """Why columns were left out, or stand with gaps: one sentence each."""
+def missing_value_texts(results: Results) -> list[str]:
+    """Return one sentence per column that is left out or incomplete, with the reason."""
     shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
     described = (*STANDARD, *own_metrics(results.runs))
     columns = [(metric.label, metric.name) for metric in described if not metric.name.startswith("tsdf_")] + [
@@ -52,19 +52,19 @@ def absences(results: Results) -> list[str]:
 
 
 def protocol_texts(results: Results) -> list[str]:
-    """The protocols in words."""
+    """Return the description of each protocol."""
     texts = [protocol_text(results)]
     if "activegamer" in results.runs[0].protocols:
         texts.append(
-            "Protocol `activegamer` follows the evaluation code of ActiveGAMER: means matched to the 1 cm voxels of "
-            "the whole surface, seen or not, so that floaters do not count; images masked where the truth has no "
-            "depth, from one small circle of views; PSNR by channel."
+            "Protocol `activegamer` follows the evaluation code of ActiveGAMER. Means of Gaussians are matched to the "
+            "1 cm voxels of the whole surface, observable or not, so floaters do not count. Images come from one "
+            "small circle of views and are masked where the true depth is missing; PSNR is computed per channel."
         )
     return texts
 
 
 def protocol_text(results: Results) -> str:
-    """How the protocol measures, in sentences; `meanings` explains its numbers."""
+    """Return sentences on the protocol's procedure; `metric_definitions` defines its numbers."""
     run = results.runs[0]
     protocol = run.job.conditions.protocol
     views = (
@@ -74,9 +74,9 @@ def protocol_text(results: Results) -> str:
     )
     return (
         f"Protocol `{protocol.name}`, version {protocol.version}. Reconstructed points are the means of Gaussians "
-        f"with opacity of at least {protocol.opacity_threshold:g}; the truth is the surface that some free pose "
-        f"can see (those of {protocol.surface_samples:,} samples on the whole mesh that are seen). "
-        "Images are compared (PSNR pooled over the channels, depth by its mean absolute error) "
+        f"with opacity of at least {protocol.opacity_threshold:g}. The true surface is the part visible from free "
+        f"space (of {protocol.surface_samples:,} samples on the whole mesh). "
+        "PSNR is pooled over the channels, the depth error is the mean absolute error. Both are measured "
         f"in {views}, {protocol.view_width} x {protocol.view_height} pixels, "
         f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy. "
         "Time: wall clock of the episode without loading and evaluation."
@@ -84,25 +84,25 @@ def protocol_text(results: Results) -> str:
 
 
 def statistics_text() -> list[str]:
-    """The statistics in words, a paragraph each."""
+    """Return the definitions of the statistics, one paragraph each."""
     level = f"{100 * resampling.LEVEL:g} %"
     return [
-        "Means: over the scenes of the mean over their runs, so that every scene counts the same. Median: over the "
-        "scenes of the mean over their runs; with one scene, over its runs. IQM, the interquartile mean: of the middle "
-        "half of all runs. Definitions of Agarwal et al., NeurIPS 2021 (rliable), with scenes for tasks.",
-        f"Intervals: {level} percentile bootstrap, {resampling.REPEATS:,} resamples, stratified: every scene's runs "
-        "are drawn again with replacement, the scenes stay. They say how much other seeds could change the result on "
-        "these scenes, not on others. With few seeds they are too narrow, by about the square root of (n - 1) / n for "
-        "n seeds; with one run on a scene there is none.",
+        "Mean: mean over scenes of the mean over runs, with equal weight per scene. Median: median over scenes of the "
+        "mean over runs; with one scene, median over its runs. IQM (interquartile mean): mean of the middle half of "
+        "all runs. Definitions of Agarwal et al., NeurIPS 2021 (rliable), with scenes for tasks.",
+        f"Intervals: {level} percentile bootstrap with {resampling.REPEATS:,} resamples, stratified by scene: the runs "
+        "of each scene are resampled with replacement. They describe the variation over seeds on these scenes, not "
+        "over scenes. With n seeds they are too narrow by about the square root of (n - 1) / n; with one run on a "
+        "scene there is no interval. A difference is significant if its interval excludes 0.",
         "Differences are paired: runs of the same scene and seed share start, sensor noise and candidates. "
         "P(improvement) is the probability that a run of one policy is better than a run of the other on the same "
-        "scene, ties (what is printed alike) counted half: Mann and Whitney's U over the number of pairs. Several "
-        "metrics and policies are tested at once and no interval is widened for that.",
+        "scene; runs with equal printed values count half. It is Mann and Whitney's U divided by the number of pairs. "
+        "Intervals are not corrected for multiple comparisons.",
     ]
 
 
 def machine_text(results: Results) -> str:
-    """Sensor, processor and the versions that decide numbers."""
+    """Return a sentence on preset, sensor, processor and versions."""
     run = results.runs[0]
     sensor = run.config["configuration"]["sensor"]
     hardware, versions = run.timing["hardware"], run.config["versions"]
@@ -114,34 +114,36 @@ def machine_text(results: Results) -> str:
     )
 
 
-def terms_text(results: Results) -> list[str]:
-    """What every policy brought, where they are compared on their own terms."""
+def native_setup_text(results: Results) -> list[str]:
+    """Return a sentence on each policy's own settings; empty in the shared setup."""
     if results.runs[0].job.conditions.setup == "shared":
         return []
-    told = []
+    texts = []
     for name in results.policies:
-        played = dict.fromkeys(_schedule(run.config["configuration"]) for run in results.runs if run.policy == name)
-        told.append(f"`{name}` {', and in other runs '.join(played)}{_budget(name)}")
+        played = dict.fromkeys(
+            _settings_text(run.config["configuration"]) for run in results.runs if run.policy == name
+        )
+        texts.append(f"`{name}` {', and in other runs '.join(played)}{_budget_text(name)}")
     return [
-        "Native setup: every policy with candidate views and a schedule of its own, at the budget of this comparison; "
-        f"in brackets what its paper spends. {'; '.join(told)}."
+        "Native setup: each policy uses its own candidate views and settings, with the frame budget of this "
+        f"comparison. Brackets give the budget of its paper. {'; '.join(texts)}."
     ]
 
 
-def _schedule(config: Mapping[str, Any]) -> str:
-    """What a run was played with, by its configuration."""
+def _settings_text(config: Mapping[str, Any]) -> str:
+    """Return the settings of a run's configuration as text."""
     stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
     every = config["keyframe_every"]
-    frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a way"
+    frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a path"
     mapper, clearance = config["mapper"], config["motion"]["candidate_clearance"]
     return (
-        f"up to {config['views']['max_candidates']} views of `{stages}`, {clearance:g} m from what is not free, mapper "
-        f"`{mapper['name']}` with {mapper['iterations']} iterations for a keyframe {frames}"
+        f"up to {config['views']['max_candidates']} views of `{stages}`, {clearance:g} m clearance, mapper "
+        f"`{mapper['name']}` with {mapper['iterations']} iterations per keyframe, a keyframe {frames}"
     )
 
 
-def _budget(name: str) -> str:
-    """What the paper of a policy that ships spends, in brackets."""
+def _budget_text(name: str) -> str:
+    """Return the budget in the paper of a built-in policy, in brackets; empty if unknown."""
     from activestructure_gym.policies import POLICIES
 
     plain = Spec.of(name).name
@@ -150,33 +152,33 @@ def _budget(name: str) -> str:
 
 
 def trajectories_text(results: Results) -> list[str]:
-    """What trajectories that were given did beside the limits that planners keep, where there are any."""
-    told = []
+    """Return a sentence on given trajectories: collisions, and poses and steps outside the planners' limits."""
+    texts = []
     for name in results.policies:
         runs = [run for run in results.runs if run.policy == name and is_trajectory(run.job.policy)]
         if not runs:
             continue
         motion = runs[0].config["configuration"].get("motion", {})
         step, turn = motion.get("max_step_m", 0.0), motion.get("max_turn_deg", 0.0)
-        total = {key: sum(run.metrics["metrics"].get(key, 0) for run in runs) for key in _BESIDE}
+        total = {key: sum(run.metrics["metrics"].get(key, 0) for run in runs) for key in _COUNTS}
         most = {key: max(run.metrics["metrics"].get(key, 0.0) for run in runs) for key in _MOTION_KEYS}
-        told.append(
+        texts.append(
             f"`{name}` ({total['frames']} frames) {total['collisions']} collisions, {total['poses_outside']} poses "
-            f"outside of the free space, {total['steps_too_long']} steps over {step:g} m (largest "
+            f"outside free space, {total['steps_too_long']} steps over {step:g} m (largest "
             f"{most['largest_step_m']:.2f} m), {total['turns_too_wide']} turns over {turn:g} degrees (largest "
             f"{most['largest_turn_deg']:.0f})"
         )
-    return [f"Given trajectories, which were followed and not planned: {'; '.join(told)}."] if told else []
+    return [f"Given trajectories, followed without planning: {'; '.join(texts)}."] if texts else []
 
 
-_BESIDE = ("frames", "collisions", "poses_outside", "steps_too_long", "turns_too_wide")
+_COUNTS = ("frames", "collisions", "poses_outside", "steps_too_long", "turns_too_wide")
 _MOTION_KEYS = ("largest_step_m", "largest_turn_deg")
 
 
 def definitions(results: Results) -> list[str]:
-    """All texts of this module, a paragraph each; code stands between backticks."""
+    """Return all texts of this module, one paragraph each, with code between backticks."""
     return [
-        *terms_text(results),
+        *native_setup_text(results),
         *trajectories_text(results),
         *protocol_texts(results),
         *statistics_text(),

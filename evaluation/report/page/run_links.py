@@ -1,4 +1,4 @@
-"""Links from the page to what lies in the runs' directories: the replay to watch, and the pictures in full size."""
+"""Link the page to files in the runs' directories: the replay and the images in full size."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _FILES = {
 
 
 class Link(NamedTuple):
-    """A word and where it leads."""
+    """Hold the text and address of a link."""
 
     name: str
     address: str  # relative to the page
 
 
 def run_links(run: Run, directory: Path | None) -> list[Link]:
-    """The files of a run that are there, its replay first, as a page in ``directory`` reaches them.
+    """Return links from a page in ``directory`` to the existing files of a run, the replay first.
 
-    Of runs beside the page or in a directory beside its own; the way to others would tell where they lie on a disk.
-    Without a directory there are none.
+    Only runs in the page's directory or in a sibling directory are linked; other addresses would reveal local paths.
+    Without a directory there are no links.
     """
     if directory is None:
         return []
@@ -40,5 +40,5 @@ def run_links(run: Run, directory: Path | None) -> list[Link]:
 
 
 def replay_link(run: Run, directory: Path | None) -> Link | None:
-    """The link to a run's replay, None where there is none."""
+    """Return the link to a run's replay, or None."""
     return next((link for link in run_links(run, directory) if link.name == "replay"), None)

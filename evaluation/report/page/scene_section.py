@@ -1,6 +1,6 @@
-"""The part of the page about one scene: its table, curves, views, plans, planes and every run's decisions.
+"""Build the section of one scene: table, curves, views, plans, planes and the decisions of each run.
 
-Of more policies than fit on a screen only the foremost are shown in full; the others have their views, and thumbnails.
+With many policies, only those of `Results.foremost` are shown in full; the others have views and thumbnails.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.page.convergence_section import chart_grid
 from activestructure_gym.evaluation.report.page.decisions import run_trace
-from activestructure_gym.evaluation.report.page.html_legends import DEFICIT_KEY, PLAN_KEY, TYPE_KEY
+from activestructure_gym.evaluation.report.page.html_legends import DEFICIT_LEGEND, PLAN_LEGEND, TYPE_LEGEND
 from activestructure_gym.evaluation.report.page.tiles import Tiles, plan_tile, planes_tile, views_strip
-from activestructure_gym.evaluation.report.pictures.floor_plan import flight
-from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK
+from activestructure_gym.evaluation.report.pictures.floor_plan import camera_height_text
+from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK_NOTE
 from activestructure_gym.evaluation.report.results import Results, opened
 from activestructure_gym.evaluation.report.tables.columns import overview_columns
 from activestructure_gym.evaluation.report.tables.overview import overview, table_rows
@@ -25,13 +25,13 @@ from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def scene_section(results: Results, scene: str, anchor: str, directory: Path | None = None) -> Markup:
-    """The section of one scene, without what stands further up on the page."""
+    """Return the section of one scene, without tables and curves that earlier sections show."""
     shown = opened(results.shown(scene))
     full = frozenset(run.policy for run in results.foremost(scene))
     tiles = Tiles(results.palette, full, directory)
     numbers = curves = None
     if len(results.scenes) > 1:
-        # Its quality stands among that of all scenes; here its spread over the seeds, if there is one, and its costs.
+        # The quality section has the means. This table adds the spread over seeds and the costs.
         runs = results.of(None, scene)
         columns = overview_columns(runs)
         columns = columns if len(results.seeds) > 1 else [column for column in columns if column.best is None]
@@ -47,37 +47,37 @@ def scene_section(results: Results, scene: str, anchor: str, directory: Path | N
         facts=scene_facts(shown[0]),
         numbers=numbers,
         curves=curves,
-        which_runs=which_runs(results, scene),
+        seed_text=seed_text(results, scene),
         views=[row for row in views if row["name"] in full or row["index"] is None],
         more_views=[row for row in views if row["name"] not in full and row["index"] is not None],
-        black=BLACK,
+        black_note=BLACK_NOTE,
         plans=[plan for plan in plans if plan["policy"] in full],
         more_plans=[plan for plan in plans if plan["policy"] not in full],
-        plan_key=PLAN_KEY,
-        flight=flight([(run.trajectory, run.graph) for run in shown]),
+        plan_legend=PLAN_LEGEND,
+        camera_height=camera_height_text([(run.trajectory, run.graph) for run in shown]),
         graphs=[graph for graph in graphs if graph["pictures"]],
         more_graphs=[graph for graph in graphs if not graph["pictures"]],
-        deficit_key=DEFICIT_KEY,
-        type_key=TYPE_KEY,
+        deficit_legend=DEFICIT_LEGEND,
+        type_legend=TYPE_LEGEND,
         traces=traces,
     )
 
 
-def which_runs(results: Results, scene: str) -> str:
-    """Whose pictures are shown, and who has none."""
+def seed_text(results: Results, scene: str) -> str:
+    """Return sentences on the seed of the images, and on policies without a run of it."""
     runs = results.shown(scene)
     shown = {run.policy for run in runs}
-    text = f"All pictures are of seed {runs[0].job.seed}, so that every path begins at the same place"
+    text = f"All images are of seed {runs[0].job.seed}, so all paths begin at the same pose"
     if len({run.job.seed for run in results.of(None, scene)}) > 1:
-        text += "; of the seeds it is the one with the median C.R., averaged over the policies"
+        text += "; this seed has the median C.R., averaged over the policies"
     others = [p for p in results.policies if p not in shown and results.of(p, scene)]
     return f"{text}." + (f" Without a run of this seed: {', '.join(others)}." if others else "")
 
 
 def scene_facts(run: Run) -> str:
-    """Sentences on the scene of a run."""
+    """Return sentences on the scene of a run."""
     info, metrics = run.config["scene"], run.metrics["metrics"]
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
-    seen = f"{metrics['true_area_m2']:.1f} m² of surface can be seen ({metrics['true_samples']:,} samples)"
+    seen = f"{metrics['true_area_m2']:.1f} m² of observable surface ({metrics['true_samples']:,} samples)"
     notes = "".join(f" Note: {note}." for note in info["notes"])
     return without_folders(f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}")

@@ -1,4 +1,4 @@
-"""The parts of the page that are tables: quality on every scene, differences to the baseline, costs."""
+"""Build the sections of tables: quality by scene, differences to the baseline, costs, published values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.tables.paper import quality_table
 
 
 def quality_section(results: Results) -> Markup | None:
-    """Quality on single scenes, and by other statistics than the mean."""
+    """Return quality by scene, and by mean, median and interquartile mean; None with a single run per policy."""
     if len(results.scenes) == 1 and len(results.seeds) == 1:
         return None
     tables = []
@@ -35,7 +35,7 @@ def quality_section(results: Results) -> Markup | None:
 
 
 def differences_section(results: Results) -> Markup | None:
-    """Differences to the baseline; nothing where a single pair is all there is, which stands at a glance."""
+    """Return differences to the baseline; None if the first section shows them already."""
     table = verdicts.difference_table(results)
     intervals = verdicts.can_tell(results)
     if table is None or (len(results.scenes) == 1 and not intervals):
@@ -55,7 +55,7 @@ def differences_section(results: Results) -> Markup | None:
 
 
 def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
-    """A title and a chart of every policy's difference to the baseline; None where there is none."""
+    """Return title and chart of the policies' differences to the baseline; None if there are none."""
     bars = [
         Bar(policy, results.palette.index(policy), d.value, d.low, d.high, verdicts.verdict(pair, column)[1])
         for policy, pair in verdicts.differences(results, column).items()
@@ -64,17 +64,17 @@ def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
     if not bars:
         return None
     title = f"{column.title}: difference to {results.baseline}"
-    label = f"{column.header} [{column.unit}], better is {'left' if column.sign < 0 else 'right'}"
+    label = f"{column.header} [{column.unit}], {'left' if column.sign < 0 else 'right'} is better"
     return title, interval_chart(bars, title=title, x_label=label)
 
 
 def costs_section(results: Results) -> Markup:
-    """Path, decisions and seconds."""
+    """Return the section of costs: path, decisions, seconds."""
     return render("costs.html.j2", table=html_table(verdicts.cost_table(results), colours=results.palette))
 
 
 def published_section(tables: Sequence[Table]) -> Markup | None:
-    """Tables of published values with the runs beside them; nothing without any."""
+    """Return the tables of published values next to these runs; None without tables."""
     if not tables:
         return None
     return render("published.html.j2", tables=[html_table(table) for table in tables])

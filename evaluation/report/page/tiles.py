@@ -1,4 +1,4 @@
-"""Pictures of single runs on the page, each with a sentence of what there is to see in it."""
+"""Build the page's images of single runs, each with a caption that states its result."""
 
 from __future__ import annotations
 
@@ -18,46 +18,52 @@ from activestructure_gym.evaluation.report.pictures.canvas import stored_panels,
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan
 from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
-from activestructure_gym.evaluation.report.pictures.views_and_plans import telling_views
+from activestructure_gym.evaluation.report.pictures.views_and_plans import detailed_views
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal
 
-_BAD = 0.01  # a deficit from which a plane is called lacking: the middle of the key's classes
-_SEEN = {  # what there is to see in the pictures of planes
-    ("type", "from above"): "which planes carry the layout, and how the graph connects them",
-    ("type", "in 3D"): "the same; walls that look away are cut away, with their nodes",
-    ("deficit", "in 3D"): "on which walls and floors the holes lie",
+_HIGH_DEFICIT = 0.01  # middle of the legend's classes
+_CAPTIONS = {  # of the images of planes
+    ("type", "from above"): "structural and object planes, and the edges of the graph",
+    ("type", "in 3D"): "structural and object planes; planes that face away are left out",
+    ("deficit", "in 3D"): "deficits of the planes, and deficiency centres",
 }
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """How runs are shown: the order of their colours, who is shown in full, and where the page will lie."""
+    """Hold the settings of tiles: order of colours, policies shown in full, and the page's directory."""
 
     palette: Sequence[str]  # policies
     full: frozenset[str]
     directory: Path | None = None
 
     def width(self, run: Run) -> int:
-        """Pixels of a run's pictures."""
+        """Return the width of a run's images in pixels."""
         return WIDE if run.policy in self.full else THUMBNAIL
 
-    def tile(self, run: Run, drawn: Markup, says: str) -> dict[str, Any]:
-        """A picture above the run's numbers."""
+    def tile(self, run: Run, drawn: Markup, caption: str) -> dict[str, Any]:
+        """Return the fields of a tile: an image, and the run's result, caption and links."""
         index, links, result = self.palette.index(run.policy), run_links(run, self.directory), result_text(run)
-        if run.policy not in self.full:  # a thumbnail has no room
+        if run.policy not in self.full:  # short, for a thumbnail
             result = f"C.R. {run.metrics['metrics']['completion_ratio']:.1f} %"
             links = [link for link in links if link.name in ("replay", "plan", "planes in 3D")]
-        return {"picture": drawn, "index": index, "policy": run.policy, "result": result, "says": says, "links": links}
+        return {
+            "picture": drawn,
+            "index": index,
+            "policy": run.policy,
+            "result": result,
+            "caption": caption,
+            "links": links,
+        }
 
 
 def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
-    """Rows of the same held-out views: the truth, and what every run renders there, with its PSNR."""
+    """Return rows of the same held-out views: the true ones, then each run's rendered views with their PSNR."""
     true = runs[0].pictures["true"]
-    telling = telling_views(true)
+    telling = detailed_views(true)
     views: list[dict[str, Any]] = [
-        {"picture": picture(to_image(true[i]), f"view {i + 1} as it is: what every map should show"), "psnr": None}
-        for i in telling
+        {"picture": picture(to_image(true[i]), f"true view {i + 1}"), "psnr": None} for i in telling
     ]
     rows: list[dict[str, Any]] = [{"name": "true view", "index": None, "result": "", "views": views}]
     ranked = ranked_among({run.job.policy for run in runs})
@@ -68,7 +74,7 @@ def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
         for i in telling:
             psnr, highest = float(run.pictures["psnr"][i]), float(best[i].pictures["psnr"][i])
             first = len(among) > 1 and run in among and psnr == highest
-            alt = f"view {i + 1} in the map of {run.policy}, PSNR {psnr:.2f} dB"
+            alt = f"view {i + 1} rendered from the map of {run.policy}, PSNR {psnr:.2f} dB"
             if first:
                 alt += ": the best"
             elif len(runs) > 1 and run is not best[i]:
@@ -80,20 +86,20 @@ def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
 
 
 def plan_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
-    """A run's map from above, with what it knew and the way it went."""
+    """Return the tile of a run's plan: map from above, known space and path."""
     drawn = draw_plan(run.pictures, run.trajectory, tiles.width(run))
-    says = f"{100 * float(np.mean(run.pictures['plan_state'] > 0)):.0f} % of the plan was looked into, grey was not"
-    return tiles.tile(run, picture(drawn, f"map of {run.policy} from above with its path: {says}"), says)
+    caption = f"{100 * float(np.mean(run.pictures['plan_state'] > 0)):.0f} % of the plan observed, the rest is grey"
+    return tiles.tile(run, picture(drawn, f"map of {run.policy} from above with its path: {caption}"), caption)
 
 
 def planes_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
-    """A run's graph from above by deficit; of a run in full also by type and in three dimensions."""
+    """Return the tile of a run's graph: from above by deficit; for policies in full also by type and in 3D."""
     assert run.graph is not None
-    # The run's own pictures where they can be used: drawing them again takes as long as the rest of the page.
+    # Stored images are used if possible; drawing takes as long as the rest of the page.
     above = stored_panels(run.directory / "psg_plan.png") or draw_planes_plan(run.graph, run.pictures)
-    says, width = _lacks(run.graph), tiles.width(run)
-    by_deficit = picture(above[1], f"planes of {run.policy} from above, by deficit: {says}", widest=width)
-    tile = {"by_deficit": tiles.tile(run, by_deficit, says), "pictures": []}
+    caption, width = _deficit_text(run.graph), tiles.width(run)
+    by_deficit = picture(above[1], f"planes of {run.policy} from above, by deficit: {caption}", widest=width)
+    tile = {"by_deficit": tiles.tile(run, by_deficit, caption), "pictures": []}
     if run.policy not in tiles.full:
         return tile
     in_3d = stored_panels(run.directory / "psg_3d.png") or draw_planes_3d(run.graph)
@@ -101,18 +107,18 @@ def planes_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
     drawn = [
         (f"by {what}, {place}", seen,
          picture(images[what, place], f"planes of {run.policy} {place}, by {what}: {seen}", widest=width))
-        for (what, place), seen in _SEEN.items()
+        for (what, place), seen in _CAPTIONS.items()
     ]  # fmt: skip
     count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
     return tile | {
         "pictures": drawn,
-        "says": f"{run.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
-        f"{_holes(run.graph)}",
+        "caption": f"{run.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} object "
+        f"planes, {_holes_text(run.graph)}",
     }
 
 
 def result_text(run: Run) -> str:
-    """What a run spent and reached, in a line."""
+    """Return a run's costs and results in one line."""
     metrics = run.metrics["metrics"]
     return (
         f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, "
@@ -120,12 +126,14 @@ def result_text(run: Run) -> str:
     )
 
 
-def _lacks(graph: Mapping[str, np.ndarray]) -> str:
+def _deficit_text(graph: Mapping[str, np.ndarray]) -> str:
     areas = graph["areas"]
-    share = 100 * float(areas[graph["deficit"] >= _BAD].sum()) / (float(areas.sum()) or 1.0)
-    return f"{_holes(graph)} left; {share:.0f} % of the planes' area has a deficit of {_BAD:g} or more"
+    share = 100 * float(areas[graph["deficit"] >= _HIGH_DEFICIT].sum()) / (float(areas.sum()) or 1.0)
+    return (
+        f"{_holes_text(graph)} remaining; {share:.0f} % of the planes' area has a deficit of {_HIGH_DEFICIT:g} or more"
+    )
 
 
-def _holes(graph: Mapping[str, np.ndarray]) -> str:
+def _holes_text(graph: Mapping[str, np.ndarray]) -> str:
     holes = graph["deficiency_areas"]
-    return f"{len(holes)} deficiency centre{'' if len(holes) == 1 else 's'} for {holes.sum():.1f} m²"
+    return f"{len(holes)} deficiency centre{'' if len(holes) == 1 else 's'} with {holes.sum():.1f} m²"

@@ -1,1 +1,1 @@
-"""Raster pictures from stored arrays: rendered views, plans from above, the Plane Scene Graph."""
+"""Draw images from stored arrays: rendered views, plans from above, the Plane Scene Graph."""

@@ -1,4 +1,4 @@
-"""Compose images and text on a page; what is to be judged is placed pixel by pixel and not resampled."""
+"""Compose images and text on a page; rendered views are placed without resampling."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 
 Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
 
-_PANELS = "asg:panels-2"  # entry of a picture's file
-_MAX_PIXELS = 1 << 26  # of a stored picture
+_PANELS = "asg:panels-2"  # key of the panel positions in the PNG's text
+_MAX_PIXELS = 1 << 26  # of a stored image that is read
 GAP = 6  # pixels between tiles
 MARGIN = 14
 _TITLE, _LABELS = 30, 22  # pixels above the tiles
@@ -25,7 +25,7 @@ _TITLE, _LABELS = 30, 22  # pixels above the tiles
 
 @functools.cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Open Sans from pyrender's files; Pillow's own font where it is missing."""
+    """Return Open Sans from pyrender's files, or Pillow's default font if that is missing."""
     spec = importlib.util.find_spec("pyrender")
     if spec is not None and spec.origin:
         path = Path(spec.origin).parent / "fonts" / f"OpenSans-{'Bold' if bold else 'Regular'}.ttf"
@@ -35,7 +35,7 @@ def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont
 
 
 def text_width(text: str, size: int, *, bold: bool = False) -> int:
-    """Width of one line in pixels."""
+    """Return the width of one line in pixels."""
     return round(font(size, bold=bold).getlength(text))
 
 
@@ -54,7 +54,7 @@ def write(
 
 
 def corner_label(image: Image.Image, text: str, *, size: int = 13, at_top: bool = False) -> None:
-    """``text`` on a dark plate, legible on any picture: in the lower right corner, or in the upper left."""
+    """Draw a text on a dark plate in the lower right corner, or in the upper left with ``at_top``."""
     width, height = text_width(text, size, bold=True) + 12, size + 9
     left, top = (0, 0) if at_top else (image.width - width, image.height - height)
     box = (left, top, left + width, top + height)
@@ -63,8 +63,8 @@ def corner_label(image: Image.Image, text: str, *, size: int = 13, at_top: bool 
     write(image, (left + width / 2, top + height / 2), text, size=size, bold=True, fill=PAPER, anchor="mm")
 
 
-def framed(page: Image.Image, tile: Image.Image, place: tuple[int, int]) -> None:
-    """Paste a tile on a page with a thin frame around it, so that its edge shows on a white page."""
+def paste_framed(page: Image.Image, tile: Image.Image, place: tuple[int, int]) -> None:
+    """Paste a tile on a page with a thin frame, which shows its edge on a white page."""
     x, y = place
     page.paste(tile, place)
     ImageDraw.Draw(page).rectangle([x - 1, y - 1, x + tile.width, y + tile.height], outline=HAIR)
@@ -74,11 +74,11 @@ def tile_grid(
     rows: Sequence[Sequence[Image.Image]],
     *,
     title: str,
-    row_labels: Sequence[Sequence[str]] = (),  # lines of text to the left of each row; the first is bold
+    row_labels: Sequence[Sequence[str]] = (),  # lines of text left of each row; the first is bold
     column_labels: Sequence[str] = (),
-    frames: bool = True,  # hair lines around the tiles
+    frames: bool = True,  # thin lines around the tiles
 ) -> Image.Image:
-    """Tiles of one size in rows, with a title above and labels beside."""
+    """Return a page of tiles of one size in rows, with a title, row labels and column labels."""
     tile_width, tile_height = rows[0][0].size
     columns = max(len(row) for row in rows)
     lines = [line for label in row_labels for line in label]
@@ -95,31 +95,31 @@ def tile_grid(
             write(page, (MARGIN, y + 4 + 21 * number), line, size=15, bold=number == 0)
         for column, tile in enumerate(row):
             place = left + column * (tile_width + GAP), y
-            framed(page, tile, place) if frames else page.paste(tile, place)
+            paste_framed(page, tile, place) if frames else page.paste(tile, place)
     return page
 
 
-def first_row(tiles: Sequence[Image.Image]) -> list[Box]:
-    """Position of the first row on a page of `tile_grid` with column labels and without row labels."""
+def first_row_boxes(tiles: Sequence[Image.Image]) -> list[Box]:
+    """Return the boxes of the first row on a page of `tile_grid` with column labels and without row labels."""
     (width, height), top = tiles[0].size, MARGIN + _TITLE + _LABELS
     corners = [MARGIN + column * (width + GAP) for column in range(len(tiles))]
     return [(left, top, left + width, top + height) for left in corners]
 
 
 def to_image(array: np.ndarray) -> Image.Image:
-    """An RGB image from [H, W, 3] uint8."""
+    """Return an RGB image from [H, W, 3] uint8."""
     return Image.fromarray(np.ascontiguousarray(array), "RGB")
 
 
 def save_with_panels(image: Image.Image, path: Path, panels: Sequence[Box]) -> None:
-    """Save a page as PNG, and with it where its panels are."""
+    """Save a page as PNG, with the boxes of its panels as metadata."""
     about = PngInfo()
     about.add_text(_PANELS, json.dumps(panels))
     image.save(path, "PNG", pnginfo=about)
 
 
 def stored_panels(path: Path) -> list[Image.Image] | None:
-    """The panels of a page that `save_with_panels` saved; None where there is none."""
+    """Return the two panels of a page that `save_with_panels` saved; None if the file has none."""
     page = stored_picture(path)
     if page is None:
         return None
@@ -127,13 +127,13 @@ def stored_panels(path: Path) -> list[Image.Image] | None:
         boxes = [tuple(int(side) for side in box) for box in json.loads(page.info[_PANELS])]
     except (KeyError, TypeError, ValueError, RecursionError, OverflowError):
         return None
-    if len(boxes) != 2 or not all(_lies_in(box, page) for box in boxes):
+    if len(boxes) != 2 or not all(_is_inside(box, page) for box in boxes):
         return None
     return [page.crop((box[0], box[1], box[2], box[3])).convert("RGB") for box in boxes]
 
 
 def stored_picture(path: Path) -> Image.Image | None:
-    """The picture in a PNG file; None if the file is missing, damaged or larger than any of ours."""
+    """Return the image in a PNG file; None if the file is missing, damaged or larger than this package writes."""
     if not path.is_file():
         return None
     try:
@@ -142,9 +142,9 @@ def stored_picture(path: Path) -> Image.Image | None:
                 return None
             picture.load()
             return picture
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's words for a damaged file
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # raised by Pillow for damaged files
         return None
 
 
-def _lies_in(box: Sequence[int], page: Image.Image) -> bool:
+def _is_inside(box: Sequence[int], page: Image.Image) -> bool:
     return len(box) == 4 and 0 <= box[0] < box[2] <= page.width and 0 <= box[1] < box[3] <= page.height

@@ -1,4 +1,4 @@
-"""The plan: a reconstruction seen from above, what is known around it, and the way the camera went."""
+"""Draw the plan: the map from above, free and occupied space, and the camera's path."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from activestructure_gym.evaluation.archive.picture_record import pixel_size, pl
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, text_width, write
 
-_SMOOTH = 3  # everything drawn by line is drawn this much larger and averaged
-# What shows where the map has no surface.
+_SMOOTH = 3  # supersampling factor of lines
+# Fill colours of pixels without a mapped surface.
 FILLS = {
-    "not seen": style.UNKNOWN,
-    "free, nothing mapped below": style.FREE,
+    "not observed": style.UNKNOWN,
+    "free, no surface mapped below": style.FREE,
     "occupied, not mapped": style.OCCUPIED,
 }
-_LEVEL, _FLOOR_M2 = 0.8, 0.5  # a floor's normal has at least this z, and it has been seen on this area
+_LEVEL, _FLOOR_M2 = 0.8, 0.5  # minimum z of a floor's unit normal, and minimum observed area in m^2
 
 
 def draw_plan(
     arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray], widest: float = math.inf
 ) -> Image.Image:
-    """The picture, y up: map from above, free and occupied space, path from blue to yellow, keyframes, start, end.
+    """Return the plan with y up: map from above, free and occupied space, path, keyframes, start and end.
 
-    At most ``widest`` pixels wide, with lines as wide as ever.
+    The image has at most ``widest`` columns; line widths do not depend on it.
     """
     extent = arrays["plan_extent"]
     scale = min(plan_scale(extent), widest / float(extent[0])) * _SMOOTH
@@ -38,7 +38,7 @@ def draw_plan(
 
 
 def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
-    """Known space and the map from above over it, at ``scale`` pixels per metre."""
+    """Return free and occupied space with the map from above, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
@@ -48,8 +48,8 @@ def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
 
 
 def legend() -> Image.Image:
-    """The key to `draw_plan`'s signs, as a strip."""
-    entries = ("start", "end", "path, first to last frame", "keyframe, looking ahead", *FILLS)
+    """Return the legend of `draw_plan` as a strip."""
+    entries = ("start", "end", "path, first to last frame", "keyframe and view direction", *FILLS)
     widths = [44 + text_width(entry, 13) + 18 for entry in entries]
     strip = Image.new("RGB", (2 * MARGIN + sum(widths), 34), style.PAPER)
     draw, x, y = ImageDraw.Draw(strip), MARGIN, 12
@@ -70,18 +70,18 @@ def legend() -> Image.Image:
     return strip
 
 
-def flight(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
-    """A sentence on the camera's height along trajectories, above the lowest floor in each run's graph.
+def camera_height_text(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
+    """Return a sentence on the camera's height along trajectories, above the lowest floor in each run's graph.
 
-    Without a floor in every graph the heights are the world's z.
+    If a graph is missing or has no floor, heights are z in the world frame.
     """
     floors = [None if graph is None else _floor(graph) for _, graph in paths]
     known = [floor for floor in floors if floor is not None]
-    ground, datum = ("above the floor", known) if len(known) == len(paths) else ("in z", [0.0] * len(paths))
+    reference, datum = ("above the floor", known) if len(known) == len(paths) else ("in z", [0.0] * len(paths))
     heights = [path["world_from_camera"][:, 2, 3] - zero for (path, _), zero in zip(paths, datum)]
     low, high = (f"{end:.1f}" for end in (min(h.min() for h in heights), max(h.max() for h in heights)))
-    at = f"at {low} m" if low == high else f"at {low} to {high} m"
-    return f"The camera flies {at} {ground}, so a path may cross furniture that is lower."
+    height = f"{low} m" if low == high else f"{low} to {high} m"
+    return f"Camera height: {height} {reference}. A path may cross lower furniture."
 
 
 def _floor(graph: Mapping[str, np.ndarray]) -> float | None:
@@ -116,7 +116,7 @@ def _draw_path(
 
 
 def draw_scale_bar(picture: Image.Image, scale: float) -> None:
-    """One metre, or five where one would be too short to see, in a picture drawn three times too large."""
+    """Draw a scale bar of 1 m, or of 5 m at small scales, into a supersampled image."""
     metres = 1 if scale / _SMOOTH >= 30 else 5
     length, unit = metres * scale, _SMOOTH
     left, bottom = 12 * unit, picture.height - 12 * unit
@@ -154,7 +154,7 @@ def _square(
 def _keyframe(
     draw: ImageDraw.ImageDraw,
     place: tuple[float, float],
-    direction: tuple[float, float],  # its length is the share of the view that is horizontal
+    direction: tuple[float, float],  # horizontal part of the unit view direction
     unit: int,
 ) -> None:
     length = 13 * unit

@@ -1,4 +1,4 @@
-"""The seen surface of planes in a parallel projection: which pixels show it, and how near."""
+"""Project the observed surface of planes: covered pixels and nearness in a parallel projection."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ import numpy as np
 
 from activestructure_gym.planes.record import GraphArrays, seen_cells
 
-_PAD = 2  # unseen cells around a grid, so that its outline closes
-_EDGE_ON = 1e-3  # of the largest possible screen area; a plane seen more steeply than this shows no pixel
-NOTHING = -1
+_PAD = 2  # unobserved cells added around a grid; they close its outline
+_EDGE_ON = 1e-3  # planes whose cells cover a smaller share of their full area are seen edge-on and not drawn
+NO_PLANE = -1
 
 
 @dataclass(frozen=True)
 class Projection:
-    """Parallel projection of the world onto a picture, x right and y down."""
+    """Hold a parallel projection of the world onto an image, x right and y down."""
 
     rows: np.ndarray  # [2, 3] pixels per metre
     shift: np.ndarray  # [2] pixels
-    towards: np.ndarray  # [3] unit, from the scene to the eye
+    towards: np.ndarray  # [3] unit vector from the scene to the viewer
     size: tuple[int, int]  # width, height in pixels
 
     def pixels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 2]
-        """Image position of world points, in pixels."""
+        """Return the image positions of world points in pixels."""
         return points @ self.rows.T + self.shift
 
-    def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the eye
-        """Depth of world points along the line of sight."""
+    def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the viewer
+        """Return the positions of world points along the view direction."""
         return points @ self.towards
 
 
-def fitted(points: np.ndarray, right: np.ndarray, towards: np.ndarray, scale: float, margin: int) -> Projection:
-    """The projection that shows ``points`` [K, 3] at ``scale`` pixels per metre, with ``margin`` pixels around."""
+def fit_projection(points: np.ndarray, right: np.ndarray, towards: np.ndarray, scale: float, margin: int) -> Projection:
+    """Return the projection that shows ``points`` [K, 3] at ``scale`` pixels per metre, with a margin in pixels."""
     down = np.cross(right, towards)
     rows = scale * np.stack([right, down])
     flat = points @ rows.T
@@ -43,8 +43,11 @@ def fitted(points: np.ndarray, right: np.ndarray, towards: np.ndarray, scale: fl
     return Projection(rows, margin - low, towards, (width, height))
 
 
-def extremes(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
-    """Centres of seen cells, per plane the first and the last of every row of its grid: nothing lies further out."""
+def outer_cells(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
+    """Return the centres of the first and last observed cell of each grid row of each plane.
+
+    They bound all observed cells.
+    """
     cell, points = float(arrays["cell"]), [np.zeros((0, 3))]
     for plane in range(len(arrays["ids"])):
         seen = seen_cells(arrays, plane) > 0
@@ -58,12 +61,12 @@ def extremes(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
 Window = tuple[slice, slice]  # rows and columns of a picture
 
 
-def cover(
+def covered_pixels(
     arrays: GraphArrays, plane: int, view: Projection
 ) -> tuple[Window, np.ndarray, np.ndarray] | None:  # window, [h, w] bool, [h, w] metres
-    """The pixels that show a plane's seen cells: a window of the picture, which of its pixels, and their nearness.
+    """Return the pixels that a plane's observed cells cover: a window of the image, its covered pixels, their nearness.
 
-    None if the plane is seen edge-on or stands beside the picture. Outlines are those of the cells, smoothed.
+    Return None if the plane is seen edge-on or outside the image. Outlines are those of the cells, smoothed.
     """
     found = _covered(arrays, plane, view)
     if found is None:
@@ -78,7 +81,10 @@ def cover(
 def _covered(
     arrays: GraphArrays, plane: int, view: Projection
 ) -> tuple[Window, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Window and pixels as in `cover`; the first cell's centre [3], its place [2] and the pixels per cell [2, 2]."""
+    """Return window and pixels as `covered_pixels`, and the sampling of the plane's grid.
+
+    The sampling is the centre of the first cell [3] in metres, its image position [2], and the pixels per cell [2, 2].
+    """
     cell, axes = float(arrays["cell"]), arrays["patch_axes"][plane]
     grid = np.pad(seen_cells(arrays, plane), _PAD).astype(np.float32)
     steps = view.rows @ axes.T * cell  # [2, 2] pixels per row, per column
@@ -103,14 +109,14 @@ def _covered(
 def nearest_planes(
     arrays: GraphArrays, view: Projection
 ) -> tuple[np.ndarray, np.ndarray]:  # [H, W] int32 row of the plane or -1, [H, W] metres
-    """Which plane every pixel shows, of those that face the eye: walls between it and the rooms hide nothing."""
+    """Return the nearest plane at each pixel; planes that face away from the viewer are transparent."""
     width, height = view.size
-    owner = np.full((height, width), NOTHING, np.int32)
+    owner = np.full((height, width), NO_PLANE, np.int32)
     nearness = np.full((height, width), -np.inf)
     for plane in range(len(arrays["ids"])):
         if arrays["normals"][plane] @ view.towards <= 0:
             continue
-        found = cover(arrays, plane, view)
+        found = covered_pixels(arrays, plane, view)
         if found is None:
             continue
         window, shown, near = found
@@ -121,20 +127,20 @@ def nearest_planes(
 
 
 def silhouette(arrays: GraphArrays, plane: int, view: Projection) -> tuple[Window, np.ndarray] | None:
-    """Window and pixels of a plane's seen cells: the first two results of `cover`."""
+    """Return window and pixels of a plane's observed cells: the first two results of `covered_pixels`."""
     found = _covered(arrays, plane, view)
     return None if found is None else found[:2]
 
 
 def outlines(arrays: GraphArrays, plane: int, view: Projection) -> Iterator[np.ndarray]:  # [K, 2] pixels each
-    """The borders of a plane's seen surface, those of its holes included."""
+    """Yield the borders of a plane's observed surface, including those of holes."""
     found = silhouette(arrays, plane, view)
     if found is not None:
         yield from borders(*found)
 
 
 def borders(window: Window, shown: np.ndarray) -> Iterator[np.ndarray]:  # [K, 2] pixels each
-    """The borders of a silhouette, those of its holes included."""
+    """Yield the borders of a silhouette, including those of holes."""
     rows, columns = window
     lines, _ = cv2.findContours(shown.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     for line in lines:

@@ -1,4 +1,4 @@
-"""The Plane Scene Graph in three dimensions: patches by type and by deficit, seen from two opposite corners."""
+"""Draw the Plane Scene Graph in 3D: patches by type and by deficit, seen from two opposite corners."""
 
 from __future__ import annotations
 
@@ -8,39 +8,38 @@ from PIL import Image, ImageOps
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import write
 from activestructure_gym.evaluation.report.pictures.plane_projection import (
-    NOTHING,
+    NO_PLANE,
     Projection,
-    extremes,
-    fitted,
+    fit_projection,
     nearest_planes,
+    outer_cells,
 )
 from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
 from activestructure_gym.planes.record import GraphArrays
 
-_WIDTH, _HEIGHT = 620, 520  # pixels a panel has at most
+_WIDTH, _HEIGHT = 620, 520  # maximum pixels of a panel
 _MARGIN = 14
 _CAPTION = 20
-_ELEVATION = 48.0  # degrees; high enough to look over the walls into the rooms
+_ELEVATION = 48.0  # degrees; shows the rooms over the walls
 _AZIMUTH = 28.0  # degrees off the normal of the scene's long side
 _LIGHT = np.array([0.25, -0.45, 0.86])
-_SHADE = 0.2  # share of lightness between planes towards the light and away from it
+_SHADE = 0.2  # planes that face away from the light are darker by this share
 
 
 def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Image.Image]:
-    """Two pictures: planes by type with edges and tree, and by deficit with deficiency centres.
+    """Return two images: planes by type with edges and tree, and by deficit with deficiency centres.
 
-    Only faces towards the eye are drawn, so one looks through the near walls and the ceiling into the rooms; what
-    belongs to a plane that is not drawn (its node, its edges, its holes) is left out with it. ``side`` 0 or 1 is the
-    corner one looks from. Depth is resolved per pixel.
+    Only planes that face the viewer are drawn; the near walls and the ceiling are left out, with their nodes, edges and
+    holes. ``side`` 0 or 1 selects the corner of the viewer. Depth is resolved per pixel.
     """
     if not len(arrays["ids"]):
         return _empty(), _empty()
-    view = view_of(arrays, side)
+    view = corner_view(arrays, side)
     owner, nearness = nearest_planes(arrays, view)
     borders = _borders(owner)
     shade = 1.0 - _SHADE * (0.5 - 0.5 * arrays["normals"] @ (_LIGHT / np.linalg.norm(_LIGHT)))
     types = np.array([style.plane_colour(bool(structural)) for structural in arrays["structural"]], float)
-    types = 0.62 * types + 0.38 * 255.0  # lighter than the graph that is drawn over them
+    types = 0.62 * types + 0.38 * 255.0  # lighter than the graph
     deficits = np.array([style.deficit_colour(float(deficit)) for deficit in arrays["deficit"]], float)
     by_type = _painted(owner, borders, types * shade[:, None])
     facing = arrays["normals"] @ view.towards > 0
@@ -53,21 +52,21 @@ def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Ima
     draw_centres(by_deficit, holes, places, _hidden(holes, view, places, nearness))
     caption = f"seen from the {compass(view.towards)}"
     pair = _reduced(by_type, caption), _reduced(by_deficit, caption)
-    # Faces that look away leave the lower part empty.
+    # The lower part is empty if only planes that face away are there.
     bottom = min(max(_lowest_row(page) for page in pair) + _MARGIN, pair[0].height)
     by_type, by_deficit = (page.crop((0, 0, page.width, bottom)) for page in pair)
     return by_type, by_deficit
 
 
 def compass(towards: np.ndarray) -> str:  # [3]
-    """Compass direction of the eye, with north where y grows, as in the plans."""
+    """Return the compass direction of the viewer; north is +y, as in the plans."""
     names = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
     return names[round(float(np.degrees(np.arctan2(towards[1], towards[0]))) / 45.0) % 8]
 
 
-def view_of(arrays: GraphArrays, side: int) -> Projection:
-    """The parallel view of a graph from one of two opposite corners, its long side from left to right."""
-    points = extremes(arrays)
+def corner_view(arrays: GraphArrays, side: int) -> Projection:
+    """Return the parallel projection from one of two opposite corners, with the scene's long side horizontal."""
+    points = outer_cells(arrays)
     extent = np.ptp(points, axis=0)
     azimuth = np.radians((-90.0 if extent[0] >= extent[1] else 0.0) + _AZIMUTH * (1 if extent[0] >= extent[1] else -1))
     azimuth += np.pi * side
@@ -75,26 +74,26 @@ def view_of(arrays: GraphArrays, side: int) -> Projection:
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     towards = np.cos(elevation) * flat + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
-    unit = fitted(points, right, towards, 1.0, 0)
+    unit = fit_projection(points, right, towards, 1.0, 0)
     size = np.ptp(points @ unit.rows.T, axis=0)
     scale = min((_WIDTH - 2 * _MARGIN) / max(size[0], 1e-6), (_HEIGHT - 2 * _MARGIN) / max(size[1], 1e-6), 130.0)
-    return fitted(points, right, towards, scale * SMOOTH, _MARGIN * SMOOTH)
+    return fit_projection(points, right, towards, scale * SMOOTH, _MARGIN * SMOOTH)
 
 
 def _facing_holes(arrays: GraphArrays, view: Projection) -> GraphArrays:
-    """The deficiency centres on planes that face the eye."""
+    """Return the deficiency centres on planes that face the viewer."""
     facing = arrays["deficiency_normals"] @ view.towards > 0
     return {name: arrays[name][facing] for name in ("deficiency_centres", "deficiency_normals", "deficiency_areas")}
 
 
 def _hidden(arrays: GraphArrays, view: Projection, places: np.ndarray, nearness: np.ndarray) -> np.ndarray:  # [D] bool
-    """Centres behind other planes."""
+    """Return whether each deficiency centre is occluded by another plane."""
     x, y = np.clip(np.round(places).astype(int), 0, np.array(view.size) - 1).T
     return nearness[y, x] > view.nearness(arrays["deficiency_centres"]) + 0.1
 
 
 def _borders(owner: np.ndarray) -> np.ndarray:  # [H, W] bool
-    """Pixels beside another plane, or beside none."""
+    """Return the pixels of planes that have another plane, or none, within the line width."""
     border = np.zeros(owner.shape, bool)
     for step in range(1, SMOOTH):
         across, along = owner[:, step:] != owner[:, :-step], owner[step:] != owner[:-step]
@@ -102,11 +101,11 @@ def _borders(owner: np.ndarray) -> np.ndarray:  # [H, W] bool
         border[:, :-step] |= across
         border[step:] |= along
         border[:-step] |= along
-    return border & (owner != NOTHING)
+    return border & (owner != NO_PLANE)
 
 
 def _painted(owner: np.ndarray, borders: np.ndarray, colours: np.ndarray) -> Image.Image:
-    table = np.vstack([colours, style.PAPER])  # the last row is that of index -1
+    table = np.vstack([colours, style.PAPER])  # the last row is for `NO_PLANE`, index -1
     plain, dark = (np.rint(t).astype(np.uint8) for t in (table, 0.55 * table + 0.45 * np.array(style.INK)))
     pixels = plain[owner]
     pixels[borders] = dark[owner[borders]]

@@ -1,4 +1,4 @@
-"""The pages that show the Plane Scene Graph of one run."""
+"""Compose the figures of one run's Plane Scene Graph."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from PIL import Image
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, Box, first_row, tile_grid, write
+from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, Box, first_row_boxes, tile_grid, write
 from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
-from activestructure_gym.evaluation.report.pictures.psg_legend import deficit_key, type_key, with_key
+from activestructure_gym.evaluation.report.pictures.psg_legend import deficit_legend, type_legend, with_legend
 from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
 from activestructure_gym.planes.record import GraphArrays
 
@@ -20,25 +20,25 @@ Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
 def run_planes_plan(
     arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str
 ) -> tuple[Image.Image, list[Box]]:
-    """The graph over the plan: on the left by type, on the right by deficit; and where these two are."""
+    """Return the graph over the plan, left by type, right by deficit, and the boxes of both panels."""
     pair = draw_planes_plan(arrays, plan)
     page = _panels([pair], [_counted(arrays)], title=title, frames=True)
-    return with_key(page, type_key(flat=True), deficit_key()), first_row(pair)
+    return with_legend(page, type_legend(flat=True), deficit_legend()), first_row_boxes(pair)
 
 
 def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list[Box]]:
-    """The graph from two opposite corners, on the left by type, on the right by deficit; where the first two are."""
+    """Return the graph in 3D from two corners, left by type, right by deficit, and the boxes of the first row."""
     rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
-    page = with_key(_panels(rows, [_counted(arrays)], title=title), type_key(), deficit_key(depth=True))
-    return page, first_row(rows[0])
+    page = with_legend(_panels(rows, [_counted(arrays)], title=title), type_legend(), deficit_legend(depth=True))
+    return page, first_row_boxes(rows[0])
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:
-    """Titles of the two panels, with counts."""
+    """Return the titles of the two panels, with counts."""
     structural, areas = int(arrays["structural"].sum()), arrays["deficiency_areas"]
     return (
-        f"by type: {structural} structural planes, {len(arrays['ids']) - structural} of objects",
-        f"by deficit: {len(areas)} deficiency centres for {areas.sum():.1f} m²",
+        f"by type: {structural} structural planes, {len(arrays['ids']) - structural} object planes",
+        f"by deficit: {len(areas)} deficiency centres, {areas.sum():.1f} m² in total",
     )
 
 
@@ -49,7 +49,7 @@ def _panels(
     title: str,
     frames: bool = False,
 ) -> Image.Image:
-    """Rows of two panels; rows may differ in height, so each is a page of its own."""
+    """Return rows of two panels; each row is composed separately, since heights differ."""
     pages = []
     for index, row in enumerate(rows):
         columns = labels[index] if index < len(labels) else ()

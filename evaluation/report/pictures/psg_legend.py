@@ -1,4 +1,4 @@
-"""The key to the pictures of the Plane Scene Graph, and the marks that both of them draw."""
+"""Draw the legend, nodes, edges and deficiency centres of the Plane Scene Graph figures."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, text_width, write
 from activestructure_gym.planes.record import GraphArrays
 
-SMOOTH = 3  # everything is drawn this much larger and averaged
+SMOOTH = 3  # supersampling factor
 _NODE = 4.0  # pixels, radius of a centroid
 _CENTRE = (2.5, 8.0)  # pixels, smallest and largest radius of a deficiency centre
-_MANY = 80  # more centres than this are drawn smaller, or they would cover what they stand on
-_TILE = 0.25  # m^2, the area that is drawn largest: a full tile of a hole
-_ROW = 24  # pixels per row of the key
+_MANY = 80  # above this number, deficiency centres are drawn smaller
+_TILE = 0.25  # m^2, hole area of the largest disc: one full tile of a plane
+_ROW = 24  # pixels per row of the legend
 
-Painter = Callable[[ImageDraw.ImageDraw, float, float], None]  # draws around a place
+Painter = Callable[[ImageDraw.ImageDraw, float, float], None]  # draws a symbol around a position
 
 
 def draw_edges(
     picture: Image.Image,
     arrays: GraphArrays,
-    places: np.ndarray,  # [N, 2] the centroids in its pixels
-    shown: np.ndarray,  # [N] bool: planes that are in the picture
+    places: np.ndarray,  # [N, 2] pixel positions of the centroids
+    shown: np.ndarray,  # [N] bool: planes to draw
 ) -> Image.Image:
-    """Edges and tree over an enlarged picture, light enough to leave the planes to be seen; between shown planes."""
+    """Return a supersampled image with the edges and the tree between shown planes drawn over it."""
     layer = Image.new("RGBA", picture.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
     edges = arrays["edges"].reshape(-1, 2)
     kept = shown[edges].all(axis=1)
     thin, tree = (edges[kept & (arrays["edge_in_tree"] == kind)] for kind in (False, True))
-    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # hundreds of edges must not become a surface
+    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # hundreds of edges would hide the planes
     for i, j in thin:
         draw.line([*places[i], *places[j]], fill=(*style.EDGE, opacity), width=SMOOTH)
     for i, j in tree:
@@ -42,7 +42,7 @@ def draw_edges(
 
 
 def draw_nodes(picture: Image.Image, arrays: GraphArrays, places: np.ndarray, shown: np.ndarray) -> None:
-    """The centroids of shown planes over an enlarged picture; arguments as of `draw_edges`."""
+    """Draw the centroids of shown planes; the arguments are those of `draw_edges`."""
     draw = ImageDraw.Draw(picture)
     for k in np.flatnonzero(shown):
         colour = style.plane_colour(bool(arrays["structural"][k]))
@@ -53,12 +53,14 @@ def draw_centres(
     picture: Image.Image,
     arrays: GraphArrays,
     places: np.ndarray,  # [D, 2] pixels
-    hidden: np.ndarray,  # [D] bool: drawn as a dot only
+    hidden: np.ndarray,  # [D] bool: occluded, drawn as a dot
 ) -> None:
-    """Deficiency centres as white discs whose area is that of the hole they stand for."""
+    """Draw deficiency centres as white discs; the disc's area is proportional to that of the hole."""
     draw = ImageDraw.Draw(picture)
     shrunk = min(1.0, max(0.35, (_MANY / max(len(places), 1)) ** 0.5))
-    for k in np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable"):  # large and hidden ones first
+    for k in np.argsort(
+        -arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable"
+    ):  # occluded ones first, then by falling area
         if hidden[k]:
             _disc(draw, places[k, 0], places[k, 1], 1.6 * SMOOTH, style.FAINT_INK, 0)
         else:
@@ -67,8 +69,8 @@ def draw_centres(
             _disc(draw, places[k, 0], places[k, 1], radius, style.PAPER, SMOOTH, ring=style.INK)
 
 
-def type_key(*, flat: bool = False) -> list[tuple[str, Painter]]:
-    """Entries of planes by type, and of the graph; with ``flat`` also of planes seen from behind."""
+def type_legend(*, flat: bool = False) -> list[tuple[str, Painter]]:
+    """Return the legend entries of planes by type and of the graph; ``flat`` adds planes that face down."""
 
     def outline(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         draw.rectangle([x - 11, y - 7, x + 11, y + 7], outline=style.FAINT_INK)
@@ -79,15 +81,13 @@ def type_key(*, flat: bool = False) -> list[tuple[str, Painter]]:
         ("centroid", lambda draw, x, y: _disc(draw, x, y, _NODE, style.STRUCTURAL, 1)),
         ("spanning tree", _line(style.TREE, 2)),
         ("other edge", _line(style.EDGE, 1)),
-        *([("facing down, as the ceiling", outline)] if flat else []),
+        *([("facing down, such as ceilings", outline)] if flat else []),
     ]
 
 
-def deficit_key(*, depth: bool = False) -> list[tuple[str, Painter]]:
-    """Entries of planes by deficit, and of the deficiency centres; with ``depth`` also of those out of sight."""
-    bounds = [f"{bound:g}" for bound in style.DEFICIT_BOUNDS]
-    labels = [f"deficit < {bounds[0]}", *(f"{bound} +" for bound in bounds)]
-    classes = [(label, _swatch(colour)) for label, colour in zip(labels, style.DEFICIT_COLOURS)]
+def deficit_legend(*, depth: bool = False) -> list[tuple[str, Painter]]:
+    """Return the legend entries of planes by deficit and of deficiency centres; ``depth`` adds occluded centres."""
+    classes = [(label, _swatch(colour)) for label, colour in zip(style.DEFICIT_LABELS, style.DEFICIT_COLOURS)]
 
     def hole(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         _disc(draw, x, y, 6, style.PAPER, 1, ring=style.INK)
@@ -95,11 +95,11 @@ def deficit_key(*, depth: bool = False) -> list[tuple[str, Painter]]:
     def dot(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         _disc(draw, x, y, 2, style.FAINT_INK, 0)
 
-    return [*classes, ("deficiency centre, by area", hole), *([("one behind a plane", dot)] if depth else [])]
+    return [*classes, ("deficiency centre, by area", hole), *([("occluded deficiency centre", dot)] if depth else [])]
 
 
-def with_key(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:
-    """The page with one line of key per row below it."""
+def with_legend(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:
+    """Return the page with the legend below it, one line per row of entries."""
     widths = [[42 + text_width(label, 13) + 16 for label, _ in row] for row in rows]
     width = max(page.width, *(2 * MARGIN + sum(own) for own in widths))
     whole = Image.new("RGB", (width, page.height + _ROW * len(rows) + 8), style.PAPER)

@@ -1,4 +1,4 @@
-"""The Plane Scene Graph from above, over the plan of the run: walls as strokes, level surfaces as areas."""
+"""Draw the Plane Scene Graph from above over the run's plan: walls as strokes, level planes as areas."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from PIL import Image, ImageDraw
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_scale_bar, pixel_size, plan_base
-from activestructure_gym.evaluation.report.pictures.plane_projection import Projection, borders, extremes, silhouette
+from activestructure_gym.evaluation.report.pictures.plane_projection import Projection, borders, outer_cells, silhouette
 from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
 from activestructure_gym.planes.record import GraphArrays, seen_cells
 
-_LEVEL = 0.8  # |z| of the normal from which a plane is an area of the plan and not a stroke
-_FLOOR_M = 0.2  # level planes this near to the lowest are floor
+_LEVEL = 0.8  # planes with at least this |z| of the unit normal are drawn as areas, others as strokes
+_FLOOR_M = 0.2  # level planes within this height above the lowest are floor
 _PIXELS_PER_METRE = 120
-_MAX_SIDE_PX = 600  # pixels, without the margin
-_MAX_PLAN_SIDE_PX = 3000  # pixels of the longer side of the whole plan, which is drawn first
-_AROUND = 40  # pixels of the plan around the outermost planes; the scale bar stands there
-_FADED = 0.75  # share of paper in the plan below
+_MAX_SIDE_PX = 600  # without the margin
+_MAX_PLAN_SIDE_PX = 3000  # longer side of the whole plan, which is drawn first
+_AROUND = 40  # margin in pixels; it contains the scale bar
+_FADED = 0.75  # share of white blended into the plan below
 _FLOOR = 0.45  # opacity
-_STROKES = {True: 6, False: 4}  # pixels, structural and object
+_STROKES = {True: 6, False: 4}  # line width in pixels of structural and object planes
 
 Colour = tuple[int, int, int]
 
 
 def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tuple[Image.Image, Image.Image]:
-    """Planes by type with edges and tree, and by deficit with centres; ``plan`` as of `picture_record.plan_arrays`.
+    """Return two images: planes by type with edges and tree, and by deficit with deficiency centres.
 
-    Steep planes are strokes on the side they are seen from, so that both faces of a wall can be told apart. Level
-    ones that face up are areas, the floor a faint one; those that face down, the ceiling among them, are outlines.
+    ``plan`` holds the arrays of `picture_record.plan_arrays`. Steep planes are strokes shifted towards their observed
+    side, which separates both faces of a wall. Level planes that face up are areas, faint for the floor. Planes that
+    face down, such as ceilings, are outlines.
     """
     view = view_from_above(arrays, plan)
     ground, shapes = _ground(plan, view), _shapes(arrays, view)
     types = [style.plane_colour(bool(structural)) for structural in arrays["structural"]]
-    # The graph runs between the areas and the walls: over the former nothing of it could be seen, over the latter it
-    # would be all that is seen.
-    places, everyone = view.pixels(arrays["centroids"]), np.ones(len(arrays["ids"]), bool)
+    # Edges are drawn above the areas, which would hide them, and below the walls, which they would hide.
+    places, all_planes = view.pixels(arrays["centroids"]), np.ones(len(arrays["ids"]), bool)
     by_type = _drawn(ground, [shape for shape in shapes if not shape.stroke], types)
-    by_type = draw_edges(by_type, arrays, places, everyone)
+    by_type = draw_edges(by_type, arrays, places, all_planes)
     by_type = _drawn(by_type, [shape for shape in shapes if shape.stroke], types)
-    draw_nodes(by_type, arrays, places, everyone)
+    draw_nodes(by_type, arrays, places, all_planes)
     deficits = [style.deficit_colour(float(deficit)) for deficit in arrays["deficit"]]
     by_deficit = _drawn(ground, shapes, deficits)
     centres = arrays["deficiency_centres"]
@@ -54,12 +54,12 @@ def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tup
 
 
 def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Projection:
-    """The part of the plan that has planes, y up, drawn three times too large."""
-    points = extremes(arrays)[:, :2]
+    """Return the projection of the part of the plan that has planes, y up, supersampled."""
+    points = outer_cells(arrays)[:, :2]
     if not len(points):
         points = np.stack([plan["plan_corner"], plan["plan_corner"] + plan["plan_extent"]])
     low, high = points.min(axis=0), points.max(axis=0)
-    whole = _MAX_PLAN_SIDE_PX / float(plan["plan_extent"].max())  # of which the planes may take a small part
+    whole = _MAX_PLAN_SIDE_PX / float(plan["plan_extent"].max())  # the planes may cover a small part of the plan
     scale = min(_PIXELS_PER_METRE, _MAX_SIDE_PX / max(float((high - low).max()), 0.1), whole) * SMOOTH
     corner = low - _AROUND * SMOOTH / scale
     size = pixel_size(high + _AROUND * SMOOTH / scale - corner, scale)
@@ -69,7 +69,7 @@ def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Proj
 
 
 def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
-    """The plan without its colours, which would be taken for the planes', and faded."""
+    """Return the plan in faded grey, which differs from the colours of planes."""
     base = plan_base(plan, float(view.rows[0, 0])).convert("L").convert("RGB")
     upper_left = np.array([plan["plan_corner"][0], plan["plan_corner"][1] + plan["plan_extent"][1], 0.0])
     page = Image.new("RGB", view.size, style.UNKNOWN)
@@ -80,17 +80,17 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
 
 @dataclass(frozen=True)
 class _Shape:
-    """Outline or strokes of one plane, without its colour."""
+    """Hold the outline or strokes of one plane, without colour."""
 
     plane: int
     area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, opacity
     lines: Sequence[Sequence[tuple[float, ...]]] = ()
     width: int = 1  # pixels of the lines
-    stroke: bool = False  # lines have an edge
+    stroke: bool = False  # draw the lines with a grey edge
 
 
 def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
-    """The shapes of all planes, in drawing order."""
+    """Return the shapes of all planes in drawing order."""
     rise, height = arrays["normals"][:, 2], arrays["centroids"][:, 2]
     up = [int(k) for k in np.argsort(height, kind="stable") if rise[k] >= _LEVEL]
     lowest = height[up[0]] if up else 0.0
@@ -99,7 +99,7 @@ def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
         floor = height[plane] < lowest + _FLOOR_M
         shapes.append(_level(arrays, plane, view, opacity=_FLOOR if floor else 0.85, width=1 if floor else 2))
     shapes += [_level(arrays, plane, view, opacity=0.0, width=1) for plane in np.flatnonzero(rise <= -_LEVEL).tolist()]
-    # Structural strokes last: they are what the others hang on.
+    # Structural strokes are drawn last, above those of objects.
     steep = sorted(np.flatnonzero(np.abs(rise) < _LEVEL).tolist(), key=lambda k: bool(arrays["structural"][k]))
     return shapes + [_steep(arrays, plane, view) for plane in steep]
 
@@ -122,7 +122,7 @@ def _steep(arrays: GraphArrays, plane: int, view: Projection) -> _Shape:
     normal = arrays["normals"][plane]
     out = normal[:2] / np.linalg.norm(normal[:2])
     aside = np.array([out[0], -out[1]]) * width / 2  # y is down in the picture
-    lines = [[tuple(view.pixels(point) + aside) for point in ends] for ends in stretches(arrays, plane)]
+    lines = [[tuple(view.pixels(point) + aside) for point in ends] for ends in observed_intervals(arrays, plane)]
     return _Shape(plane, None, lines, width, stroke=True)
 
 
@@ -141,8 +141,8 @@ def _drawn(ground: Image.Image, shapes: Sequence[_Shape], colours: Sequence[Colo
     return picture
 
 
-def stretches(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres
-    """Intervals along a steep plane in the floor plan that were seen at any height; gaps below a cell are closed."""
+def observed_intervals(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres
+    """Return the intervals along a steep plane that were observed at any height; gaps below one cell are closed."""
     cell, axes, normal = float(arrays["cell"]), arrays["patch_axes"][plane], arrays["normals"][plane]
     rows, columns = np.nonzero(seen_cells(arrays, plane))
     cells = np.stack([rows, columns], axis=1) + 0.5

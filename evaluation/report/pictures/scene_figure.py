@@ -1,6 +1,6 @@
-"""A scene at a glance: from above without its ceiling, and as a camera sees it from its start poses.
+"""Draw an overview of a scene: the plan without its ceiling, and views from the start poses.
 
-What is not below or above the region of free space in use is pale.
+The plan is pale outside the region of free space in use.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.pictures.canvas import (
     GAP,
     MARGIN,
     corner_label,
-    framed,
+    paste_framed,
     tile_grid,
     to_image,
     write,
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth
     from activestructure_gym.scenes import Scene
 
-_HEADROOM_M = 0.6  # faces whose middle is higher than this above the start poses (the ceiling) are left out
-_ALTITUDE = 60.0  # the eye's height in scene widths: as good as parallel
+_HEADROOM_M = 0.6  # faces whose centre is higher than this above the start poses (the ceiling) are left out
+_ALTITUDE = 60.0  # height of the virtual camera in scene widths: its rays are almost parallel
 _VIEW = (320, 180)
 _SMOOTH = 3
-_PALE = 0.65  # how much paper shows through what the region in use does not reach
+_PALE = 0.65  # share of white outside the region in use
 
 
 def scene_picture(known: GroundTruth) -> Image.Image:
-    """The plan with the start poses on the left, four views from them on the right."""
+    """Return the plan with the start poses, and up to four views from them."""
     scene, space = known.scene, known.free_space
     poses = space.start_poses
     chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []
@@ -54,16 +54,16 @@ def scene_picture(known: GroundTruth) -> Image.Image:
         return tile_grid([[plan]], title=title)
     for number, view in enumerate(views, start=1):
         corner_label(view, str(number), size=14, at_top=True)
-    # Below each other beside a tall plan, in two columns beside a flat one.
+    # One column next to a tall plan, two columns next to a flat one.
     columns = 1 if plan.height > 2.5 * _VIEW[1] else 2
     rows = -(-len(views) // columns)
-    beside = plan.width + MARGIN
-    size = beside + columns * (_VIEW[0] + GAP) - GAP, max(plan.height, rows * (_VIEW[1] + GAP) - GAP)
+    left = plan.width + MARGIN
+    size = left + columns * (_VIEW[0] + GAP) - GAP, max(plan.height, rows * (_VIEW[1] + GAP) - GAP)
     both = Image.new("RGB", (size[0] + 2, size[1] + 2), style.PAPER)
     both.paste(plan, (1, 1))
     for number, view in enumerate(views):
         row, column = divmod(number, columns)
-        framed(both, view, (1 + beside + column * (_VIEW[0] + GAP), 1 + row * (_VIEW[1] + GAP)))
+        paste_framed(both, view, (1 + left + column * (_VIEW[0] + GAP), 1 + row * (_VIEW[1] + GAP)))
     return tile_grid([[both]], title=title, frames=False)
 
 
@@ -111,7 +111,7 @@ def _plan(scene: Scene, space: FreeSpace, numbered: list[int]) -> Image.Image:
 def _is_used(
     space: FreeSpace, low: np.ndarray, depth: float, scale: float, shape: tuple[int, ...]
 ) -> np.ndarray:  # [H, W] bool
-    """Pixels of the plan within 20 cm of a column of the region in use, so that its walls are among them."""
+    """Return the pixels of the plan within 20 cm of the region in use; the margin includes its walls."""
     from scipy.ndimage import binary_dilation
 
     columns = binary_dilation(space.clearance.max(axis=2) > 0, iterations=max(1, round(0.2 / space.voxel_size)))

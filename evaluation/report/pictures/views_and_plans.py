@@ -1,4 +1,4 @@
-"""Rendered against true views, and the plan with the path: from a run's stored arrays to pictures."""
+"""Compose rendered and true views, and plans with paths, of one run or of several."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from activestructure_gym.evaluation.report.pictures.canvas import (
     to_image,
     write,
 )
-from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan, flight, legend
+from activestructure_gym.evaluation.report.pictures.floor_plan import camera_height_text, draw_plan, legend
 from activestructure_gym.evaluation.report.tables.layout import decimal
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN_VIEWS = 4
-BLACK = "Black: nothing of the map is there."
+BLACK_NOTE = "Black: the map has no Gaussian there."
 
 
 def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
-    """Truth above, the run's rendering below, PSNR in the corner."""
-    shown = telling_views(arrays["true"])
+    """Return the true views above the run's rendered views, each with its PSNR."""
+    shown = detailed_views(arrays["true"])
     rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
-    return _with_note(tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]]), BLACK)
+    return _with_note(
+        tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]]), BLACK_NOTE
+    )
 
 
 def run_plan(
@@ -42,38 +44,38 @@ def run_plan(
     *,
     title: str,
 ) -> Image.Image:
-    """The map seen from above, with what was known to be free, the path, the keyframes and the start."""
+    """Return the plan: map from above, free space, path, keyframes and start."""
     plan = draw_plan(arrays, trajectory)
-    return _with_note(_with_legend(tile_grid([[plan]], title=title)), flight([(trajectory, graph)]))
+    return _with_note(_with_legend(tile_grid([[plan]], title=title)), camera_height_text([(trajectory, graph)]))
 
 
 def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """The same held-out views, true and as each run renders them. All runs must be of one scene and protocol."""
+    """Return the same held-out views, true and as rendered by each run; all runs share scene and protocol."""
     first = runs[0].pictures
-    shown = telling_views(first["true"])
+    shown = detailed_views(first["true"])
     rows = [[to_image(first["true"][i]) for i in shown]]
     labels = [["true view"]]
     for run in runs:
         rows.append([_rendered_tile(run.pictures, i) for i in shown])
         labels.append(_run_label(run, f"{run.metrics['metrics']['psnr']:.2f} dB mean"))
     columns = [f"view {i + 1}" for i in shown]
-    return _with_note(tile_grid(rows, title=title, row_labels=labels, column_labels=columns), BLACK)
+    return _with_note(tile_grid(rows, title=title, row_labels=labels, column_labels=columns), BLACK_NOTE)
 
 
 def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """One plan per run, side by side, in one scale."""
+    """Return one plan per run, side by side, at one scale."""
     plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
     labels = [f"{run.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
-    # The plan of a closet is narrower than what stands above it.
+    # A small scene's plan can be narrower than its label.
     width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
     size = width, max(plan.height for plan in plans)
     tiles = [_on_page(plan, size) for plan in plans]
     page = _with_legend(tile_grid([tiles], title=title, column_labels=labels))
-    return _with_note(page, flight([(run.trajectory, run.graph) for run in runs]))
+    return _with_note(page, camera_height_text([(run.trajectory, run.graph) for run in runs]))
 
 
 def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """The typical view as it is and as each run renders it; below each its plan with the path."""
+    """Return the typical view, true and as rendered by each run, above the run's plan with its path."""
     index = typical_view(runs)
     truth = to_image(runs[0].pictures["true"][index])
     plans = [draw_plan(run.pictures, run.trajectory, truth.width) for run in runs]
@@ -85,18 +87,21 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
         columns.append(column)
         labels.append(f"{run.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
     page = _with_legend(tile_grid([columns], title=title, column_labels=labels, frames=False))
-    return _with_note(page, f"{BLACK} {flight([(run.trajectory, run.graph) for run in runs])}")
+    return _with_note(page, f"{BLACK_NOTE} {camera_height_text([(run.trajectory, run.graph) for run in runs])}")
 
 
 def typical_view(runs: Sequence[Run]) -> int:
-    """The one of the `telling_views` with the median PSNR over the runs; the lower middle of an even number."""
+    """Return the index of the `detailed_views` with the median PSNR, averaged over the runs.
+
+    Of an even number of views it is the lower of the middle two.
+    """
     psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
-    ordered = sorted(telling_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
+    ordered = sorted(detailed_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
     return ordered[(len(ordered) - 1) // 2]
 
 
-def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
-    """The views with most detail in the true image: a white wall tells nothing. The runs have no say in it."""
+def detailed_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
+    """Return the four views with the largest mean gradient in the true image; rendered views do not matter."""
     grey = true.astype(np.float32).mean(axis=-1)
     detail = np.abs(np.diff(grey, axis=1)).mean(axis=(1, 2)) + np.abs(np.diff(grey, axis=2)).mean(axis=(1, 2))
     return sorted(np.argsort(-detail, kind="stable")[:_SHOWN_VIEWS].tolist())

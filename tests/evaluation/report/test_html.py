@@ -19,7 +19,7 @@ def test_what_a_template_lacks_is_an_error():
 
 def test_line_breaks_of_a_template_leave_nothing_beside_tags_and_a_space_within_text():
     text = render("chart_grid.html.j2", rows=[("a < b", [Markup("<svg></svg>")])])
-    assert "\n" not in text and "> " not in text and " <" not in text and "begin where the first decision" in text
+    assert "\n" not in text and "> " not in text and " <" not in text and "begin at the end of the first" in text
 
 
 def table(**changes):

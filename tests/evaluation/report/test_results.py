@@ -133,7 +133,7 @@ def test_what_was_asked_for_and_has_no_run_is_missing(make_run, tmp_path):
     jobs = {job.name: job.as_dict() for job in (run.job, Job("room", "b", 0), Job("room", "c", 0))}
     record = {"command": "asg compare", "workers": 2, "jobs": jobs, "failed": {"room · c · seed 0": "RuntimeError: no"}}
     source = source_of(tmp_path, record, [run])
-    assert source.missing == {"room · b · seed 0": "not run to its end", "room · c · seed 0": "RuntimeError: no"}
+    assert source.missing == {"room · b · seed 0": "not finished", "room · c · seed 0": "RuntimeError: no"}
 
 
 def test_one_scene_in_two_folders_is_one_scene(make_run, tmp_path, monkeypatch):

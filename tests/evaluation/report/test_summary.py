@@ -36,7 +36,7 @@ def test_everything_is_written_and_linked(make_run, tmp_path):
     assert {file for file in files if file.suffix in (".png", ".svg", ".html")} <= set(targets)
     text = summary.read_text()
     for words in ("`asg compare --scenes room`", "| average |", "Protocol `standard`", "## box?seed=2", "made up",
-                  "## Against a", "## Area under the curves", "2 jobs at a time", "percentile bootstrap"):  # fmt: skip
+                  "## Against a", "## Area under the curves", "2 parallel jobs", "percentile bootstrap"):  # fmt: skip
         assert words in text
     names = {file.name for file in files if file.parent.name == TABLES}
     for name in ("quality", "variants", "time", "differences", "aggregates", "areas", "costs", "overview"):
@@ -80,7 +80,7 @@ def test_graphs_are_shown_where_runs_kept_them(make_run, tmp_path):
 def test_what_failed_is_named_and_not_counted(make_run, tmp_path):
     failed = {"room · b · seed 0": "RuntimeError: no"}
     files = write_report(tmp_path, made([make_run()]), COMPARISON | {"failed": failed}, "b")  # whose runs all failed
-    assert "Not finished, and not counted (1)" in files[-2].read_text() and "RuntimeError: no" in files[-2].read_text()
+    assert "Not finished, not counted (1)" in files[-2].read_text() and "RuntimeError: no" in files[-2].read_text()
     assert "RuntimeError: no" in files[-1].read_text()
 
 
@@ -126,7 +126,7 @@ def test_a_full_disk_is_one_sentence(make_run, tmp_path, monkeypatch):
 def test_runs_that_kept_other_views_are_not_shown_side_by_side(make_run, tmp_path):
     one, other = made([make_run(policy=policy) for policy in "ab"])
     other.__dict__["pictures"] = {**other.pictures, "true": other.pictures["true"][:2]}
-    with pytest.raises(InputError, match="have not kept the same held-out views of room"):
+    with pytest.raises(InputError, match="have not stored the same held-out views of room"):
         write_report(tmp_path / "out", [one, other], COMPARISON)
     assert not (tmp_path / "out").exists()
 

@@ -11,7 +11,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.conditions import Conditions
-from activestructure_gym.evaluation.report.page.method_text import terms_text
+from activestructure_gym.evaluation.report.page.method_text import native_setup_text
 from activestructure_gym.evaluation.report.results import gather
 
 BRINGER = "tests.policies.test_native_settings:Bringer"
@@ -26,7 +26,7 @@ def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path)
     assert not result.failed
     stages = {run.policy: run.config["configuration"]["views"]["stages"] for run in open_comparison(tmp_path / "runs")}
     assert stages == {BRINGER: [["turns?count=5"]], "random": [["pool"]]}
-    (told,) = terms_text(gather([tmp_path / "runs"]))
+    (told,) = native_setup_text(gather([tmp_path / "runs"]))
     free, mapper = "0.3 m from what is not free", "mapper `default` with 0 iterations for a keyframe"
     assert f"`{BRINGER}` up to 64 views of `turns?count=5`, {free}, {mapper} at the end of a way;" in told
     assert f"`random` up to 64 views of `pool`, {free}, {mapper} every 20 frames." in told

@@ -1,6 +1,6 @@
 import pytest
 
-from activestructure_gym.evaluation.report.page.decisions import run_trace, timeline, trace_table
+from activestructure_gym.evaluation.report.page.decisions import phase_strip, run_trace, trace_table
 
 
 def test_a_row_per_decision(make_run):
@@ -12,7 +12,7 @@ def test_a_row_per_decision(make_run):
     assert [row["frames"] for row in by_name] == ["10", "20", "30", "40", "50", "60"]
     assert [row["s"] for row in by_name] == ["2.00", "2.00", "2.00", "n/a", "n/a", "n/a"]
     assert by_name[1]["pixel"] == "0.250" and by_name[0]["planes"] == "5"
-    assert timeline(run) is None
+    assert phase_strip(run) is None
     assert "6 decisions" in run_trace(run)[0]
 
 

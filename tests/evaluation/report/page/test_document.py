@@ -204,11 +204,11 @@ def test_several_scenes_have_their_own_numbers_once(path):
 def test_pictures_say_what_there_is_to_see(path, small):
     for page in (path, small):
         text = page.read_text(encoding="utf-8")
-        assert text.count("Black: nothing of the map is there") >= 2 and "The camera flies at" in text
+        assert text.count("Black: the map has no Gaussian there") >= 2 and "Camera height: " in text
         for sign in (*FILLS, "start", "end", "spanning tree", "deficiency centre, by area"):
             assert f"</i>{sign}</li>" in text
-        assert "so that every path begins at the same place" in text
-        assert "The higher and the further left" in text and "The darker a plane" in text
+        assert "so all paths begin at the same pose" in text
+        assert "Higher and further left is better" in text and "Darker planes have a larger deficit" in text
 
 
 def test_side_by_side_are_runs_of_one_seed(make_run):

@@ -22,12 +22,12 @@ def test_a_view_says_how_far_it_is_from_the_best(make_run, tiles):
     truth, a, b = views_strip(runs, tiles)
     assert (truth["index"], a["index"], b["index"]) == (None, 1, 0)
     said = [alts(view["picture"])[0] for view in (*a["views"], *b["views"])]
-    assert said[1] == "view 2 in the map of a, PSNR 21.00 dB: the best"
-    assert said[2] == "view 3 in the map of a, PSNR 22.00 dB: 2.25 dB below b"
-    assert said[5] == "view 2 in the map of b, PSNR 19.50 dB: 1.50 dB below a"
+    assert said[1] == "view 2 rendered from the map of a, PSNR 21.00 dB: the best"
+    assert said[2] == "view 3 rendered from the map of a, PSNR 22.00 dB: 2.25 dB below b"
+    assert said[5] == "view 2 rendered from the map of b, PSNR 19.50 dB: 1.50 dB below a"
     assert said[0].endswith("the best") and said[4].endswith("the best")  # equal
     alone = views_strip(runs[:1], tiles)[1]["views"]
-    assert alts(alone[0]["picture"]) == ["view 1 in the map of a, PSNR 20.00 dB"] and not alone[0]["best"]
+    assert alts(alone[0]["picture"]) == ["view 1 rendered from the map of a, PSNR 20.00 dB"] and not alone[0]["best"]
 
 
 def test_the_best_view_is_a_planners(make_run, tiles):
@@ -45,15 +45,16 @@ def test_a_plan_says_how_much_of_it_was_looked_into(make_run, tiles):
     run = make_run(policy="a")
     run.pictures["plan_state"] = np.repeat(np.array([[0], [1], [2], [1]], np.uint8), 10, axis=1)
     tile = plan_tile(run, tiles)
-    assert tile["says"].startswith("75 % of the plan") and tile["says"] in alts(tile["picture"])[0]
+    assert tile["caption"].startswith("75 % of the plan") and tile["caption"] in alts(tile["picture"])[0]
 
 
 def test_planes_say_what_they_lack(make_run, tiles):
     run = make_run(policy="a", planes=True)  # areas 11.91 and 2.00, deficits 0 and 0.05
     tile = planes_tile(run, tiles)
-    assert tile["by_deficit"]["says"] == (
-        "1 deficiency centre for 0.1 m² left; 14 % of the planes' area has a deficit of 0.01 or more"
+    assert tile["by_deficit"]["caption"] == (
+        "1 deficiency centre with 0.1 m² remaining; 14 % of the planes' area has a deficit of 0.01 or more"
     )
-    assert len(tile["pictures"]) == 3 and tile["says"].endswith("1 structural planes, 1 of objects, 1 deficiency "
-                                                                "centre for 0.1 m²")  # fmt: skip
+    assert len(tile["pictures"]) == 3 and tile["caption"].endswith(
+        "1 structural planes, 1 object planes, 1 deficiency centre with 0.1 m²"
+    )
     assert planes_tile(run, Tiles(["a"], frozenset()))["pictures"] == []

@@ -1,11 +1,11 @@
 import numpy as np
 
 from activestructure_gym.evaluation.report.pictures.plane_projection import (
-    NOTHING,
+    NO_PLANE,
     Projection,
-    cover,
-    extremes,
+    covered_pixels,
     nearest_planes,
+    outer_cells,
     outlines,
 )
 
@@ -20,13 +20,13 @@ SLANTED = Projection(
 
 
 def test_a_floor_from_above_covers_its_own_pixels_only(wall_and_floor):
-    window, shown, near = cover(wall_and_floor, 0, ABOVE)
+    window, shown, near = covered_pixels(wall_and_floor, 0, ABOVE)
     page = np.zeros((60, 80), bool)
     page[window] = shown
     hole = page[60 - 12 : 60 - 6, 60:66]  # x 3.0 .. 3.3 and y 0.3 .. 0.6 m
     assert not hole[1:-1, 1:-1].any() and page.sum() > 0.98 * (80 * 60 - 36)
     np.testing.assert_allclose(near[shown], 0.0, atol=1e-9)
-    assert cover(wall_and_floor, 1, ABOVE) is None  # edge-on
+    assert covered_pixels(wall_and_floor, 1, ABOVE) is None  # edge-on
 
 
 def test_every_pixel_shows_the_nearest_plane(wall_and_floor):
@@ -41,7 +41,7 @@ def test_every_pixel_shows_the_nearest_plane(wall_and_floor):
 def test_planes_that_face_away_hide_nothing(wall_and_floor):
     wall_and_floor["normals"] = wall_and_floor["normals"] * [[1.0], [-1.0]]
     owner, _ = nearest_planes(wall_and_floor, SLANTED)
-    assert set(np.unique(owner)) == {NOTHING, 0}
+    assert set(np.unique(owner)) == {NO_PLANE, 0}
 
 
 def test_outlines_go_around_the_surface_and_its_holes(wall_and_floor):
@@ -50,6 +50,6 @@ def test_outlines_go_around_the_surface_and_its_holes(wall_and_floor):
 
 
 def test_nothing_lies_further_out_than_the_extremes(wall_and_floor, no_planes):
-    points = extremes(wall_and_floor)
+    points = outer_cells(wall_and_floor)
     np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [[0.05, 0.05, 0], [3.95, 2.95, 0.95]])
-    assert extremes(no_planes).shape == (0, 3)
+    assert outer_cells(no_planes).shape == (0, 3)

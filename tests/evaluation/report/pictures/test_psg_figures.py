@@ -7,12 +7,12 @@ from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import save_with_panels, stored_panels
-from activestructure_gym.evaluation.report.pictures.psg_3d import compass, draw_planes_3d, view_of
+from activestructure_gym.evaluation.report.pictures.psg_3d import compass, corner_view, draw_planes_3d
 from activestructure_gym.evaluation.report.pictures.psg_figures import run_planes_3d, run_planes_plan
 from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH
 from activestructure_gym.evaluation.report.pictures.psg_plan import (
     draw_planes_plan,
-    stretches,
+    observed_intervals,
     view_from_above,
 )
 
@@ -42,7 +42,10 @@ def test_from_above_strokes_and_areas_stand_where_the_planes_do(wall_and_floor, 
 
 def test_in_3d_patches_have_the_colours_of_their_type_and_deficit(wall_and_floor):
     by_type, by_deficit = draw_planes_3d(wall_and_floor)
-    view, shift = view_of(wall_and_floor, 0), np.array([(620 - view_of(wall_and_floor, 0).size[0] // SMOOTH) // 2, 20])
+    view, shift = (
+        corner_view(wall_and_floor, 0),
+        np.array([(620 - corner_view(wall_and_floor, 0).size[0] // SMOOTH) // 2, 20]),
+    )
     assert compass(view.towards) == "south-east"
 
     def pixel(picture, point):
@@ -90,7 +93,7 @@ def test_what_belongs_to_a_wall_that_is_cut_away_is_cut_away_with_it(wall_and_fl
 
     def marks(side: int) -> list[int]:
         pair = draw_planes_3d(wall_and_floor, side)
-        view = view_of(wall_and_floor, side)
+        view = corner_view(wall_and_floor, side)
         x, y = (view.pixels(np.array([2.0, 1.5, 3.0])) / SMOOTH + [(620 - view.size[0] // SMOOTH) // 2, 20]).astype(int)
         assert 0 <= y < pair[0].height
         return [int(np.ptp(np.asarray(page)[y - 4 : y + 5, x - 4 : x + 5])) for page in pair]
@@ -109,7 +112,7 @@ def test_a_wall_with_a_doorway_is_two_strokes(wall_and_floor):
     wall[8:13] = 0
     start = wall_and_floor["patch_starts"][1]
     wall_and_floor["patch_bits"] = np.concatenate([wall_and_floor["patch_bits"][:start], np.packbits(wall)])
-    ends = sorted(sorted((a[0], b[0])) for a, b in stretches(wall_and_floor, 1))
+    ends = sorted(sorted((a[0], b[0])) for a, b in observed_intervals(wall_and_floor, 1))
     np.testing.assert_allclose(ends, [[1.0, 1.8], [2.3, 3.0]], atol=0.051)
 
 

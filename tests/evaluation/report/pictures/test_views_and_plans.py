@@ -3,15 +3,15 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.pictures.canvas import corner_label, framed, text_width, tile_grid
-from activestructure_gym.evaluation.report.pictures.floor_plan import FILLS, draw_plan, flight, plan_scale
+from activestructure_gym.evaluation.report.pictures.canvas import corner_label, paste_framed, text_width, tile_grid
+from activestructure_gym.evaluation.report.pictures.floor_plan import FILLS, camera_height_text, draw_plan, plan_scale
 from activestructure_gym.evaluation.report.pictures.views_and_plans import (
     compare_plans,
     compare_strip,
     compare_views,
+    detailed_views,
     run_plan,
     run_views,
-    telling_views,
     typical_view,
 )
 
@@ -43,8 +43,8 @@ def test_every_policy_is_compared_on_the_same_views(make_run):
 def test_blank_views_are_not_shown_while_there_are_others(rng):
     true = rng.integers(100, 156, (6, 20, 30, 3), dtype=np.uint8)
     true[1], true[4] = 255, 7
-    assert telling_views(true) == [0, 2, 3, 5]
-    assert telling_views(true[:2]) == [0, 1]
+    assert detailed_views(true) == [0, 2, 3, 5]
+    assert detailed_views(true[:2]) == [0, 1]
 
 
 def test_the_plan_stands_north_up_and_in_scale(make_run):
@@ -74,12 +74,12 @@ def test_a_gap_in_the_map_can_be_told_from_paper_and_from_what_nobody_saw():
 def test_how_high_the_camera_flew_is_said_above_the_floor_that_was_seen(make_run):
     run = make_run(planes=True)
     run.trajectory["world_from_camera"][:, 2, 3] = np.linspace(1.31, 1.52, 20)
-    assert "at 1.3 to 1.5 m above the floor" in flight([(run.trajectory, run.graph)])
+    assert "1.3 to 1.5 m above the floor" in camera_height_text([(run.trajectory, run.graph)])
     run.graph["centroids"][0, 2] = -1.0
-    assert "at 2.3 to 2.5 m above the floor" in flight([(run.trajectory, run.graph)])
-    assert "at 1.3 to 1.5 m in z" in flight([(run.trajectory, run.graph), (run.trajectory, None)])
+    assert "2.3 to 2.5 m above the floor" in camera_height_text([(run.trajectory, run.graph)])
+    assert "1.3 to 1.5 m in z" in camera_height_text([(run.trajectory, run.graph), (run.trajectory, None)])
     run.trajectory["world_from_camera"][:, 2, 3] = 1.5
-    assert "at 1.5 m in z" in flight([(run.trajectory, None)])
+    assert "1.5 m in z" in camera_height_text([(run.trajectory, None)])
     assert run_plan(run.pictures, run.trajectory, run.graph, title="t").width > 600  # the words have room
 
 
@@ -129,7 +129,7 @@ def test_labels_and_frames_stay_where_they_belong():
     pixels = np.asarray(tile)
     assert (pixels[:10, :10] == (200, 10, 10)).all() and not (pixels[-3, -3] == (200, 10, 10)).all()
     page = Image.new("RGB", (80, 60), (255, 255, 255))
-    framed(page, tile, (10, 10))
+    paste_framed(page, tile, (10, 10))
     np.testing.assert_array_equal(np.asarray(page)[10:50, 10:70], pixels)
 
 

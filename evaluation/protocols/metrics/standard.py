@@ -10,35 +10,35 @@ ACCURACY = Metric(
 )
 COMPLETION = Metric(
     "completion_cm", "lowest", "Com.", "cm", 2,
-    "mean distance from the true surface to the reconstructed points; what was missed counts",
+    "mean distance from the true surface to the reconstructed points; missing parts count",
 )  # fmt: skip
 RATIO = Metric(
     "completion_ratio", "highest", "C.R.", "%", 1,
-    "completion ratio, the share of the true surface with a point nearer than {near}",
+    "completion ratio: share of the true surface within {near} of a reconstructed point",
 )  # fmt: skip
 TSDF_RATIO = Metric(
     "tsdf_completion_ratio", "highest", "C.R. surface", "%", 1,
-    "the same of the surface that is fused from the map's own depth at the keyframes; it hardly depends on how densely "
-    "Gaussians stand",
+    "completion ratio of the surface fused from depth rendered at the keyframes; it hardly depends on the density of "
+    "Gaussians",
 )  # fmt: skip
 OBSERVED = Metric(
     "observed", "highest", "observed", "%", 1,
-    "share of the true surface that any keyframe saw, mapped or not: exploring raises it; high with a low C.R. is seen "
-    "and not mapped. C.R. may exceed it, since it reaches a little beyond what was seen",
+    "share of the true surface visible in at least one keyframe; it measures exploration. C.R. may exceed it, since "
+    "C.R. counts points up to {near} away",
 )  # fmt: skip
 PRECISION = Metric(
     "precision", "highest", "Prec.", "%", 1,
-    "share of the reconstructed points nearer than {near} to the true surface",
+    "precision: share of the reconstructed points within {near} of the true surface",
 )  # fmt: skip
-F_SCORE = Metric("f_score", "highest", "F", "%", 1, "harmonic mean of completion ratio and precision")
+F_SCORE = Metric("f_score", "highest", "F", "%", 1, "F-score: harmonic mean of completion ratio and precision")
 PSNR = Metric(
     "psnr", "highest", "PSNR", "dB", 2,
-    "how closely rendered views that no policy has chosen match the true ones; 1 dB more is a fifth less squared error",
+    "peak signal-to-noise ratio of rendered held-out views; 1 dB more is 21 % less squared error",
 )  # fmt: skip
-SSIM = Metric("ssim", "highest", "SSIM", "", 3, "likeness of structure in the same views; 1 is equal")
-MS_SSIM = Metric("ms_ssim", "highest", "MS-SSIM", "", 3, "the same over five scales")
-LPIPS = Metric("lpips", "lowest", "LPIPS", "", 3, "distance of the same views as a network sees them")
-DEPTH = Metric("depth_l1_cm", "lowest", "Depth", "cm", 2, "mean error of the depth in the same views")
+SSIM = Metric("ssim", "highest", "SSIM", "", 3, "structural similarity of the same views; 1 means equal")
+MS_SSIM = Metric("ms_ssim", "highest", "MS-SSIM", "", 3, "structural similarity over five scales")
+LPIPS = Metric("lpips", "lowest", "LPIPS", "", 3, "distance of the same views in features of a neural network")
+DEPTH = Metric("depth_l1_cm", "lowest", "Depth", "cm", 2, "mean absolute depth error in the same views")
 
 STANDARD = (
     ACCURACY, COMPLETION, RATIO, TSDF_RATIO, OBSERVED, PRECISION, F_SCORE, PSNR, SSIM, MS_SSIM, LPIPS, DEPTH

@@ -54,7 +54,7 @@ def test_without_options_it_is_the_demo(asked, capsys):
     assert (wanted.conditions.protocol.views, wanted.conditions.protocol.surface_samples) == (16, 50_000)
     assert directory.parts[0] == "runs" and options["engine"] == "local"
     said = " ".join(capsys.readouterr().out.split())
-    assert "one run, shared terms, preset default, 300 frames, into runs" in said
+    assert "one run, shared setup, preset default, 300 frames, into runs" in said
     assert "The demo is measured on 16 views and 50,000 points" in said and "on 64 and 200,000" in said
 
 
@@ -197,7 +197,7 @@ def test_where_no_cell_is_named_those_of_the_record_are_gone_on_with_and_no_othe
     ("words", "message"),
     [
         ("--preset default", "preset was fast, asked for is default"),
-        ("--setup shared", "terms was native, asked for is shared"),
+        ("--setup shared", "setup was native, asked for is shared"),
         ("--protocols standard", "also was activegamer, asked for is none"),
         ("--view-source free_space", "view_source was recorded, asked for is free_space"),
     ],

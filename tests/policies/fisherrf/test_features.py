@@ -16,7 +16,7 @@ from activestructure_gym.splatting.fisher import view_information
 
 def walker(ways: list) -> SimpleNamespace:
     """An agent with these ways to the views that it is asked for, by the view's pose."""
-    return SimpleNamespace(pose=np.eye(4), ways=lambda volume, goals: [ways[goal.tobytes()] for goal in goals])
+    return SimpleNamespace(pose=np.eye(4), paths=lambda volume, goals: [ways[goal.tobytes()] for goal in goals])
 
 
 def context_of(two_walls, looks, through: list):

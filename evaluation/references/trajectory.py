@@ -1,9 +1,8 @@
-"""Who follows a given trajectory in place of a policy: ``trajectory:FILE`` in the jobs of a comparison.
+"""Parse and resolve a given trajectory, which a job names in place of a policy: ``trajectory:FILE``.
 
-``trajectory:sweep`` is a generated passive sweep, ``trajectory:passive`` the sequence that was recorded with the scene,
-or the sweep where there is none. The poses go through the sensor, the map and the protocols of every other run, frame
-by frame. Where a file is the ``trajectory.npz`` of a run, keyframes, rounds and decisions are that run's, and so is the
-map, to the last bit, on the run's scene, seed and configuration.
+``trajectory:sweep`` is a generated passive sweep. ``trajectory:passive`` is the sequence recorded with the scene, or
+the sweep if there is none. A file may be the ``trajectory.npz`` of a run. Keyframes, iterations and decisions are then
+those of the run, and on its scene, seed and configuration the map is identical.
 """
 
 from __future__ import annotations
@@ -17,11 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.config import configure
-from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError, unknown_name
-from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job, is_trajectory
+from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, is_trajectory
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
 from activestructure_gym.evaluation.trajectories.formats import (
@@ -32,7 +29,6 @@ from activestructure_gym.evaluation.trajectories.formats import (
     read_poses,
     scan_text,
 )
-from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.motion import PathSegment, recorded_segments, regular_segments
 from activestructure_gym.specs import Spec, number_text, typed_options
@@ -216,75 +212,3 @@ def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list
         return recorded_segments(arrays | {"world_from_camera": poses})
     except (ValueError, IndexError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from error
-
-
-class TrajectoryEnv(ReconstructionEnv):
-    """An environment in which every step, whatever the action, is the next leg of a trajectory."""
-
-    course: ResolvedTrajectory
-
-    def __init__(self, course: ResolvedTrajectory | None, truth: GroundTruth, **options: Any) -> None:
-        given = {} if course is None else {"start_pose": course.poses[0]}
-        super().__init__(**options | given, scene=truth)
-        self._given, self._truth = course, truth
-        self._next = 0
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin where the trajectory begins; a sweep begins where any episode would."""
-        self._next = 0
-        begun = super().reset(seed=seed, options=options)
-        self.course = self._given or self._sweep()
-        return begun
-
-    def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-        return as_pose(value)  # a camera in somebody's hand rolls
-
-    def _sweep(self) -> ResolvedTrajectory:
-        from activestructure_gym.evaluation.references.sweep import sweep
-
-        config = self.config
-        poses = sweep(self._truth.free_space, self.reconstruction.pose, config.frame_budget, config.motion)
-        return ResolvedTrajectory(poses, regular_segments(poses, config.keyframe_every))
-
-    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Follow the next leg; terminates with the last one."""
-        self._access.check_open("step")
-        legs = self.course.legs
-        leg = legs[self._next] if self._next < len(legs) else PathSegment(self.course.poses[:0], ())
-        self._next += 1
-        observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(leg), invalid=False)
-        return observation, reward, self._next >= len(legs), truncated, info
-
-
-class TrajectoryPolicy:
-    """In place of a policy: decides nothing."""
-
-    def reset(self, seed: int) -> None:
-        """Nothing is drawn."""
-
-    def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Any row: `TrajectoryEnv` takes none."""
-        return 0
-
-    def trace(self) -> dict[str, Any]:
-        """Nothing was weighed."""
-        return {}
-
-
-def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryPolicy, TrajectoryEnv]:
-    """Who follows the trajectory of a job, and its env."""
-    given = TrajectorySpec.of(job.policy)
-    changes = given.changes(job.conditions.overrides)
-    config = configure(job.conditions.preset, changes)
-    resolved = given.course(known, config.keyframe_every)
-    env = TrajectoryEnv(resolved, known, features=(), **job.conditions.env_options(changes))
-    return TrajectoryPolicy(), env
-
-
-def followed_metrics(env: TrajectoryEnv) -> dict[str, float]:
-    """How the trajectory moved beside the limits of planners, and how many of its poses stand in something."""
-    motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
-    told = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
-    return {**told, "poses_outside": env.course.outside}

@@ -79,7 +79,7 @@ def play_again(
 def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     """Yield the environment of a stored run after its reset; raises as `play_again`."""
     from activestructure_gym.envs import ReconstructionEnv
-    from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
+    from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 

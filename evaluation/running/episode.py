@@ -136,7 +136,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
         env = ReconstructionEnv(scene=known, features=(), **job.conditions.env_options(changes))
         return make_reference(job.policy, env, known, job.conditions.protocol), env
     if is_trajectory(job.policy):
-        from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
+        from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
 
         return trajectory_policy_and_env(job, known)
     policy = make_policy(job.policy)
@@ -161,7 +161,7 @@ def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Epis
 
 def _followed(env: ReconstructionEnv) -> dict[str, float]:
     """Return the metrics of a followed trajectory; empty for other runs."""
-    from activestructure_gym.evaluation.references.trajectory import TrajectoryEnv, followed_metrics
+    from activestructure_gym.evaluation.references.trajectory_env import TrajectoryEnv, followed_metrics
 
     return followed_metrics(env) if isinstance(env, TrajectoryEnv) else {}
 

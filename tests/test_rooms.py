@@ -36,7 +36,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("sources",),
     ("config",),
     ("reconstruction",),
-    ("first_use", "viewer"),
+    ("viewer",),
     ("envs",),
     ("policies",),
     ("evaluation.machine", "evaluation.statistics"),

@@ -11,7 +11,7 @@ from tests.parsed import dotted, nodes
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation", "benchmarks", "examples", "docs")
 # Who writes for another process, or into a log: not to a terminal.
-WORKERS = {"evaluation/running/worker.py", "activestructure_gym/compiling/ahead.py"}
+WORKERS = {"evaluation/running/worker.py"}
 DOORS = {"activestructure_gym/streams.py", "evaluation/cli/output.py"}
 
 

@@ -1,14 +1,13 @@
-"""Kernels: compiled once per installation, by one process at a time, and again when their source has changed.
+"""Compile kernels once per installation, in one process at a time, and again when their source has changed.
 
-numba compiles a function when it is first called. `kernel` keeps the machine code: beside the source, or in the user's
-cache directory where the package cannot be written, or where ``NUMBA_CACHE_DIR`` says. What numba itself would do for a
-function with ``cache=True`` is done here in four other ways; all of it comes into play only where a kernel is not in
-memory yet.
+numba compiles a function when it is first called. `kernel` keeps the machine code on disk: next to the source, in the
+user's cache folder where the package cannot be written, or in ``NUMBA_CACHE_DIR``. It replaces numba's ``cache=True``:
 
-- `stamps`: machine code is used as long as no file has changed that the kernel depends on.
+- `stamps`: machine code is used until a file changes that the kernel depends on.
 - `files`: it is kept with a checksum, so that a damaged file is compiled again and not run.
-- `locks`: of processes that start together, one compiles a kernel and the others load what it wrote.
-- `progress` says on standard error what is going on; `ahead` lets other processes compile ahead.
+- `locks`: of processes that start together, one compiles a kernel and the others load its file.
+- `ahead`: other processes compile the kernels that will be needed next.
+- `progress`: standard error shows how many kernels are compiled.
 
 `thread_team` calls a kernel on several threads at once.
 """

@@ -1,30 +1,28 @@
-"""Compile ahead: other processes call what needs kernels, while this one loads or does something else.
+"""Compile ahead: helper processes compile the kernels of a first episode while this process loads or computes.
 
-Such a process is ``python -P -m activestructure_gym.compiling PARENT CALL...``; a call is ``module:function``, or
-``module:function ARGUMENT`` with a JSON value. It prints the name of each kernel that it compiles and leaves only the
-kernels' cache files. It ends with its last call or with its parent. Kernels are locked one by one, so each is compiled
-once (`locks`).
-
-There are two uses. `compiling_beside` compiles before the runs of a comparison. `start_helper` starts one process with
-the first kernel that any program has to compile; ``ASG_COMPILE_AHEAD=0`` in the environment switches that off.
+``first_kernels.txt`` lists the kernels with the types of their arguments, in the order of their first use. This process
+compiles them in that order. Helpers start at the end of the list and skip a kernel that another process compiles. They
+leave only cache files and end with their parent. ``ASG_COMPILE_AHEAD=0`` in the environment switches them off.
 """
 
 from __future__ import annotations
 
-import atexit
+import _thread
 import json
 import multiprocessing
 import os
-import signal
+import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+from numba import types
 
 from activestructure_gym.compiling import files
 from activestructure_gym.compiling.locks import LOCKS
@@ -32,121 +30,97 @@ from activestructure_gym.compiling.progress import told_to
 from activestructure_gym.cores import core_count
 
 SWITCH = "ASG_COMPILE_AHEAD"
-FIRST_USE = "activestructure_gym.first_use"  # its functions call the kernels of a first episode
-_LOCK = "helper"
-_LINE = "compiling "  # before the name of a kernel, on standard output
-_GLANCE_S = 0.5  # between checks that the parent runs
-_PATIENCE_S = 120.0  # without a new kernel; a policy or feature of a user may never end
-_GRACE_S = 5.0  # between asking a process to stop and killing it
-_started: list[bool] = []  # a process starts one helper at most
+MAX_HELPERS = 3  # each needs about 300 MB of memory
+_PACKAGE = __name__.partition(".")[0]
+_helpers: list[subprocess.Popen[str] | None] = []  # a process starts them once
 
 
-def start_helper() -> None:
-    """Start a process that compiles ahead, where that can help and no other does already."""
-    if _started:
-        return
-    _started.append(True)
-    an_interpreter = Path(sys.executable or "").name.startswith("python") and not getattr(sys, "frozen", False)
-    if os.environ.get(SWITCH) == "0" or core_count() < 2 or not an_interpreter or files.not_kept:
-        return
-    if multiprocessing.parent_process() is not None or LOCKS.is_held(_LOCK) or not LOCKS.usable:
-        return
-    # Who uses the rasteriser alone needs no more. An episode begins with the sensor and goes on for long with planes.
-    of_episode = ["motion", "views", "score", "sensing"] if "activestructure_gym.volume" in sys.modules else []
-    calls = [f"{__name__}:be_the_helper", *(f"{FIRST_USE}:{part}" for part in ("rasteriser", *of_episode))]
-    with suppress(OSError):  # no more processes allowed
-        process = _start(calls, stdout=subprocess.DEVNULL)
-        atexit.register(_dismiss, process, os.getpid(), grace=0.0)
+class ListedKernel(NamedTuple):
+    """Identify one kernel of the list and the types of its arguments."""
+
+    module: str
+    function: str
+    arguments: str
+
+    def is_kept(self) -> bool:
+        """Return whether its machine code is on disk, valid and undamaged; True where none can be kept."""
+        kernel = getattr(import_module(self.module), self.function)
+        holds = getattr(getattr(kernel, "_cache", None), "holds", None)
+        return holds is None or bool(holds(signature_of(self.arguments), kernel.targetctx.codegen()))
+
+    def compile(self) -> None:
+        """Compile it, or load it where it is on disk."""
+        getattr(import_module(self.module), self.function).compile(signature_of(self.arguments))
 
 
-def be_the_helper() -> None:
-    """Hold the helpers' lock until this process ends; end it if another process holds the lock."""
-    if not LOCKS.take(_LOCK) or not LOCKS.usable:
-        sys.exit()
+def listed_kernels(features: Collection[str] = ()) -> list[ListedKernel]:
+    """Return the kernels of the list, in its order; those of features only if ``features`` names their module."""
+    text = Path(__file__).with_name("first_kernels.txt").read_text(encoding="utf-8")
+    rows = re.findall(r"^([\w.]+):(\w+)\((.*)\)$", text, re.MULTILINE)
+    listed = [ListedKernel(f"{_PACKAGE}.{module}", function, arguments) for module, function, arguments in rows]
+    return [each for each in listed if "features" not in each.module or each.module in features]
 
 
-@contextmanager
-def compiling_beside(
-    calls: Sequence[Sequence[str]], listen: Callable[[str], None], more: Mapping[str, str] = {}
-) -> Iterator[list[bool]]:
-    """Let a process per sequence of ``calls`` compile while the block runs, and wait for all of them at its end.
+def signature_of(text: str) -> tuple[Any, ...]:
+    """Return numba's types for the arguments of a line; a named tuple is written ``module:Class(fields)``."""
 
-    ``listen`` gets the name of each kernel that they compile; ``more`` is added to their environment. The list that is
-    yielded says for each process, in the end, whether it succeeded.
+    def named(module: str, name: str, *fields: Any) -> Any:
+        kind = getattr(import_module(f"{_PACKAGE}.{module}"), name)
+        return types.BaseTuple.from_types(tuple(map(whole, fields)), kind)
+
+    def whole(given: Any) -> Any:
+        return types.BaseTuple.from_types(tuple(map(whole, given))) if isinstance(given, tuple) else given
+
+    called = re.sub(r"([\w.]+):(\w+)\(", r"named('\1', '\2', ", text)
+    return tuple(map(whole, eval(f"({called},)", {**vars(types), "bool": types.boolean, "named": named})))
+
+
+def start_helpers(kernels: Sequence[ListedKernel] = ()) -> None:
+    """Start processes that compile these kernels, unless they cannot help or another process has started some.
+
+    By default these are the listed kernels of the modules that this process has loaded, without those of features.
     """
-    succeeded: list[bool] = []
-    processes = [_start(each, more, stdout=subprocess.PIPE) for each in calls]
-    last = [time.monotonic()]  # when a kernel was heard of
-
-    def hear(lines: Any) -> None:
-        for line in lines:
-            if line.startswith(_LINE):
-                last[0] = time.monotonic()
-                listen(line.removeprefix(_LINE).strip())
-
-    try:
-        for process in processes:
-            threading.Thread(target=hear, args=(process.stdout,), daemon=True).start()
-        yield succeeded
-        succeeded += [_wait(process, last) for process in processes]
-    finally:
-        for process in processes:
-            _dismiss(process, os.getpid())
-
-
-def _start(calls: Sequence[str], more: Mapping[str, str] = {}, *, stdout: int) -> subprocess.Popen[str]:
-    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # it finds all modules where its parent does
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", __package__, str(os.getpid()), *calls],
-        env={**os.environ, **more, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"},
-        stdin=subprocess.DEVNULL,
-        stdout=stdout,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C reaches it through the end of its parent
-        text=True,
-        encoding="utf-8",
-    )
-
-
-def _wait(process: subprocess.Popen[str], last: Sequence[float]) -> bool:
-    """Return whether a process succeeds; False too if it goes on without compiling anything."""
-    began = time.monotonic()
-    while process.poll() is None:
-        if time.monotonic() - max(began, *last) > _PATIENCE_S:
-            return False
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_GLANCE_S)
-    return process.returncode == 0
-
-
-def _dismiss(process: subprocess.Popen[str], parent: int, grace: float = _GRACE_S) -> None:
-    """End a process, after ``grace`` seconds by force, and what it has started."""
-    if os.getpid() != parent:  # a fork of it
+    if _helpers:
         return
-    process.terminate()
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(grace)
-    with suppress(OSError, AttributeError):  # nothing of it is left; Windows has no groups
-        assert process.pid > 1
-        os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
-    process.wait()
+    _helpers.append(None)
+    an_interpreter = Path(sys.executable or "").name.startswith("python") and not getattr(sys, "frozen", False)
+    if os.environ.get(SWITCH) == "0" or not an_interpreter or files.not_kept:
+        return
+    if multiprocessing.parent_process() is not None or LOCKS.is_held("helper 0") or not LOCKS.usable:
+        return
+    wanted = json.dumps(kernels or [each for each in listed_kernels() if each.module in sys.modules])
+    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # they find modules where their parent does
+    for number in range(min(core_count() - 1, MAX_HELPERS)):
+        with suppress(OSError):  # no more processes allowed
+            helper = subprocess.Popen(
+                [sys.executable, "-P", "-c", f"from {__name__} import main; main({number})"],
+                env={**os.environ, "PYTHONPATH": path},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C reaches it through the end of its parent
+                text=True,
+                encoding="utf-8",
+            )
+            _helpers.append(helper)  # keeps standard input open: a helper ends when that is closed
+            assert helper.stdin is not None
+            helper.stdin.write(wanted + "\n")
+            helper.stdin.flush()
 
 
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_GLANCE_S)
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(_GRACE_S)
+def main(number: int) -> None:
+    """Compile the kernels that standard input lists, last one first; end when it is closed."""
+    kernels = [ListedKernel(*row) for row in json.loads(sys.stdin.readline())]
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if LOCKS.take(f"helper {number}") and LOCKS.usable:
+        with told_to(lambda name: None):
+            for each in reversed(kernels):
+                if not LOCKS.is_held(f"{each.module}.{each.function}"):
+                    each.compile()
+
+
+def _end_with_parent() -> None:
+    sys.stdin.read()
+    _thread.interrupt_main()  # temporary files are removed
+    time.sleep(5.0)  # s; enough unless the main thread hangs
     os._exit(1)
-
-
-def main(parent: int, calls: Sequence[str]) -> None:
-    """Make the calls in order; standard output gets a line per kernel."""
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # temporary files are removed
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    with told_to(lambda name: print(_LINE + name, flush=True)):
-        for call in calls:
-            name, _, argument = call.partition(" ")
-            module, _, function = name.partition(":")
-            getattr(import_module(module), function)(*([json.loads(argument)] if argument else []))

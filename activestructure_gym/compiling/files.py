@@ -1,9 +1,8 @@
-"""The machine code of kernels on disk: a file per kernel and signature, which begins with what it must fit and a sum.
+"""Keep the machine code of kernels on disk: one file per kernel and signature, with a stamp and a checksum.
 
-A file is read as a whole before any of it is used. If it was made from other sources, for another processor or by other
-versions, or if a single bit of it is not what was written, it counts as not being there, and the kernel is compiled and
-the file written anew. (numba's own cache has no checksums: damaged machine code would be run.) So does a file that
-another user can have written (`activestructure_gym.owners`): loading it runs what is in it.
+A file made from other sources, by other versions, for another processor, or damaged by a single bit counts as missing:
+the kernel is compiled again. So does a file that another user can have written (`activestructure_gym.owners`), because
+loading it runs its content. numba's own cache files have no checksum, and only the kernel's own file makes them stale.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core.caching import CompileResultCacheImpl
+from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
 from activestructure_gym.compiling.stamps import stamp_of
@@ -28,114 +27,82 @@ from activestructure_gym.owners import folder_of_others, guard, open_own
 
 SUFFIX = ".kernel"
 _HEAD = b"activestructure_gym kernel 2\n"
-_STAMP = 32  # bytes; so many has the checksum, too
+_STAMP = 32  # bytes of the stamp, and of the checksum
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # of numba, for all kernels
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
 
-not_kept: list[str] = []  # why the kernels of this process are not kept, where they are not
+not_kept: list[str] = []  # reasons why kernels of this process are not kept
 
 
-class OthersFolder(RuntimeError):
-    """Kernels would be kept in a folder that other users can write."""
-
-
-class KernelFiles:
-    """numba's cache interface for the machine code of one kernel; raises RuntimeError where none can be kept.
-
-    The stamp is not computed before the first question: a function may call what is defined after it.
-    """
+class KernelCache(FunctionCache):
+    """Replace the files of numba's cache for one kernel; raise RuntimeError where none can be kept."""
 
     def __init__(self, function: Any) -> None:
-        self._function = function
-        self._form = CompileResultCacheImpl(function)  # how numba names, writes and reads a compiled function
-        self._enabled = True
+        super().__init__(function)
         self._source = function.__code__.co_filename
+        self._cache_file = self  # numba's Cache calls load, save and flush of this object
         place = Path(self.cache_path)
-        if place.name != "__pycache__":  # numba has made it, and for everybody where the umask says so
+        if place.name != "__pycache__":  # numba has created it, with the permissions of the umask
             guard(place)
         if others := folder_of_others(_folders(place), self._source):
-            raise OthersFolder(f"other users can write into the folder '{others}'")
+            raise RuntimeError(f"other users can write into the folder '{others}'")
 
-    @property
-    def cache_path(self) -> str:
-        """The directory of the files."""
-        path: str = self._form.locator.get_cache_path()
-        return path
+    def holds(self, signature: Any, codegen: Any) -> bool:
+        """Return whether the file of a signature is there, valid and undamaged."""
+        path, stamp, _ = self._index_key(signature, codegen)
+        return stamp is not None and read(path, stamp, self._source) is not None
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function for a signature; None where it has to be compiled."""
-        target_context.refresh()
-        stamp = self._stamp(sig)
-        if stamp is None:
-            return None
-        content = read(self._path(sig, target_context.codegen()), stamp, self._source)
-        if content is None:
-            return None
+    def _index_key(self, signature: Any, codegen: Any) -> tuple[Path, bytes | None, Any]:
+        """Return the file of a signature and its stamp, None if other processes must not use the machine code."""
+        fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS, OPTIONS)
+        digest = hashlib.sha256(repr(fits).encode()).hexdigest()[:12]
+        path = Path(self.cache_path) / f"{self._impl.filename_base}.{digest}{SUFFIX}"
+        # numba names the type of a function as an argument by its address, which holds for this process only. The
+        # stamp is computed at the first use, because a function may call functions that are defined after it.
+        return path, None if " at 0x" in str(signature) else stamp_of(self._py_func), signature
+
+    def _load_overload(self, signature: Any, target_context: Any) -> Any:
         try:
-            signature, compiled = pickle.loads(content)
-            return self._form.rebuild(target_context, compiled) if signature == sig else None
-        except Exception:  # whole, and from the same versions, and yet of no use: whatever it is, compiling helps
+            return super()._load_overload(signature, target_context)
+        except Exception:  # the file is whole and yet of no use: compiling helps, whatever the reason
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function; raises OSError where that cannot be done."""
-        stamp = self._stamp(sig)
-        if stamp is None or not self._form.check_cachable(data):
-            return
-        self._form.locator.ensure_cache_path()
-        write(self._path(sig, data.codegen), stamp, dumps((sig, self._form.reduce(data))))
+    def load(self, key: tuple[Path, bytes | None, Any]) -> Any:
+        """Return numba's data of a compiled function; None where it has to be compiled."""
+        path, stamp, asked = key
+        content = read(path, stamp, self._source) if stamp is not None else None
+        signature, data = pickle.loads(content) if content is not None else (None, None)
+        return data if signature == asked else None
 
-    def _stamp(self, signature: Any) -> bytes | None:
-        """The stamp for a signature; None where the machine code must not be shared with other processes."""
-        one_process_only = " at 0x" in str(signature)  # a function as an argument: numba names its type by its address
-        return stamp_of(self._function) if self._enabled and not one_process_only else None
-
-    def _path(self, signature: Any, codegen: Any) -> Path:
-        """Return the file of a signature: one per signature, processor and versions."""
-        fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS)
-        name = hashlib.sha256(repr(fits).encode()).hexdigest()[:12]
-        return Path(self.cache_path) / f"{self._form.filename_base}.{name}{SUFFIX}"
-
-    def enable(self) -> None:
-        """Read and write files."""
-        self._enabled = True
-
-    def disable(self) -> None:
-        """Neither read nor write files."""
-        self._enabled = False
+    def save(self, key: tuple[Path, bytes | None, Any], data: Any) -> None:
+        """Write numba's data of a compiled function; raise OSError where that is impossible."""
+        path, stamp, signature = key
+        if stamp is not None:
+            write(path, stamp, dumps((signature, data)))
 
     def flush(self) -> None:
         """Remove the files of this kernel."""
-        for file in Path(self.cache_path).glob(f"{self._form.filename_base}.*{SUFFIX}"):
-            file.unlink(missing_ok=True)
+        for path in Path(self.cache_path).glob(f"{self._impl.filename_base}.*{SUFFIX}"):
+            path.unlink(missing_ok=True)
 
 
-def read(path: Path, stamp: bytes, source: str = __file__) -> bytes | None:
-    """The content of a file with this stamp; None if it is missing, damaged, or not guarded like ``source``."""
-    head, content = _split(path, source)
-    return content if head == _head(stamp, content) else None
-
-
-def write(path: Path, stamp: bytes, content: bytes) -> None:
-    """Write the file whole or not at all."""
-    with replaced(path) as file:
-        guard(file.fileno())
-        file.write(_head(stamp, content) + content)
-
-
-def is_whole(path: Path) -> bool:
-    """Whether the checksum of a file is right, whatever its stamp."""
-    head, content = _split(path)
-    return head == _head(head[len(_HEAD) : len(_HEAD) + _STAMP], content)
-
-
-def _split(path: Path, source: str = __file__) -> tuple[bytes, bytes]:
+def read(path: Path, stamp: bytes | None = None, source: str = __file__) -> bytes | None:
+    """Return the content of a file; None if it is missing, damaged, of another stamp, or writable by other users."""
     try:
         with open_own(path, source) as file:
             everything = file.read()
     except OSError:
-        return b"", b""
-    end = len(_HEAD) + 2 * _STAMP
-    return everything[:end], everything[end:]
+        return None
+    begin, end = len(_HEAD), len(_HEAD) + 2 * _STAMP
+    head, content = everything[:end], everything[end:]
+    return content if head == _head(stamp or head[begin : begin + _STAMP], content) else None
+
+
+def write(path: Path, stamp: bytes, content: bytes) -> None:
+    """Write the file completely or not at all."""
+    with replaced(path) as file:
+        guard(file.fileno())
+        file.write(_head(stamp, content) + content)
 
 
 def _head(stamp: bytes, content: bytes) -> bytes:
@@ -143,7 +110,7 @@ def _head(stamp: bytes, content: bytes) -> bytes:
 
 
 def _fields(kind: Any) -> str:
-    """The fields of named tuples among argument types, in order: their types' names do not say them."""
+    """Return the field names of named tuples among argument types; the names of the types lack them."""
     if isinstance(kind, tuple):
         return ",".join(filter(None, map(_fields, kind)))
     inner = getattr(kind, "types", None) or getattr(kind, "dtype", None)
@@ -152,18 +119,18 @@ def _fields(kind: Any) -> str:
 
 
 def _folders(place: Path) -> list[Path]:
-    """The folder of a kernel's files and those above it up to ``NUMBA_CACHE_DIR``, where that is set."""
+    """Return the folder of a kernel's files and those above it up to ``NUMBA_CACHE_DIR``, where that is set."""
     above, root = [place, *place.parents], Path(getattr(numba.config, "CACHE_DIR", "") or place)
     return above[: above.index(root) + 1] if root in above else [place]
 
 
 def cache_place() -> Path | None:
-    """The directory of this room's kernels, where numba puts it; None where they cannot be kept."""
+    """Return the folder of this room's kernels, chosen by numba; None where they cannot be kept."""
 
     def probe() -> None: ...
 
     try:
-        return Path(KernelFiles(probe).cache_path)
+        return Path(KernelCache(probe).cache_path)
     except RuntimeError:
         return None
 
@@ -179,7 +146,7 @@ def kernel_files() -> list[Path]:
     place = cache_place()
     if place is None:
         return []
-    roots = package_folders() if place.name == "__pycache__" else [place.parent]  # beside the sources, or all in one
+    roots = package_folders() if place.name == "__pycache__" else [place.parent]  # next to the sources, or all in one
     return sorted({file for root in roots for file in root.rglob(f"*{SUFFIX}")})
 
 

@@ -1,10 +1,9 @@
-"""Stamps of kernels: one hash over the files that a kernel's machine code was made from.
+"""Compute the stamp of a kernel: one hash over the files that its machine code was made from.
 
-numba builds into a kernel what its functions call and every constant that they read, from whichever file. So a stamp
-covers whole files: the kernel's own, each file that it imports, and in turn what those of them import that hold
-compiled code. An edit compiles the kernels of its file again, and those of the files above. Imports count if they begin
-a line: a kernel can call or read nothing else of another file. Installed packages of others do not count; their
-versions do (`files`).
+numba builds into a kernel what its functions call and every constant that they read, from any file. So a stamp covers
+whole files: the kernel's own, each file that it imports, and in turn what those of them import that hold compiled code.
+An edit compiles the kernels of its file again, and those of the files that import it. Imports count if they begin a
+line, because a kernel cannot use a later import. Installed packages of others count by their versions (`files`).
 """
 
 from __future__ import annotations
@@ -19,10 +18,9 @@ from collections.abc import Iterator
 from functools import lru_cache
 from types import FunctionType
 
-_BEGAN = time.time()  # a file that has changed since then may differ from what this process runs
+_BEGAN = time.time()  # a file that has changed since then may differ from the code of this process
 _OURS = __name__.partition(".")[0]
 _ROOM = __name__.rpartition(".")[0]
-_OPTIONS = os.path.join(os.path.dirname(__file__), "decorator.py")  # the compiler's
 _COMMENT = re.compile(r"#.*")
 _IMPORT = re.compile(r"^(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|.*)|import\s+([\w.]+))", re.MULTILINE)
 _COMPILED = re.compile(r"\b(numba|njit|kernel|inline|intrinsic)\b")  # too many files are better than too few
@@ -32,38 +30,23 @@ def stamp_of(function: FunctionType) -> bytes | None:  # 32 bytes
     """Return the stamp of a kernel; None if its machine code must not be kept.
 
     That is so if it has no file, if one of the files has changed since this process loaded it, or if the kernel reads
-    variables of a function around it, which no file says.
+    variables of an enclosing function, which are in no file.
     """
-    if function.__closure__:
-        return None
-    digest = hashlib.sha256()
-    for file in sorted(files_of(function)):
-        content = _read(file)[0]
-        if not content:
-            return None
-        digest.update(content)
-    return digest.digest()
-
-
-def files_of(function: FunctionType) -> set[str]:
-    """Return the source files that a kernel depends on."""
-    return _files_of(function.__code__.co_filename, function.__module__)
+    digests = [_read(file)[0] for file in sorted(files_of(function.__code__.co_filename, function.__module__))]
+    return hashlib.sha256(b"".join(digests)).digest() if all(digests) and not function.__closure__ else None
 
 
 @lru_cache(None)
-def _files_of(first: str, importer: str) -> set[str]:
-    own = importer.partition(".")[0]
-    files, ahead = {first, _OPTIONS}, [(first, importer)]
+def files_of(first: str, importer: str) -> set[str]:
+    """Return the source files that the kernels of a file depend on, where ``importer`` is its module."""
+    packages, folder = {_OURS, importer.partition(".")[0]}, os.path.dirname(first)
+    files, ahead = {first}, [(first, importer)]
     while ahead:
         file, name = ahead.pop()
         _, imports, compiled = _read(file)
-        if file != first and not compiled:
-            continue
-        for module in _modules(imports, name):
+        for module in _modules(imports, name) if compiled or file == first else ():
             found = getattr(sys.modules[module], "__file__", None)
-            ours = (
-                module.partition(".")[0] in (_OURS, own) or found and os.path.dirname(found) == os.path.dirname(first)
-            )
+            ours = module.partition(".")[0] in packages or os.path.dirname(found or "") == folder
             if found and ours and found not in files and not module.startswith(_ROOM):
                 files.add(found)
                 ahead.append((found, module))
@@ -78,9 +61,8 @@ def _modules(imports: list[tuple[str, ...]], importer: str) -> Iterator[str]:
             module = importlib.util.resolve_name(source or plain, package)
         except ImportError:  # relative, in a file that was not imported
             continue
-        for candidate in (module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))):
-            if candidate in sys.modules:
-                yield candidate
+        candidates = (module, *(f"{module}.{name}" for name in re.findall(r"\w+", names)))
+        yield from (candidate for candidate in candidates if candidate in sys.modules)
 
 
 @lru_cache(None)

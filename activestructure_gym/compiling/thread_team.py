@@ -1,4 +1,4 @@
-"""A few worker threads that run one compiled kernel together.
+"""Run one compiled kernel on a few worker threads together.
 
 Raw locks wake a worker in a few microseconds; a thread pool needs about 20, and OpenMP threads spin and break under
 fork. The kernels release the GIL and share their work by atomic tickets, so the team only has to call the same function
@@ -14,15 +14,16 @@ from collections.abc import Callable
 
 from activestructure_gym.cores import core_count
 
-MAX_THREADS = 8  # by default; a picture has too few tiles to feed more
+MAX_THREADS = 8  # an image has too few tiles for more
 _LOAD_IS_FRESH_S = 1.0
-_crowded_until: tuple[float, bool] = (0.0, False)  # when to look again, what was seen
+_crowded_until: tuple[float, bool] = (0.0, False)  # when to read the load again, and the last result
 
 
 def default_threads() -> int:
-    """The cores this process may use (or fewer if OMP_NUM_THREADS says so), but one on an overloaded machine.
+    """Return the number of threads for a kernel: the cores of this process, at most `MAX_THREADS`.
 
-    There a second thread mostly waits for its turn and everybody waits for it. Results do not depend on the choice.
+    ``OMP_NUM_THREADS`` can lower it. On an overloaded machine it is 1, because all threads wait for the slowest one.
+    Results do not depend on it.
     """
     cores = core_count()
     wish = os.environ.get("OMP_NUM_THREADS", "")
@@ -31,7 +32,7 @@ def default_threads() -> int:
 
 
 def _machine_is_crowded() -> bool:
-    """More than 1.5 runnable tasks per core over the last minute."""
+    """Return whether there were more than 1.5 runnable tasks per core over the last minute."""
     global _crowded_until
     if not hasattr(os, "getloadavg"):
         return False
@@ -64,9 +65,9 @@ class _Worker:
 
 
 class ThreadTeam:
-    """Calls a kernel on several threads at once; done when the caller's own call and all that began have returned.
+    """Call a kernel on several threads at once, and return when all calls that began have returned.
 
-    The kernel must do the whole work however few threads come.
+    The kernel must complete its work with any number of threads.
     """
 
     def __init__(self) -> None:
@@ -75,9 +76,9 @@ class ThreadTeam:
         self._busy = _thread.allocate_lock()
 
     def run(self, kernel: Callable, arguments: tuple, threads: int) -> None:
-        """``kernel(*arguments)`` on up to ``threads`` threads, this one included.
+        """Call ``kernel(*arguments)`` on up to ``threads`` threads, including the calling one.
 
-        A second Python thread that comes while the team is out works alone: tickets make that the same result.
+        If another Python thread uses the team meanwhile, the calling thread works alone, with the same result.
         """
         if self._process != os.getpid():  # threads do not survive a fork, nor does the state of their locks
             self._workers, self._process, self._busy = [], os.getpid(), _thread.allocate_lock()
@@ -95,8 +96,8 @@ class ThreadTeam:
             try:
                 kernel(*arguments)
             finally:
-                # Who has not woken up by now has nothing left to do: take the call back instead of waiting for a
-                # busy machine to find time for it.
+                # A worker that has not started by now has nothing left to do. Its call is taken back, because a busy
+                # machine might start it late.
                 called = [worker for worker in called if not worker.start.acquire(blocking=False)]
                 for worker in called:
                     worker.done.acquire()
@@ -106,7 +107,7 @@ class ThreadTeam:
                 if error is not None:
                     raise error
         finally:
-            if not consistent:  # Ctrl-C between the locks: who knows which are held; the next call gets new workers
+            if not consistent:  # after Ctrl-C the locks may be in any state; the next call gets new workers
                 self._workers = []
             self._busy.release()
 

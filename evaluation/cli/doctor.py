@@ -137,7 +137,7 @@ def _engine_state(name: str) -> str:
 def _kernels_state() -> tuple[str, str]:
     """Return the directory of the compiled kernels and the state of its files."""
     from activestructure_gym.compiling import cache_place, check_compiling
-    from activestructure_gym.compiling.files import is_whole, kernel_files
+    from activestructure_gym.compiling.files import kernel_files, read
 
     try:
         check_compiling()
@@ -148,7 +148,7 @@ def _kernels_state() -> tuple[str, str]:
         return "compiled", "cannot be kept: every process compiles them. Set NUMBA_CACHE_DIR"
     where = "next to the sources" if place.name == "__pycache__" else str(place.parent)
     files = kernel_files()
-    damaged = [file for file in files if not is_whole(file)]
+    damaged = [file for file in files if read(file) is None]
     if damaged:
         return where, f"{len(damaged)} of {len(files)} files damaged: their kernels are compiled again when needed"
     return where, f"works, {len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.0f} MB"

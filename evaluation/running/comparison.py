@@ -107,7 +107,7 @@ class Comparison:
         self.check_scene_names()
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
-        with warming_up(planners or ["random"], self.conditions.overrides, notify):
+        with warming_up(planners or ["random"], notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec, policies).content_hash

@@ -1,66 +1,102 @@
-"""Other processes compile ahead: one helper, and only where it helps; those of a comparison, until they end or hang."""
+"""Helpers compile the listed kernels, only where that helps, and end with their parent."""
 
 from __future__ import annotations
 
 import importlib
+import json
 import multiprocessing
 import os
-import subprocess
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from numba import typeof, types
 
-from activestructure_gym import first_use
-from activestructure_gym.compiling import ahead, files, locks, progress, told_to
+from activestructure_gym.compiling import ahead, files, locks, progress, stamps, told_to
+from activestructure_gym.compiling.ahead import ListedKernel, listed_kernels, signature_of
 from activestructure_gym.compiling.locks import Locks
+from activestructure_gym.geometry.camera import Lens
+
+needs_locks = pytest.mark.skipif(locks.fcntl is None, reason="no locks between processes here")
+
+
+def text_of(kind: types.Type) -> str:
+    """Write a type of numba as the list has it."""
+    if isinstance(kind, types.BaseTuple):
+        named = getattr(kind, "instance_class", None)
+        start = f"{named.__module__.removeprefix('activestructure_gym.')}:{named.__qualname__}(" if named else "("
+        return start + ", ".join(map(text_of, kind)) + (")" if named else ",)")
+    if isinstance(kind, types.Array):
+        last = {"C": "::1", "A": ":"}[kind.layout]
+        return f"{kind.dtype}[{', '.join([':'] * (kind.ndim - 1) + [last])}]"
+    return str(kind)
+
+
+def test_every_line_of_the_list_names_a_kernel_and_types_of_arguments() -> None:
+    features = {f"activestructure_gym.{kind}" for kind in ("features.unknown_volume", "policies.gavis.features")}
+    listed = listed_kernels(features)
+    assert len(listed) - len(listed_kernels()) == 2
+    for each in listed:
+        kernel = getattr(importlib.import_module(each.module), each.function)
+        signature = signature_of(each.arguments)
+        assert ", ".join(map(text_of, signature)) == each.arguments
+        assert len(signature) == kernel.py_func.__code__.co_argcount, each
+
+
+def test_a_line_gives_the_types_of_a_call() -> None:
+    arguments = np.zeros((2, 2), np.float32), Lens(1.0, 2.0, 3.0, 4.0), (1, 2.0), np.zeros(4)[::2], True
+    line = (
+        "float32[:, ::1], geometry.camera:Lens(float64, float64, float64, float64), (int64, float64,), float64[:], bool"
+    )
+    assert signature_of(line) == tuple(map(typeof, arguments))
+
+
+def test_a_kernel_is_kept_after_it_was_compiled(package, kept, monkeypatch) -> None:
+    monkeypatch.syspath_prepend(str(package))
+    monkeypatch.delitem(sys.modules, "tiny", raising=False)
+    monkeypatch.setattr(stamps, "_BEGAN", float("inf"))  # the module is newer than this process
+    listed = ListedKernel("tiny", "doubled", "int64")
+    assert not listed.is_kept()
+    with told_to(lambda name: None):
+        listed.compile()
+    assert listed.is_kept()
+    (file,) = kept.rglob("tiny.doubled-*.kernel")
+    file.write_bytes(file.read_bytes()[:-1])
+    assert not listed.is_kept()
 
 
 @pytest.fixture
-def started(monkeypatch, kept) -> list[tuple[list[str], dict[str, str]]]:
-    """Commands and environments of the helpers that would have been started; a machine on which one would be."""
+def started(monkeypatch, kept) -> list[tuple[list[str], list[list[str]]]]:
+    """Commands of the helpers that would have been started, and their kernels; a machine with three cores."""
     commands = []
 
     class Process:
         def __init__(self, command, **options) -> None:
-            commands.append((command, options["env"]))
-
-        def kill(self) -> None: ...
-
-        wait = kill
+            self.stdin = SimpleNamespace(write=lambda text: commands.append((command, json.loads(text))), flush=list)
 
     monkeypatch.setattr(ahead, "LOCKS", Locks())
-    monkeypatch.setattr(ahead, "_started", [])
-    monkeypatch.setattr(ahead, "atexit", SimpleNamespace(register=lambda *_, **__: None))
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
-    monkeypatch.setattr(ahead, "subprocess", SimpleNamespace(Popen=Process, DEVNULL=subprocess.DEVNULL))
+    monkeypatch.setattr(ahead, "_helpers", [])
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
+    monkeypatch.setattr(ahead, "subprocess", SimpleNamespace(Popen=Process, PIPE=-1, DEVNULL=-3))
     return commands
 
 
-pytestmark = pytest.mark.skipif(locks.fcntl is None, reason="no locks between processes here")
+@needs_locks
+def test_a_process_starts_helpers_once_for_the_modules_that_it_has_loaded(started, monkeypatch) -> None:
+    importlib.import_module("activestructure_gym.volume.integration")
+    monkeypatch.delitem(sys.modules, "activestructure_gym.splatting.kernels", raising=False)
+    ahead.start_helpers()
+    ahead.start_helpers()
+    assert len(started) == 2
+    command, kernels = started[1]
+    assert command == [sys.executable, "-P", "-c", "from activestructure_gym.compiling.ahead import main; main(1)"]
+    modules = {module for module, *_ in kernels}
+    assert "activestructure_gym.volume.integration" in modules
+    assert "activestructure_gym.splatting.kernels" not in modules and not any("features" in each for each in modules)
 
 
-def test_a_process_starts_one_helper(started) -> None:
-    importlib.import_module("activestructure_gym.volume")  # what an episode imports
-    ahead.start_helper()
-    ahead.start_helper()
-    assert len(started) == 1
-    (command, environment) = started[0]
-    # As in docs/notebook/performance.md: this is what a list of processes shows.
-    assert command[:4] == [sys.executable, "-P", "-m", "activestructure_gym.compiling"]
-    parts = ["rasteriser", "motion", "views", "score", "sensing"]
-    assert command[4:6] == [str(os.getpid()), "activestructure_gym.compiling.ahead:be_the_helper"]
-    assert command[6:] == [f"activestructure_gym.first_use:{part}" for part in parts]
-    assert all(callable(getattr(first_use, part)) for part in parts)
-    assert environment["PYTHONPATH"].split(os.pathsep) == [os.path.abspath(entry) for entry in sys.path]
-
-
-def test_who_has_no_volume_gets_the_rasteriser_alone(started, monkeypatch) -> None:
-    monkeypatch.delitem(sys.modules, "activestructure_gym.volume", raising=False)
-    ahead.start_helper()
-    assert started[0][0][6:] == ["activestructure_gym.first_use:rasteriser"]
-
-
+@needs_locks
 @pytest.mark.parametrize(
     "why", ["switched off", "one core", "nothing is kept", "a worker", "no interpreter", "no locks"]
 )
@@ -78,114 +114,90 @@ def test_no_helper_where_it_is_of_no_use(started, monkeypatch, why) -> None:
         monkeypatch.setattr(sys, "executable", "/opt/program/program")
     else:
         ahead.LOCKS.usable = False
-    ahead.start_helper()
+    ahead.start_helpers()
     assert started == []
 
 
-def test_only_our_own_kernels_call_for_help(started, monkeypatch) -> None:
-    for module, helpers in (("users.own", 0), ("activestructure_gym.splatting", 1)):
-        voice = progress.Progress()
-        voice.call_for_help = ahead.start_helper
-        monkeypatch.setattr(voice, "_silent", True)
-        with voice.around(f"{module}.function"):
-            voice.on_start(None)
+@needs_locks
+def test_only_kernels_of_the_package_call_for_help(started, monkeypatch) -> None:
+    for module, helpers in (("users.own", 0), ("activestructure_gym.splatting", 2)):
+        mine = progress.Progress()
+        mine.call_for_help = ahead.start_helpers
+        monkeypatch.setattr(mine, "_silent", True)
+        with mine.around(f"{module}.function"):
+            mine.on_start(None)
         assert len(started) == helpers
-    monkeypatch.setattr(ahead, "_started", [])
+    monkeypatch.setattr(ahead, "_helpers", [])
     with told_to(lambda name: None), progress.PROGRESS.around("activestructure_gym.splatting.other"):
         progress.PROGRESS.on_start(None)
-    assert len(started) == 1  # whoever listens shares the work otherwise
+    assert len(started) == 2
 
 
-HOLD = """
+# A helper for two kernels, whose standard input stays open until the test closes it.
+HELPER = """
+import json, sys, time
+from activestructure_gym.compiling import ahead
+ahead.main(0)
+print("at the end", flush=True)
+time.sleep(60)
+"""
+
+
+@needs_locks
+def test_one_helper_per_installation_compiles_and_ends_with_its_parent(started, start, package, tmp_path, kept) -> None:
+    work = json.dumps(
+        [ListedKernel("tiny", name, text) for name, text in (("doubled", "int64"), ("total", "float64[::1]"))]
+    )
+    helper = start(package, HELPER, cache=kept)
+    helper.stdin.write(work + "\n")
+    helper.stdin.flush()
+    assert helper.stdout.readline() == "at the end\n"
+    assert len(list(kept.rglob("tiny.total-*.kernel"))) == 1 and len(list(kept.rglob("tiny.doubled-*.kernel"))) == 2
+    ahead.start_helpers()  # the other holds the lock
+    assert started == []
+    helper.stdin.close()
+    assert helper.wait(30) != 0 and helper.stdout.read() == ""
+    helper.stdout.close(), helper.stderr.close()
+    ahead._helpers.clear()
+    ahead.start_helpers()
+    assert len(started) == 2
+
+
+RUN = """
 import sys
-from activestructure_gym.compiling.ahead import be_the_helper
-be_the_helper()
-print("alone", flush=True)
-sys.stdin.readline()
+from activestructure_gym.compiling import files
+from tests.compiling.test_ahead import text_of
+
+called = dict()
+load = files.KernelCache.load_overload
+
+def noted(self, signature, context):
+    function = self._py_func
+    module = function.__module__.removeprefix("activestructure_gym.")
+    called[f"{module}:{function.__qualname__}({', '.join(map(text_of, signature))})"] = None
+    return load(self, signature, context)
+
+files.KernelCache.load_overload = noted
+from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running.comparison import Comparison
+from activestructure_gym.evaluation.running.episode import run_job
+
+protocol = StandardProtocol(views=1, view_width=64, view_height=36, surface_samples=2000)
+conditions = Conditions(preset="fast", frame_budget=60, protocol=protocol)
+Comparison(["box"], ["activestructure"], conditions=conditions).prepare()
+called.clear()
+run_job(Job("box", "activestructure", 0, conditions=conditions), sys.argv[1])
+print("\\n".join(called))
 """
 
 
-def test_one_helper_per_installation(started, start, kept) -> None:
-    with start(kept, HOLD, cache=kept) as first:
-        assert first.stdout.readline() == "alone\n"
-        with start(kept, HOLD, cache=kept) as second:
-            assert second.communicate("\n")[0] == ""
-        ahead.start_helper()
-        assert started == []
-        first.communicate("\n")
-    with start(kept, HOLD, cache=kept) as third:
-        assert third.communicate("\n")[0] == "alone\n"
-
-
-CALLS = """
-import sys, time
-from numpy import arange
-from tiny import doubled, total
-
-
-def compile_one(what):
-    print("a policy speaks")
-    doubled(2) if what == "doubled" else total(arange(3.0))
-
-
-def fail():
-    raise RuntimeError
-
-
-def hang():
-    import signal
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    time.sleep(60)
-"""
-
-
-@pytest.fixture
-def beside(package, monkeypatch, tmp_path):
-    """Make processes compile beside a short block; return the kernels heard of, and which processes succeeded."""
-    (package / "calls.py").write_text(CALLS)
-    monkeypatch.syspath_prepend(str(package))
-
-    def call(*calls: list[str]) -> tuple[list[str], list[bool]]:
-        heard: list[str] = []
-        more = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-        with ahead.compiling_beside(calls, heard.append, more) as succeeded:
-            pass
-        return sorted(set(heard)), succeeded
-
-    return call
-
-
-def test_processes_compile_and_are_heard_of_and_waited_for(beside) -> None:
-    calls = ['calls:compile_one "doubled"'], ['calls:compile_one "total"']
-    assert beside(*calls, ["calls:fail"]) == (["tiny.doubled", "tiny.total"], [True, True, False])
-    assert beside(*calls) == ([], [True, True])
-
-
-def test_a_call_that_never_ends_is_not_waited_for(beside, monkeypatch) -> None:
-    monkeypatch.setattr(ahead, "_PATIENCE_S", 4.0)
-    monkeypatch.setattr(ahead, "_GRACE_S", 0.2)
-    assert beside(["calls:hang"])[1] == [False]
-
-
-def test_they_end_with_a_block_that_fails(monkeypatch) -> None:
-    ended = []
-    monkeypatch.setattr(ahead, "_dismiss", lambda process, *_: ended.append((process.kill(), process.wait())))
-    with pytest.raises(KeyError), ahead.compiling_beside([["time:sleep 60"]] * 2, print):
-        raise KeyError
-    assert len(ended) == 2
-
-
-PARENT = """
-import subprocess, sys
-subprocess.Popen([sys.executable, "-P", "-m", "activestructure_gym.compiling", str(__import__("os").getpid()),
-                  "calls:say", "time:sleep 60"])
-sys.stdin.readline()
-"""
-
-
-def test_a_process_ends_with_its_parent(start, package, tmp_path) -> None:
-    (package / "calls.py").write_text("def say():\n    print('up', flush=True)\n")
-    parent = start(package, PARENT, cache=tmp_path / "cache")
-    assert parent.stdout.readline() == "up\n"
-    parent.kill()
-    assert parent.communicate(timeout=30) == ("", "")  # the pipes are closed: no process holds their other ends
+@pytest.mark.slow
+def test_after_the_listed_kernels_an_episode_compiles_no_other(run, tmp_path) -> None:
+    """The lines that this test prints belong into the list."""
+    out, _ = run(tmp_path, RUN, str(tmp_path / "run"), cache=tmp_path / "cache")
+    known = {f"{m}:{f}({a})" for m, f, a in listed_kernels(["activestructure_gym.features.unknown_volume"])}
+    known = {line.removeprefix("activestructure_gym.") for line in known}
+    missing = [line for line in out.splitlines() if line not in known]
+    assert not missing, "\n".join(missing)

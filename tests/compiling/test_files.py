@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from activestructure_gym.compiling import files, kernel, told_to
-from activestructure_gym.compiling.files import is_whole, read, write
+from activestructure_gym.compiling.files import read, write
 
 
 def use() -> tuple[float, int]:
@@ -42,54 +42,26 @@ DAMAGES = {
 }
 
 
-def test_what_is_damaged_is_compiled_again(package, run, tmp_path):
-    """In a process of its own: what other tests have compiled and patched must not matter."""
-    code = """
-    import sys
-    from pathlib import Path
-    from activestructure_gym.compiling import files
-    from activestructure_gym.compiling.files import is_whole
-    from tests.compiling.test_files import DAMAGES, use
-
-    kept = Path(sys.argv[1])
+def test_a_damaged_file_is_not_read(tmp_path):
+    file, stamp = tmp_path / "a.kernel", bytes(range(32))
     for name, damage in DAMAGES.items():
-        for file in kept.rglob("*.kernel"):
-            file.unlink()
-        assert use() == (1.5, 1), name
-        (file,) = kept.rglob("*.kernel")
-        whole = file.read_bytes()
-        assert is_whole(file), name
-        file.write_bytes(damage(whole))
-        assert not is_whole(file), name
-        assert use() == (1.5, 1), name
-        assert list(kept.rglob("*.kernel")) == [file], name
-        assert is_whole(file), (name, file.stat().st_size, len(whole), files.not_kept)
-        assert use() == (1.5, 0), name
-        print(name)
-    """
-    out, _ = run(package, code, str(tmp_path / "cache"), cache=tmp_path / "cache")
-    assert out.splitlines() == list(DAMAGES)
+        write(file, stamp, bytes(range(256)))
+        assert read(file, stamp) == read(file) == bytes(range(256)), name
+        file.write_bytes(damage(file.read_bytes()))
+        assert read(file, stamp) is None and read(file) is None, name
 
 
-def test_what_is_whole_and_of_no_use_is_compiled_again(package, run, tmp_path):
-    """In a process of its own, too."""
-    code = """
-    import pickle, sys
-    from pathlib import Path
-    from activestructure_gym.compiling import files
-    from activestructure_gym.compiling.files import write
-    from tests.compiling.test_files import use
-
-    use()
-    (file,) = Path(sys.argv[1]).rglob("*.kernel")
-    stamp = file.read_bytes()[len(files._HEAD) :][: files._STAMP]
+def test_what_is_damaged_or_of_no_use_is_compiled_again(kept):
+    assert use() == (1.5, 1) and use() == (1.5, 0)
+    (file,) = kept.rglob("*.kernel")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1])
+    assert use() == (1.5, 1) and use() == (1.5, 0)
+    stamp = whole[len(files._HEAD) :][: files._STAMP]
     for content in (pickle.dumps("nothing"), pickle.dumps(((), ())), b"not a pickle"):
         write(file, stamp, content)
         assert use() == (1.5, 1), content
-        print("again")
-    """
-    out, _ = run(package, code, str(tmp_path / "cache"), cache=tmp_path / "cache")
-    assert out.splitlines() == ["again"] * 3
+    assert list(kept.rglob("*.kernel")) == [file]
 
 
 def test_kernels_stay_where_they_are_kept_when_numba_reads_its_environment_again(kept, monkeypatch):
@@ -116,7 +88,7 @@ def test_a_file_counts_for_its_stamp_only(tmp_path):
     write(tmp_path / "a.kernel", first, b"content")
     assert read(tmp_path / "a.kernel", first) == b"content"
     assert read(tmp_path / "a.kernel", second) is None and read(tmp_path / "b.kernel", first) is None
-    assert is_whole(tmp_path / "a.kernel")
+    assert read(tmp_path / "a.kernel") == b"content"
     assert [path.name for path in tmp_path.iterdir()] == ["a.kernel"]  # nothing beside it
 
 

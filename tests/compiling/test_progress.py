@@ -1,17 +1,16 @@
-"""What is said while kernels are compiled: on a terminal, in a log, and by which of several processes."""
+"""Standard error shows when compiling begins, how far it is, and how long it took; nothing when all is compiled."""
 
 from __future__ import annotations
 
 import io
-import os
 import sys
 import time
 
 import pytest
-from numba.core import event
 
-from activestructure_gym.compiling import ahead, kernel, progress
-from activestructure_gym.compiling.locks import LOCKS
+from activestructure_gym.compiling import progress
+from activestructure_gym.compiling.locks import Locks
+from activestructure_gym.compiling.progress import Progress
 
 
 def test_the_lines() -> None:
@@ -22,7 +21,7 @@ def test_the_lines() -> None:
     assert progress.conclusion(54, 30) == "compiled 54 kernels in 30 s"
 
 
-def test_a_log_gets_a_first_and_a_last_line_and_none_when_all_is_compiled(package, run, tmp_path) -> None:
+def test_a_process_reports_its_compiling_and_none_when_all_is_compiled(package, run, tmp_path) -> None:
     code = "import numpy, tiny; tiny.total(numpy.ones(3)); print(tiny.doubled(2))"
     out, err = run(package, code, cache=tmp_path / "cache")
     first, last = err.splitlines()
@@ -31,78 +30,53 @@ def test_a_log_gets_a_first_and_a_last_line_and_none_when_all_is_compiled(packag
     assert run(package, code, cache=tmp_path / "cache") == ("4", "")
 
 
-def test_a_log_hears_now_and_then_and_of_the_end(monkeypatch) -> None:
-    monkeypatch.setattr(progress, "_QUIET", 0.2)
-    monkeypatch.setattr(progress, "_EVERY", 0.05)
-    log, stream = progress.Log(), io.StringIO()
-    for compiled in (1, 2, 3):
-        log.hear(compiled, 10.0 * compiled, stream)
-        time.sleep(0.1)
+@pytest.fixture
+def reporting(kept, monkeypatch) -> Progress:
+    """Progress of its own, which is quick to report."""
+    monkeypatch.setattr(progress, "LOCKS", Locks())
+    monkeypatch.setattr(progress, "_QUIET_S", 0.2)
+    monkeypatch.setattr(progress, "_EVERY_S", 0.05)
+    return Progress()
+
+
+def lines_of(stream: io.StringIO, last: str) -> list[str]:
     waited = time.monotonic()
-    while "compiled 3" not in stream.getvalue() and time.monotonic() - waited < 10:
+    while last not in stream.getvalue() and time.monotonic() - waited < 10:
         time.sleep(0.01)
-    lines = stream.getvalue().splitlines()
-    assert lines[0] == progress.begin() and lines[-1] == "compiled 3 kernels in 30 s"
-    assert len(lines) > 2 and set(lines[1:-1]) <= {progress.describe(n, 10 * n) for n in (1, 2, 3)}
-    log.conclude()  # said already
-    log.hear(4, 40.0, stream)  # after a pause there is one more
-    log.conclude()
-    assert stream.getvalue().splitlines()[len(lines) :] == ["compiled 4 kernels in 40 s"]
+    return stream.getvalue().splitlines()
 
 
-def test_a_log_ends_where_it_began() -> None:
-    log, first, second = progress.Log(), io.StringIO(), io.StringIO()
-    log.hear(1, 1.0, first)
-    log.hear(2, 2.0, second)  # somebody captures what his own call says
-    log.conclude()
-    assert first.getvalue().splitlines() == [progress.begin(), "compiled 2 kernels in 2 s"]
+def test_lines_come_now_and_then_and_at_the_end(reporting, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    for number in (1, 2, 3):
+        with reporting.around(f"kernel {number}"):
+            reporting.report()
+            time.sleep(0.1)
+    lines = lines_of(sys.stderr, "compiled 3 kernels in 0 s")
+    assert lines[0] == progress.begin() and lines[-1] == "compiled 3 kernels in 0 s"
+    assert len(lines) > 2 and set(lines[1:-1]) <= {progress.describe(number, 0) for number in (1, 2, 3)}
+    reporting.conclude()  # nothing is left to say
+    with reporting.around("kernel 4"):  # after a pause
+        reporting.report()
+    assert lines_of(sys.stderr, "compiled 4 kernels")[-1] == "compiled 4 kernels in 0 s"
+    assert sys.stderr.getvalue().count(progress.begin()) == 1
+
+
+def test_all_lines_go_to_the_first_stream_even_if_it_is_closed(reporting, monkeypatch) -> None:
+    first, second = io.StringIO(), io.StringIO()
+    monkeypatch.setattr(sys, "stderr", first)
+    with reporting.around("kernel"):
+        reporting.report()
+        monkeypatch.setattr(sys, "stderr", second)
+        first.close()
+    reporting.conclude()
     assert second.getvalue() == ""
-    log.hear(3, 3.0, second)
-    second.close()  # and is done before the end
-    log.conclude()
 
 
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
-def test_a_terminal_gets_a_line_that_counts_and_goes_away(package, run, tmp_path) -> None:
-    ours, theirs = os.openpty()
-    code = "import numpy, tiny; print(tiny.total(numpy.ones(3)), tiny.doubled(2))"
-    out, _ = run(package, code, cache=tmp_path / "cache", stderr=theirs)
-    os.close(theirs)
-    shown = os.read(ours, 10_000).decode()
-    os.close(ours)
-    assert out == "6.0 4" and "\n" not in shown
-    lines = [line for line in shown.split("\r") if line.strip()]
-    assert lines[0].startswith("compiling kernels, once per installation: 1 so far, ")
-    assert lines[-1].startswith("compiling kernels, once per installation: 2 so far, ")
-    # Blanks over the last line, and the cursor at its beginning.
-    assert shown.endswith("\r" + " " * len(lines[-1]) + "\r")
-
-
-class Terminal(io.StringIO):
-    """Says that it is one."""
-
-    def isatty(self) -> bool:
-        return True
-
-
-def test_beside_a_spinner_the_lines_are_those_of_a_log(kept, monkeypatch) -> None:
-    # rich puts an object of its own in the place of sys.stderr while a spinner turns.
-    monkeypatch.setattr(LOCKS, "take", lambda name: True)  # another process may be the one that tells
-    monkeypatch.setattr(LOCKS, "drop", lambda name: None)
-    monkeypatch.setattr(ahead, "_started", [True])
-    monkeypatch.setattr("activestructure_gym.compiling.decorator.PROGRESS", mine := progress.Progress())
-    monkeypatch.setattr(sys, "stderr", Terminal())
-
-    @kernel
-    def halved(x):
-        return x / 2
-
-    event.register("numba:compile", mine)
-    try:
-        assert halved(3) == 1.5
-        assert halved(3.0) == 1.5
-    finally:
-        event.unregister("numba:compile", mine)
-    mine._log.conclude()
-    first, last = sys.stderr.getvalue().splitlines()
-    assert first == progress.begin() and last.startswith("compiled 1 kernel in ")
+def test_of_two_processes_one_reports(reporting, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(progress.LOCKS, "take", lambda name: False)
+    with reporting.around("kernel"):
+        reporting.report()
+    reporting.conclude()
+    assert sys.stderr.getvalue() == ""

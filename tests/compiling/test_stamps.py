@@ -11,7 +11,6 @@ import time
 from collections import namedtuple
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from numba import njit, typeof
 from activestructure_gym.compiling import files, kernel, stamps, told_to
 from activestructure_gym.compiling.files import package_folders
 from activestructure_gym.compiling.stamps import files_of, stamp_of
+from tests.parsed import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -90,18 +90,13 @@ def loaded(synthetic, monkeypatch):
 def forget() -> None:
     """Let stamps be those of the files as they are now."""
     stamps._read.cache_clear()
-    stamps._files_of.cache_clear()
+    files_of.cache_clear()
 
 
 def test_the_files_of_a_kernel(loaded):
-    assert {Path(file).name for file in files_of(loaded())} == {
-        "top.py",
-        "middle.py",
-        "deep.py",
-        "numbers.py",
-        "__init__.py",
-        "decorator.py",
-    }
+    function = loaded()
+    found = files_of(function.__code__.co_filename, function.__module__)
+    assert {Path(file).name for file in found} == {"top.py", "middle.py", "deep.py", "numbers.py", "__init__.py"}
 
 
 EDITS = [
@@ -180,22 +175,28 @@ def test_kernels_call_what_is_defined_after_them(synthetic, loaded, kept):
 COMPILED = re.compile(r"\b(kernel|njit|inline|_inline|intrinsic)\b")
 
 
-def defined_in(tree: ast.Module) -> dict[str, ast.stmt]:
-    """What a file defines, by name."""
-    found: dict[str, ast.stmt] = {}
-    for node in tree.body:
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            found[node.name] = node
-        for target in getattr(node, "targets", [getattr(node, "target", None)]):
-            found |= {part.id: node for part in ast.walk(target) if isinstance(part, ast.Name)} if target else {}
-    return found
+class Source:
+    """Hold what a source file defines and what it imports from this package."""
+
+    def __init__(self, path: str) -> None:
+        body = tree(Path(path)).body
+        self.compiled = stamps._read(path)[2]  # else nothing that it imports is covered
+        self.defined: dict[str, ast.stmt] = {}
+        self.imported: set[str] = set()
+        for node in body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                self.defined[node.name] = node
+            for target in getattr(node, "targets", [getattr(node, "target", None)]):
+                names = [part.id for part in ast.walk(target) if isinstance(part, ast.Name)] if target else []
+                self.defined |= dict.fromkeys(names, node)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("activestructure_gym"):
+                if node.module != "activestructure_gym.compiling":
+                    self.imported |= {alias.asname or alias.name for alias in node.names}
+        self.used = [(name, names_in(node) & self.imported) for name, node in self.defined.items() if is_compiled(node)]
 
 
-def imported_in(tree: ast.Module) -> set[str]:
-    """The names that a file has from this package, compiling apart."""
-    froms = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    ours = [node for node in froms if (node.module or "").startswith("activestructure_gym")]
-    return {a.asname or a.name for n in ours for a in n.names if n.module != "activestructure_gym.compiling"}
+def is_compiled(node: ast.stmt) -> bool:
+    return bool(COMPILED.search(" ".join(map(ast.unparse, getattr(node, "decorator_list", [])))))
 
 
 def names_in(node: ast.AST) -> set[str]:
@@ -204,8 +205,7 @@ def names_in(node: ast.AST) -> set[str]:
 
 def test_stamps_cover_every_file_from_which_a_compiled_function_has_something():
     """What such a function names is defined in a file of the stamp, and not from a file further away."""
-    parse = cache(lambda file: ast.parse(Path(file).read_text(encoding="utf-8")))
-    checked = 0
+    source, checked = cache(Source), 0
     for folder in package_folders():
         for path in folder.rglob("*.py"):
             if "@kernel" not in path.read_text(encoding="utf-8"):
@@ -213,37 +213,32 @@ def test_stamps_cover_every_file_from_which_a_compiled_function_has_something():
             parts = path.relative_to(folder).with_suffix("").parts
             room = () if folder.name == "activestructure_gym" else (folder.name,)
             module = importlib.import_module(".".join(("activestructure_gym", *room, *parts)))
-            some = SimpleNamespace(__code__=SimpleNamespace(co_filename=module.__file__), __module__=module.__name__)
-            covered = {file: parse(file) for file in files_of(some)}
+            covered = {file: source(file) for file in files_of(module.__file__, module.__name__)}
             modules = {Path(file).stem for file in covered}
-            for file, tree in covered.items():
-                of_package = imported_in(tree)
-                if not stamps._read(file)[2]:  # what it imports is not covered: nothing that is read may depend on it
-                    continue
-                for name, node in defined_in(tree).items():
-                    decorators = " ".join(map(ast.unparse, getattr(node, "decorator_list", [])))
-                    for used in names_in(node) & of_package if COMPILED.search(decorators) else ():
-                        places = {f: defined_in(t)[used] for f, t in covered.items() if used in defined_in(t)}
+            for file in (file for file, about in covered.items() if about.compiled):
+                for name, names in covered[file].used:
+                    for used in names:
+                        places = [about for about in covered.values() if used in about.defined]
                         assert places or used in modules, (file, name, used)
-                        for place, found in places.items():  # a constant may be made of another
-                            if isinstance(found, ast.Assign) and not stamps._read(place)[2]:
-                                for more in names_in(found.value) & imported_in(parse(place)):
-                                    assert any(more in defined_in(t) for t in covered.values()), (place, used, more)
+                        for place in places:  # a constant may be made of another
+                            found = place.defined[used]
+                            if isinstance(found, ast.Assign) and not place.compiled:
+                                for more in names_in(found.value) & place.imported:
+                                    assert any(more in about.defined for about in covered.values()), (used, more)
                         checked += 1
     assert checked > 300
 
 
-CHAIN = "from synthetic.top import topmost; print(topmost(1.0))"
-
-
-def test_an_edit_two_calls_away_reaches_every_other_process(synthetic, run, tmp_path):
-    asked = synthetic.parent, CHAIN
-    assert run(*asked, cache=tmp_path)[0] == "40.0"
-    (synthetic / "deep.py").write_text(SOURCES["deep.py"].replace("1.0", "4.0"))
-    assert run(*asked, cache=tmp_path)[0] == "100.0"
-    (synthetic / "numbers.py").write_text("FACTOR = 3.0\n")
-    assert run(*asked, cache=tmp_path)[0] == "150.0"
-    assert run(*asked, cache=tmp_path) == ("150.0", "")
+def test_an_edit_two_calls_away_reaches_the_next_process(synthetic, loaded, kept):
+    with told_to(lambda name: None):
+        loaded()
+        assert sys.modules["synthetic.top"].topmost(1.0) == 40.0
+        (synthetic / "deep.py").write_text(SOURCES["deep.py"].replace("1.0", "4.0"))
+        loaded()
+        assert sys.modules["synthetic.top"].topmost(1.0) == 100.0
+        loaded()
+        again = sys.modules["synthetic.top"].topmost
+        assert again(1.0) == 100.0 and sum(again.stats.cache_hits.values()) == 1
 
 
 EDGE = """

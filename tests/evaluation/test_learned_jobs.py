@@ -15,7 +15,6 @@ from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build
-from activestructure_gym.evaluation.running.warmup import all_features, completion_marker, smallest_job
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
@@ -94,18 +93,6 @@ def test_a_checkpoint_spelt_in_two_ways_runs_once(run: Path, monkeypatch) -> Non
     jobs = comparison.Comparison(["box"], specs, conditions=Conditions(preset="fast")).prepare()
     assert [job.policy for job in jobs] == [canonical_policy("learned:run"), "random"] == warmed[0]
     assert comparison.Comparison.of(jobs).policies == tuple(warmed[0])
-
-
-def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None:
-    def mark() -> Path | None:
-        policies = [canonical_policy("learned:run"), "random"]
-        assert all_features(policies) == ["structure"]
-        return completion_marker(smallest_job(policies, {}), all_features(policies))
-
-    first = mark()
-    assert first is not None and first == mark()
-    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(features=("structure",))), {})
-    assert mark() not in (None, first)
 
 
 def test_its_env_offers_the_gains_of_the_checkpoint(run: Path) -> None:

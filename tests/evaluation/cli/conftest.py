@@ -2,11 +2,11 @@
 
 import pytest
 
-from activestructure_gym.compiling.progress import Log
+from activestructure_gym.compiling.progress import Progress
 
 
 @pytest.fixture(autouse=True)
 def no_lines_about_compiling(monkeypatch):
     """The lines of other tests' compiling come seconds later, from a thread."""
-    monkeypatch.setattr(Log, "hear", lambda self, *told: None)
-    monkeypatch.setattr(Log, "conclude", lambda self: None)
+    monkeypatch.setattr(Progress, "report", lambda self: None)
+    monkeypatch.setattr(Progress, "conclude", lambda self: None)

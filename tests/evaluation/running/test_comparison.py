@@ -11,7 +11,6 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison, check_output
-from activestructure_gym.evaluation.running.warmup import smallest_job, warming_up
 
 
 @pytest.fixture
@@ -87,12 +86,6 @@ def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, m
     assert "\n" not in str(error.value)
 
 
-def test_the_warm_up_is_the_policy_with_most_gains_on_a_few_frames():
-    job = smallest_job(["random", "pixel_only"], {"sensor.depth_noise": "kinect"})
-    assert (job.scene, job.policy, job.conditions.frame_budget) == ("box", "pixel_only", 12)
-    assert dict(job.conditions.overrides) == {"sensor.depth_noise": "kinect"}
-
-
 def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
     check_output(tmp_path / "new" / "deep", resume=False)
     check_output(tmp_path, resume=False)  # empty
@@ -128,11 +121,6 @@ def test_an_output_without_permission(tmp_path):
     command = [*prefix, sys.executable, "-c", code, str(tmp_path / "new")]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert ended.returncode == 1 and "InputError" in ended.stderr and "no permission" in ended.stderr
-
-
-def test_the_warm_up_ends_with_its_block_when_that_fails():
-    with pytest.raises(InputError, match="bad scene"), warming_up(["random"], {}):
-        raise InputError("bad scene")
 
 
 @pytest.mark.parametrize("scene", ["bx", "nowhere/house.glb", "mesh:nowhere.glb", "missing.obj"])

@@ -51,7 +51,7 @@ class Report:
         from activestructure_gym.evaluation.cli.result_table import print_result
         from activestructure_gym.evaluation.report.results import gather
         from activestructure_gym.evaluation.report.summary import write_results
-        from activestructure_gym.evaluation.report.tables.overview import in_terminal
+        from activestructure_gym.evaluation.report.tables.overview import as_rich_table
 
         console = make_console()
         results = gather(directories, self.baseline)
@@ -66,7 +66,7 @@ class Report:
             from activestructure_gym.evaluation.report.tables.published import published_tables
 
             for table in published_tables(results)[::2]:  # averages; the report has the tables by scene
-                print_whole(console, in_terminal(table), wide=self.wide)
+                print_whole(console, as_rich_table(table), wide=self.wide)
                 console.print(f"{escape(table.caption)}.\n")
         for name, why in results.missing.items():
             console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")

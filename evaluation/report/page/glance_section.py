@@ -35,17 +35,17 @@ def glance_section(results: Results) -> Markup:
 
 def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
     column, ahead, words, tone = lead.column, "", "", ""
-    if lead.ahead is not None and lead.runner_up is not None:
-        found = lead.ahead.difference
+    if lead.margin is not None and lead.runner_up is not None:
+        found = lead.margin.difference
         value, _, interval = with_interval(found, column.digits, signed=True).text.partition(" ")
         ahead = f"{value} to {lead.runner_up} {interval}"
-        words, tone = verdicts.verdict(lead.ahead, column)
+        words, tone = verdicts.verdict(lead.margin, column)
     return {
         "title": column.title,
         "value": f"{lead.mean.value:.{column.digits}f}",
         "unit": column.unit,
-        "winners": [(results.palette.index(policy), policy) for policy in (lead.policy, *lead.level)],
-        "shared": bool(lead.level),
+        "winners": [(results.palette.index(policy), policy) for policy in (lead.policy, *lead.tied)],
+        "shared": bool(lead.tied),
         "ahead": ahead,
         "verdict": words,
         "tone": tone,
@@ -58,7 +58,7 @@ def _cards_caption(results: Results) -> str:
     text = "Best policy of each metric" + (", by the mean over scenes" if several else "")
     if len(results.policies) > 1:
         text += ", and its paired difference to the second"
-    if verdicts.can_tell(results):
+    if verdicts.has_intervals(results):
         return f"{text} with its 95 % interval."
     if len(results.policies) == 1:
         return f"{text}."

@@ -37,7 +37,7 @@ def quality_section(results: Results) -> Markup | None:
 def differences_section(results: Results) -> Markup | None:
     """Return differences to the baseline; None if the first section shows them already."""
     table = verdicts.difference_table(results)
-    intervals = verdicts.can_tell(results)
+    intervals = verdicts.has_intervals(results)
     if table is None or (len(results.scenes) == 1 and not intervals):
         return None
     columns = measured(MAIN, results.runs) if intervals else ()

@@ -1,1 +1,1 @@
-"""Tables as data, and their texts: Markdown, CSV, LaTeX and the terminal."""
+"""Build the tables, and write them as Markdown, CSV, LaTeX and for the terminal."""

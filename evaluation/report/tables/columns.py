@@ -1,4 +1,4 @@
-"""Metrics as columns of tables: header, unit, digits, and which direction is better."""
+"""Describe metrics as columns of tables: header, unit, digits and the better direction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.metrics.planning import LEVELS
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
 from activestructure_gym.evaluation.protocols.metrics.base import Best
 
-# Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
+# Stages of timing.json whose sums are the columns of seconds; `sensor` and `loading` belong to the simulator.
 PLANNING = ("planning", "features", "policy")
 MAPPING = ("mapping",)
 WORLD = ("volume", "planes")
@@ -20,32 +20,32 @@ WORLD = ("volume", "planes")
 
 @dataclass(frozen=True)
 class Column:
-    """One metric of a run."""
+    """Hold the description of one metric of a run."""
 
-    key: str  # in metrics.json, "PROTOCOL/KEY" of a further protocol's numbers, or one of the seconds below
+    key: str  # field of metrics.json, "PROTOCOL/FIELD" for further protocols, or a column of seconds below
     header: str
     unit: str
     digits: int
-    best: Best | None = None  # None: a cost or a size that has no best
+    best: Best | None = None  # None for costs and sizes, which have no best value
 
     @property
     def arrow(self) -> str:
-        """Arrow towards better values; empty for a cost."""
+        """Return an arrow towards better values; empty for a cost."""
         return {"lowest": "↓", "highest": "↑", None: ""}[self.best]
 
     @property
     def title(self) -> str:
-        """Header, unit and arrow."""
+        """Return header, unit and arrow."""
         return " ".join(part for part in (self.header, f"({self.unit})" if self.unit else "", self.arrow) if part)
 
     @property
     def tie(self) -> float:
-        """Half a unit of the last printed digit: values that differ by no more are ties."""
+        """Return half a unit of the last printed digit; values that differ by at most this are ties."""
         return 0.5 * 10.0**-self.digits
 
     @property
     def sign(self) -> int:
-        """-1 where smaller is better, else 1."""
+        """Return -1 if smaller is better, else 1."""
         return -1 if self.best == "lowest" else 1
 
     @classmethod
@@ -54,11 +54,11 @@ class Column:
         return cls(metric.name, metric.label, metric.unit, metric.digits, metric.best)
 
 
-# How much was seen and how much of it is mapped: C.R. of the means, of the TSDF surface, and what any keyframe saw.
+# C.R. of the Gaussians' means, C.R. of the TSDF surface, and observed share.
 RATIOS = tuple(map(Column.of, (standard.RATIO, standard.TSDF_RATIO, standard.OBSERVED)))
 _EXPLORATION = Column("observed_area", "exploration", "%", 1, "highest")
 
-# The overview's: one line per scene and policy.
+# Columns of the overview.
 COLUMNS = (
     *map(Column.of, (standard.ACCURACY, standard.COMPLETION)),
     *RATIOS,
@@ -68,11 +68,11 @@ COLUMNS = (
     Column("seconds", "time", "s", 1),
 )
 
-# Everything the paper's Tables 1 to 3 may hold, in their order; what no run has is left out.
+# Metrics of the paper's Tables 1 to 3, in their order; metrics that no run has are left out of tables.
 QUALITY = tuple(map(Column.of, standard.STANDARD))
 
-# How soon the surface was seen, and what late frames were worth; see `metrics.planning`.
-LOWER_BOUND = "least_"  # before the name of a number of frames: where the budget was too small, the budget
+# Speed of exploration, and improvement in the second half of the budget; see `metrics.planning`.
+LOWER_BOUND = "least_"  # prefix of numbers of frames: the frame budget, a lower bound, if the level was not reached
 PROGRESS = (
     *(Column(f"{LOWER_BOUND}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
     _EXPLORATION,
@@ -91,22 +91,22 @@ COSTS = (
     Column("mapping_seconds", "mapping", "s", 1),
     Column("world_seconds", "volume, planes", "s", 1),
     Column("sensor_seconds", "sensor", "s", 1),
-    Column("seconds", "whole", "s", 1),
+    Column("seconds", "total", "s", 1),
 )
 
-# The metrics of the cards and of the comparison with the baseline. Acc and Prec. are not among them: a policy that
-# maps little has the best of both.
+# Metrics of the cards and of the charts of differences. Acc and Prec. are left out, since a policy that maps little
+# has the best values of both.
 MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], Column.of(standard.PSNR), Column.of(standard.DEPTH))
 
 
 def own_metrics(runs: Sequence[Run]) -> list[Metric]:
-    """Return the metrics that the runs were measured by besides their protocols."""
+    """Return the metrics that users added to the runs' protocols."""
     found = {one["name"]: one for run in runs for one in run.metrics.get("own_metrics", ())}
     return list(map(Metric.from_dict, found.values()))
 
 
 def own_absences(runs: Sequence[Run]) -> list[str]:
-    """Return a sentence for every own metric that is not defined in some run, with the reason."""
+    """Return one sentence per added metric that is not defined in some runs, with the reason."""
     texts = []
     for metric in own_metrics(runs):
         reasons = [reason_of(run, metric.name) for run in runs if value_of(run, metric.name) is None]
@@ -116,19 +116,19 @@ def own_absences(runs: Sequence[Run]) -> list[str]:
 
 
 def overview_columns(runs: Sequence[Run]) -> list[Column]:
-    """Return the columns of the overview, those of the runs' own metrics before the costs."""
+    """Return the columns of the overview; added metrics precede the costs."""
     own = map(Column.of, own_metrics(runs))
     quality = [column for column in COLUMNS if column.best is not None]
     return [*quality, *own, *COLUMNS[len(quality) :]]
 
 
 def quality_columns(runs: Sequence[Run]) -> list[Column]:
-    """Return the columns of quality that at least one run has a number for, those of the runs' own metrics last."""
+    """Return the columns of quality with a value in at least one run; added metrics are last."""
     return measured([*QUALITY, *map(Column.of, own_metrics(runs))], runs)
 
 
 def value_of(run: Run, key: str) -> float | None:
-    """A run's number; None where it is not defined or was not measured."""
+    """Return a run's value of a column; None if it is not defined or was not measured."""
     stages = {
         "planning_seconds": PLANNING,
         "mapping_seconds": MAPPING,
@@ -148,41 +148,41 @@ def value_of(run: Run, key: str) -> float | None:
         if metrics.get("observed_area") is None:
             return None
         name = key.removeprefix(LOWER_BOUND)
-        return run.config["configuration"]["frame_budget"] if exceeded(run, key) else metrics[name]
-    if key == "lpips" and metrics.get(key) is None:  # it may have been measured later
+        return run.config["configuration"]["frame_budget"] if is_lower_bound(run, key) else metrics[name]
+    if key == "lpips" and metrics.get(key) is None:  # `asg evaluate` may have measured it later
         return run.numbers.get(key)
     return metrics.get(key)
 
 
-def exceeded(run: Run, key: str) -> bool:
-    """Whether a number of frames of `PROGRESS` is the budget in place of more than that."""
+def is_lower_bound(run: Run, key: str) -> bool:
+    """Return whether the level was not reached, so the column shows the budget as a lower bound."""
     return key.startswith(LOWER_BOUND) and run.metrics["metrics"].get(key.removeprefix(LOWER_BOUND)) is None
 
 
 def ratios_text(run: Run) -> str:
-    """``C.R. 82.5 %, of the surface 76.3 %, observed 91.0 %``; a dash for what was not measured."""
+    """Return a text such as ``C.R. 82.5 %, C.R. surface 76.3 %, observed 91.0 %``, with a dash for missing values."""
     parts = []
-    for name, column in zip(("C.R.", "of the surface", "observed"), RATIOS):
+    for column in RATIOS:
         value = value_of(run, column.key)
-        parts.append(f"{name} –" if value is None else f"{name} {value:.{column.digits}f} %")
+        parts.append(f"{column.header} –" if value is None else f"{column.header} {value:.{column.digits}f} %")
     return ", ".join(parts)
 
 
 @dataclass(frozen=True)
 class Aspect:
-    """Metrics of the same maps under one protocol, or of its TSDF surface."""
+    """Hold the columns of one protocol, or of the TSDF surface."""
 
-    name: str  # of its tables' files; empty for the run's own protocol
+    name: str  # suffix of its tables' files; empty for the runs' own protocol
     title: str
-    columns: tuple[Column, ...]  # those that at least one run has a number for
+    columns: tuple[Column, ...]  # columns with a value in at least one run
 
     def of(self, table: str) -> str:
-        """File name of this aspect's ``table``."""
+        """Return the file name of a table of this aspect."""
         return f"{table}-{slug(self.name)}" if self.name else table
 
 
 def aspects(runs: Sequence[Run]) -> list[Aspect]:
-    """The runs' own protocol, its TSDF surface if there is one, and every further protocol."""
+    """Return the aspects of the runs' own protocol, of its TSDF surface if measured, and of each further protocol."""
     surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in map(Column.of, standard.SURFACE))
     own = runs[0].job.conditions.protocol.name
     found = [Aspect("", own, tuple(quality_columns(runs)))]
@@ -195,7 +195,7 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
 
 
 def reason_of(run: Run, key: str) -> str:
-    """Why a number is not defined, as far as the protocol said."""
+    """Return the protocol's reason why a value is not defined; empty if it gives none."""
     protocol, _, name = key.rpartition("/")
     for own in run.metrics.get("own_metrics", ()):
         if own["name"] == key:
@@ -206,17 +206,17 @@ def reason_of(run: Run, key: str) -> str:
 
 
 def measured(columns: Iterable[Column], runs: Sequence[Run]) -> list[Column]:
-    """Return the columns that at least one run has a number for; of a number of frames, that at least one reached."""
+    """Return the columns with a value in at least one run; a lower bound does not count as a value."""
     return [
         column
         for column in columns
-        if any(value_of(run, column.key) is not None and not exceeded(run, column.key) for run in runs)
+        if any(value_of(run, column.key) is not None and not is_lower_bound(run, column.key) for run in runs)
     ]
 
 
-def unreached(runs: Sequence[Run]) -> str:
-    """Return a sentence that names the shares of the surface that no run observed; empty if there is none."""
+def unreached_levels_text(runs: Sequence[Run]) -> str:
+    """Return a sentence with the shares of the surface that no run observed; empty if all were reached."""
     known = [run for run in runs if run.metrics["metrics"].get("observed_area") is not None]
     keys = [(level, f"{LOWER_BOUND}frames_to_{level}") for level in LEVELS]
-    levels = [f"{level} %" for level, key in keys if known and all(exceeded(run, key) for run in known)]
+    levels = [f"{level} %" for level, key in keys if known and all(is_lower_bound(run, key) for run in known)]
     return f"No run observed {' or '.join(levels)} of the surface" if levels else ""

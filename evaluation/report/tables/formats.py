@@ -1,4 +1,4 @@
-"""Tables as Markdown, CSV and LaTeX."""
+"""Write tables as Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 
 _RANK_MARKS = {1: "**{}** ¹", 2: "{} ²", 3: "{} ³"}
-# An underscore within a word is no emphasis.
+# Characters to escape; an underscore within a word marks no emphasis.
 _MARKDOWN = re.compile(r"[\\`*|<]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
-_SPAN = re.compile(r"((?<!`)`[^`\n<\[]+`(?!`))")  # code, in which nothing could begin if it were none
-_FORMULA = re.compile(r"(^|;)(?=[=@\t\r]|[+-](?![\d.]))")  # a semicolon separates cells in half of the world
+_SPAN = re.compile(r"((?<!`)`[^`\n<\[]+`(?!`))")  # code span without characters that start other markup
+# The start of a formula in a cell; spreadsheets of some locales separate cells by semicolons.
+_FORMULA = re.compile(r"(^|;)(?=[=@\t\r]|[+-](?![\d.]))")
 _LATEX_RANKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", 3: r"\textit{{{}}}"}
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -24,7 +25,7 @@ _LATEX = {
 
 
 def markdown(table: Table) -> str:
-    """The table in Markdown, with the first three marked as **1.0** ¹, 1.1 ², 1.2 ³."""
+    """Return a table in Markdown, with ranks as in **1.0** ¹, 1.1 ², 1.2 ³."""
     headings = [heading.text for heading in table.headings]
     if table.groups:
         spans = [text for text, span in table.groups for _ in range(span)]
@@ -40,7 +41,7 @@ def markdown(table: Table) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """The table as CSV: numbers in full precision, ranks left out."""
+    """Return a table as CSV, with numbers in full precision and without ranks."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     spans = [text for text, span in table.groups for _ in range(span)] or [""] * len(table.headings)
@@ -53,7 +54,7 @@ def to_csv(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    """The table in LaTeX, a plain ``tabular`` that needs no package: 1st bold, 2nd underlined, 3rd italic."""
+    """Return a table in LaTeX without packages; 1st is bold, 2nd underlined, 3rd italic."""
     columns = "".join("r" if heading.numeric else "l" for heading in table.headings)
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}"]
     lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
@@ -76,12 +77,12 @@ def latex(table: Table) -> str:
 
 
 def latex_text(text: str) -> str:
-    """``text`` with LaTeX's special characters written out."""
+    """Escape LaTeX's special characters."""
     return re.sub("|".join(map(re.escape, _LATEX)), lambda found: _LATEX[found.group()], text)
 
 
 def documents(tables: Sequence[Table]) -> dict[str, str]:
-    """File names and contents of all tables in all three forms."""
+    """Return file names and contents of all tables in all three formats."""
     return {
         f"{table.name}.{ending}": form(table)
         for table in tables
@@ -90,7 +91,7 @@ def documents(tables: Sequence[Table]) -> dict[str, str]:
 
 
 def _plain(cell: Cell) -> str:
-    """A number in full; an interval as it is printed, with a hyphen for its minus."""
+    """Return a number in full precision, or an interval as printed with hyphens for minus signs."""
     if cell.value is None or not cell.text.strip("+−").replace(",", "").replace(".", "").isdigit():
         return spreadsheet_text(cell.text.replace("−", "-"))
     return repr(cell.value)
@@ -107,7 +108,7 @@ def _marked(text: str, cell: Cell) -> str:
 
 
 def escaped(text: str) -> str:
-    """``text`` as it is, in one line of Markdown: no cell ends in it, no tag, link or emphasis begins."""
+    """Return a text as one line of Markdown, with cell separators, tags, links and emphasis escaped."""
     return _escaped(" ".join(text.split()))
 
 
@@ -121,12 +122,12 @@ def sentence(text: str) -> str:
 
 
 def code(text: str) -> str:
-    """``text`` as code in one line of Markdown, whatever backticks it holds."""
+    """Return a text as a code span in one line of Markdown; the text may contain backticks."""
     text = " ".join(text.split())
     fence = "`" * (1 + max((len(run) for run in re.findall("`+", text)), default=0))
     return f"{fence} {text} {fence}" if "`" in text else f"{fence}{text}{fence}"
 
 
 def spreadsheet_text(text: str) -> str:
-    """Return text that no spreadsheet takes for a formula (OWASP, "CSV Injection"): a quotation mark before those."""
+    """Return text with an apostrophe before formulas, so spreadsheets do not execute it (OWASP, "CSV Injection")."""
     return _FORMULA.sub(r"\1'", text)

@@ -1,4 +1,4 @@
-"""Tables as data: headings, cells, ranks. `formats` and `html` write them out."""
+"""Define tables as data: headings, cells, ranks. `formats` and `html` write them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Literal
 from activestructure_gym.evaluation.report.tables.columns import Column
 from activestructure_gym.evaluation.statistics import Estimate
 
-NONE = "n/a"  # a number that is not defined
-MISSING = "–"  # no run: as in the paper, "failure to complete"
+NONE = "n/a"  # undefined value
+MISSING = "–"  # no finished run; the paper's "failure to complete"
 
 Judgement = Literal["", "good", "bad"]
 Tone = Literal[Judgement, "alarm"]
@@ -18,18 +18,18 @@ Tone = Literal[Judgement, "alarm"]
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table: its text, the value behind it, and its mark."""
+    """Hold one cell of a table: text, value, rank and tone."""
 
     text: str
-    value: float | None = None  # what it is sorted by; None: by its text, or it has none
+    value: float | None = None  # sort key; None sorts by the text
     rank: int = 0  # 1, 2, 3; 0 = unmarked
     tone: Tone = ""
-    note: str = ""  # shown on demand, where there is a hand to ask
+    note: str = ""  # shown as a tooltip
 
 
 @dataclass(frozen=True)
 class Heading:
-    """Heading of one column."""
+    """Hold the heading of one column."""
 
     text: str
     numeric: bool = True
@@ -37,29 +37,29 @@ class Heading:
 
     @classmethod
     def of(cls, column: Column) -> Heading:
-        """The heading of a metric's column."""
+        """Return the heading of a metric's column."""
         return cls(column.title)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells under headings."""
+    """Hold rows of cells under headings."""
 
-    name: str  # of its files
+    name: str  # stem of its files
     title: str
     headings: Sequence[Heading]
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
-    groups: Sequence[tuple[str, int]] = ()  # a row above the headings: text, columns it spans
-    blocks: Sequence[int] = field(default=())  # rows that begin a block; a first cell that repeats is said once in it
+    groups: Sequence[tuple[str, int]] = ()  # a row above the headings: texts and the numbers of columns they span
+    blocks: Sequence[int] = field(default=())  # first rows of blocks; equal first cells of a block are shown once
 
     @property
     def sortable(self) -> bool:
-        """Whether readers may sort the rows: not where blocks or grouped columns would be torn apart."""
+        """Return whether the page lets readers sort the rows; sorting would break blocks and grouped columns."""
         return not self.blocks and not self.groups and len(self.rows) > 1
 
     def shown(self, row: int, column: int) -> str:
-        """The text of a cell, empty where the first column repeats itself within a block."""
+        """Return the text of a cell; empty if a first cell repeats the one above within its block."""
         text = self.rows[row][column].text
         if column or not self.blocks or row in self.blocks or row == 0:
             return text
@@ -67,12 +67,12 @@ class Table:
 
 
 def number(value: float | None, digits: int, missing: str = NONE) -> Cell:
-    """A cell with a plain number."""
+    """Return a cell with a number."""
     return Cell(missing) if value is None else Cell(f"{value:,.{digits}f}", value)
 
 
 def with_interval(estimate: Estimate | None, digits: int, *, signed: bool = False) -> Cell:
-    """A cell such as ``3.21 [3.02, 3.40]``; without an interval the number alone."""
+    """Return a cell such as ``3.21 [3.02, 3.40]``; without an interval, the number only."""
     if estimate is None:
         return Cell(MISSING)
     text = decimal(estimate.value, digits, signed=signed)
@@ -82,21 +82,21 @@ def with_interval(estimate: Estimate | None, digits: int, *, signed: bool = Fals
 
 
 def decimal(value: float, digits: int, *, signed: bool = False) -> str:
-    """A number as printed: no zero has a sign, and the minus is a minus."""
+    """Format a number with a typographic minus; zero has no sign."""
     rounded = round(value, digits) or 0.0
     return f"{rounded:{'+' if signed and rounded else ''}.{digits}f}".replace("-", "−")
 
 
 def ranked(cells: Sequence[Cell], column: Column, planners: Sequence[bool] | None = None) -> list[Cell]:
-    """The cells with ranks 1 to 3; cells equal as printed share a rank, and a single value has none.
+    """Return the cells with ranks 1 to 3; equal printed values share a rank, and a single value has none.
 
-    ``planners`` tells cell by cell who takes part (None: all): references have no rank and take none from others.
+    ``planners`` marks the cells that are ranked; None ranks all. References are left out and do not affect ranks.
     """
-    part = [True] * len(cells) if planners is None else planners
+    is_ranked = [True] * len(cells) if planners is None else planners
     values = {
         i: round(cell.value, column.digits)
-        for i, (cell, takes_part) in enumerate(zip(cells, part, strict=True))
-        if takes_part and cell.value is not None
+        for i, (cell, included) in enumerate(zip(cells, is_ranked, strict=True))
+        if included and cell.value is not None
     }
     if column.best is None or len(values) < 2:
         return list(cells)

@@ -1,4 +1,4 @@
-"""The table of a comparison: one row per scene and policy, the best of each scene marked."""
+"""Build the overview of a comparison: one row per scene and policy, with the best of each scene marked."""
 
 from __future__ import annotations
 
@@ -20,40 +20,40 @@ from activestructure_gym.evaluation.report.tables.layout import Heading, Table
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_HASH_DIGITS = 16  # of a scene's content
-AVERAGE = "average"  # the name of the last block: the mean over the scenes
+_HASH_DIGITS = 16  # shown digits of a scene's content hash
+AVERAGE = "average"  # scene name of the last block, the mean over scenes
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean and spread over the seeds."""
+    """Hold mean and standard deviation over seeds."""
 
-    mean: float | None  # None: not defined in any run
-    deviation: float | None  # sample standard deviation; None with fewer than two runs
+    mean: float | None  # None if not defined in any run
+    deviation: float | None  # sample standard deviation; None for fewer than two runs
     best: bool = False
 
     def text(self, digits: int) -> str:
-        """``3.21 ± 0.10``, or ``n/a``."""
+        """Return a text such as ``3.21 ± 0.10``, or ``n/a``."""
         if self.mean is None:
             return "n/a"
-        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # as many frames in every run
+        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # equal counts in all runs
             return f"{self.mean:.{digits}f}"
         return f"{self.mean:.{digits}f} ± {self.deviation:.{digits}f}"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One policy on one scene (or on the average)."""
+    """Hold the cells of one policy on one scene, or of its average over scenes."""
 
     scene: str
     policy: str
     runs: int
     cells: dict[str, Cell]
-    planner: bool = True  # False: a reference or a given trajectory, which is not marked among them
+    planner: bool = True  # False for references and given trajectories, which are never marked as best
 
 
 def table_rows(runs: Sequence[Run]) -> list[Row]:
-    """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
+    """Return rows in the order of the runs; with several scenes, a block of averages of policies run on all scenes."""
     scenes = list(dict.fromkeys(run.scene for run in runs))
     policies = list(dict.fromkeys(run.policy for run in runs))
     ranked = ranked_among({run.job.policy for run in runs})
@@ -76,14 +76,14 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
 
 
 def empty_rich_table(title: str) -> RichTable:
-    """A table for a terminal, without columns."""
+    """Return an empty table for the terminal."""
     from rich.table import Table as RichTable
 
     return RichTable(title=title)
 
 
 def styled(text: str, best: bool) -> str:
-    """The text as a terminal shows it, bold and green if it is the best."""
+    """Return a text as rich markup, bold and green if it is the best."""
     return f"[bold green]{text}[/]" if best else text
 
 
@@ -104,8 +104,8 @@ def rich_table(rows: Sequence[Row], columns: Sequence[Column], *, title: str) ->
     return table
 
 
-def in_terminal(table: Table) -> RichTable:
-    """A table of the report for a terminal."""
+def as_rich_table(table: Table) -> RichTable:
+    """Return a table of the report for the terminal."""
     from activestructure_gym.streams import escape
 
     shown = empty_rich_table(table.title)
@@ -118,7 +118,7 @@ def in_terminal(table: Table) -> RichTable:
 
 
 def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "overview") -> Table:
-    """The table for documents: the first three of every block marked; a single scene is not named."""
+    """Return the overview for documents, with ranks 1 to 3 per block; a single scene has no column of names."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):
@@ -136,16 +136,16 @@ def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "ove
         marked += [list(cells) for cells in zip(*names, *numbers)]
     headings = [Heading("scene", numeric=False)] if blocks else []
     headings += [Heading("policy", numeric=False), *map(Heading.of, columns)]
-    title = "Every scene and policy" if blocks else "Numbers"
+    title = "All scenes and policies" if blocks else "Results"
     single = all(row.runs == 1 for row in rows if row.scene != AVERAGE)
-    caption = "One run each" if single else "Mean ± sample standard deviation over the seeds"
+    caption = "One run per policy" if single else "Mean ± sample standard deviation over seeds"
     if rows and rows[-1].scene == AVERAGE:
-        caption += "; the average counts every scene the same"
+        caption += "; the average weights all scenes equally"
     return Table(name, title, headings, marked, caption, blocks=blocks)
 
 
 def runs_csv(runs: Sequence[Run]) -> str:
-    """One line per run with every single number, in full precision, an LPIPS that was measured later too."""
+    """Return CSV with one line per run: all scalar metrics in full precision, including an LPIPS measured later."""
     scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
@@ -173,7 +173,7 @@ def _over_runs(values: Sequence[float | None]) -> Cell:
 
 
 def _average(block: Sequence[Row], columns: Sequence[Column]) -> Row:
-    """The mean over scenes of the means over seeds: every scene counts the same."""
+    """Return the mean over scenes of the means over seeds."""
     cells = {}
     for column in columns:
         means = [row.cells[column.key].mean for row in block]
@@ -182,9 +182,9 @@ def _average(block: Sequence[Row], columns: Sequence[Column]) -> Row:
 
 
 def _marked(block: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
-    """The block with the best of every column marked; equal as printed is equally good, alone is not best.
+    """Return the block with the best planner of each column marked; equal printed values are equally good.
 
-    Among the planners: a reference is never best, and who is alone beside references is not either.
+    References are never marked, and a single planner is not marked either.
     """
     marked = [dict(row.cells) for row in block]
     for column in columns:

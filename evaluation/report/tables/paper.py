@@ -1,4 +1,4 @@
-"""Tables in the layout of the paper's Tables 1 to 4."""
+"""Build tables in the layout of the paper's Tables 1 to 4."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from activestructure_gym.evaluation.report.tables.layout import (
 )
 from activestructure_gym.evaluation.statistics import estimate, mean
 
-# The rungs as the paper's Table 3 names them.
+# Names of the ablation variants in the paper's Table 3.
 LADDER = {
     "activestructure-a": "(A) Pixel-only",
     "activestructure-b": "(B) + PSG gain",
@@ -30,7 +30,7 @@ LADDER = {
 
 
 def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
-    """Tables 1 and 2: a row per method and metric, a column per scene, and the average over the scenes."""
+    """Return a table as Tables 1 and 2: a row per method and metric, a column per scene, and the average."""
     columns = aspect.columns
     scenes = [*results.scenes, None] if average and len(results.scenes) > 1 else results.scenes
     cells: dict[tuple[str, str, str | None], Cell] = {}
@@ -57,7 +57,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
 
 @once
 def ablation_table(results: Results, aspect: Aspect) -> Table:
-    """Table 3: a row per policy, a column per metric, averaged over the scenes, with 95 % intervals."""
+    """Return a table as Table 3: a row per policy, a column per metric, averaged over scenes, with 95 % intervals."""
     columns = aspect.columns
     by_column = []
     for column in columns:
@@ -77,19 +77,23 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
     ]
     headings = [Heading("Variant" if ladder else "Policy", numeric=False), *map(Heading.of, columns)]
     if all(len(results.of(policy, scene)) < 2 for policy in results.policies for scene in results.scenes):
-        caption = "One run each" if len(results.scenes) == 1 else f"Means over {len(results.scenes)} scenes, a run each"
+        caption = (
+            "One run per policy"
+            if len(results.scenes) == 1
+            else f"Means over {len(results.scenes)} scenes, one run each"
+        )
     else:
         caption = (
-            f"Means over {pluralised(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
-            "bootstrap intervals of 95 %; none where a scene has a single run"
+            f"Means over {pluralised(len(results.scenes), 'scene')} of the means over runs, with 95 % stratified "
+            "bootstrap intervals; none if a scene has a single run"
         )
     if len(results.scenes) > 1:
-        caption += ". Only policies that finished on every scene"
-    return Table(aspect.of("variants"), f"Policies side by side, protocol {aspect.title}", headings, rows, caption)
+        caption += ". Only policies with a run on every scene have values"
+    return Table(aspect.of("variants"), f"All policies, protocol {aspect.title}", headings, rows, caption)
 
 
 def time_table(results: Results) -> Table:
-    """Table 4: the wall-clock minutes of every method on every scene, without the evaluation."""
+    """Return a table as Table 4: wall-clock minutes per method and scene, without evaluation."""
     column = Column("seconds", "Time", "min", 2, "lowest")
     row, groups = [Cell("Time (min)")], [("", 1)]
     for scene in results.scenes:
@@ -104,13 +108,13 @@ def time_table(results: Results) -> Table:
 
 
 def tables_like_the_papers(results: Results) -> list[Table]:
-    """Quality and ablation tables for every aspect, and the table of times."""
+    """Return quality and ablation tables of every aspect, and the table of times."""
     found = [table(results, aspect) for aspect in aspects(results.runs) for table in (quality_table, ablation_table)]
     return [*found, time_table(results)]
 
 
 def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """Mean on one scene, or averaged over all of them."""
+    """Return the mean on one scene, or over all scenes."""
     strata = results.strata(policy, column.key, scene)
     if strata is None:
         return _undefined(results, policy, column, scene)
@@ -118,7 +122,7 @@ def _mean(results: Results, policy: str, column: Column, scene: str | None) -> C
 
 
 def _undefined(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """Text in place of a number that no run has, with the reason."""
+    """Return a cell for a missing value, with the reason."""
     if not all(results.of(policy, own) for own in ([scene] if scene else results.scenes)):
         return Cell(MISSING)
     reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]

@@ -1,4 +1,4 @@
-"""The table of planning: how soon the surface was seen, and what the second half of the frames was worth."""
+"""Build the planning table: speed of exploration, and improvement in the second half of the budget."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from activestructure_gym.evaluation.report.tables.columns import (
     LOWER_BOUND,
     PROGRESS,
     Column,
-    exceeded,
+    is_lower_bound,
     measured,
-    unreached,
+    unreached_levels_text,
 )
 from activestructure_gym.evaluation.report.tables.layout import MISSING, Cell, Heading, Table, ranked, with_interval
 from activestructure_gym.evaluation.report.tables.overview import empty_rich_table, styled
@@ -21,15 +21,15 @@ from activestructure_gym.evaluation.statistics import estimate
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LOWER_BOUND)]  # the lowest first
+_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LOWER_BOUND)]  # in ascending order
 
 
 @once
 def planning_table(results: Results) -> Table | None:
-    """A row per policy, a column per metric of planning, with 95 % intervals; None where no run was measured so.
+    """Return a row per policy and a column per planning metric, with 95 % intervals; None without such metrics.
 
-    Frames to a level are a mean in which the budget stands for every run that did not reach it, after a ``>`` then; a
-    policy of which no run did has no rank.
+    Frames to a level are a mean over runs. A run that did not reach the level counts with the budget, and the mean gets
+    the prefix ``>``. A policy without a run that reached the level has no rank.
     """
     columns = measured(PROGRESS, results.runs)
     if not columns:
@@ -40,33 +40,32 @@ def planning_table(results: Results) -> Table | None:
     ]
     rows = [[Cell(policy), *(cells[k] for cells in by_column)] for k, policy in enumerate(results.policies)]
     caption = (
-        "Frames until that share of the observable surface was observed (> : runs that did not reach it count with the "
-        "budget). Exploration: mean height of the curve of observed surface over the frame budget. Late PSNR and "
-        "Depth: their change per 100 frames in the second half of the budget. Means over the scenes of the mean over "
-        "their runs"
+        "Frames until this share of the observable surface was observed (>: runs below this share count with the "
+        "budget). Exploration: area under the curve of observed surface, divided by the frame budget. Late PSNR and "
+        "late Depth: change per 100 frames in the second half of the budget. Means over scenes of the means over runs"
     )
     if any(len(results.of(policy, scene)) > 1 for policy in results.policies for scene in results.scenes):
         caption += ", 95 % stratified bootstrap intervals"
-    if missing := unreached(results.runs):
+    if missing := unreached_levels_text(results.runs):
         caption += f". {missing}"
     headings = [Heading("Policy", numeric=False), *map(Heading.of, columns)]
     return Table("planning", "Planning", headings, rows, caption)
 
 
 def rich_planning_table(results: Results) -> RichTable | None:
-    """The same in short for a terminal: a row per policy, the best of the planners bold and green.
+    """Return a short planning table for the terminal, with the best planner bold and green.
 
-    A number of frames is the mean over the runs. Where some did not reach the level, the budget counts for those,
-    after a ``>`` and with how many did. A level that no run reached has no column.
+    A number of frames is the mean over runs. Runs that did not reach the level count with the budget; the cell then has
+    the prefix ``>`` and the number of runs that did. A level that no run reached has no column.
     """
     from activestructure_gym.streams import escape
 
-    reached = [key for key in _telling(results) if not all(exceeded(run, key) for run in results.runs)]
+    reached = [key for key in _terminal_levels(results) if not all(is_lower_bound(run, key) for run in results.runs)]
     columns = measured([column for column in PROGRESS if column.key in (*reached, "observed_area")], results.runs)
     if not columns:
         return None
-    title = "how soon the surface was observed"
-    if not reached and (missing := unreached(results.runs)):
+    title = "frames until a share of the surface was observed"
+    if not reached and (missing := unreached_levels_text(results.runs)):
         title += f"; {missing[:1].lower()}{missing[1:]}"
     table = empty_rich_table(title)
     table.add_column("policy")
@@ -82,15 +81,15 @@ def rich_planning_table(results: Results) -> RichTable | None:
     return table
 
 
-def _telling(results: Results) -> list[str]:
-    """The two levels that a terminal has room for: the highest that half of the runs reached, and the one below."""
-    reached = [sum(not exceeded(run, key) for run in results.runs) for key in _LEVELS]
+def _terminal_levels(results: Results) -> list[str]:
+    """Return the two levels to print: the highest reached by at least half of the runs, and the next lower one."""
+    reached = [sum(not is_lower_bound(run, key) for run in results.runs) for key in _LEVELS]
     highest = max((at for at, count in enumerate(reached) if 2 * count >= len(results.runs)), default=0)
     return _LEVELS[max(highest - 1, 0) :][:2]
 
 
 def _short_cell(results: Results, policy: str, column: Column) -> Cell:
-    missed = [exceeded(run, column.key) for run in results.of(policy)]
+    missed = [is_lower_bound(run, column.key) for run in results.of(policy)]
     if missed and all(missed):
         return Cell("not reached")
     strata = results.strata(policy, column.key)
@@ -104,10 +103,10 @@ def _short_cell(results: Results, policy: str, column: Column) -> Cell:
 def _cell(results: Results, policy: str, column: Column) -> Cell:
     strata = results.strata(policy, column.key)
     cell = with_interval(None if strata is None else estimate(strata), column.digits)
-    missed = [exceeded(run, column.key) for run in results.of(policy)]
+    missed = [is_lower_bound(run, column.key) for run in results.of(policy)]
     if strata is None or not any(missed):
         return cell
     budgets = {run.config["configuration"]["frame_budget"] for run in results.of(policy)}
     if all(missed):
-        return Cell(f"> {max(budgets)}", note="reached in no run")
+        return Cell(f"> {max(budgets)}", note="not reached in any run")
     return replace(cell, text=f"> {cell.text}", note=f"not reached in {sum(missed)} of {len(missed)} runs")

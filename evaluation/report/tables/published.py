@@ -1,8 +1,8 @@
-"""Published values of the paper's Tables 1 and 2, and the runs of a report beside them.
+"""Compare the runs of a report with the published values of the paper's Tables 1 and 2.
 
-Rows "published" are copied from [activestructure], which took those of other systems from their papers or ran them
-itself; "here" are finished runs of this package. Where their scenes are not the table's, they are another dataset, and
-each such row says so: numbers of different scenes rank nothing.
+Rows "published" are copied from [activestructure], whose authors took values of other systems from their papers or ran
+them. Rows "here" are runs of this package. Rows of runs on other scenes are labelled "another dataset", since values of
+different scenes are not comparable.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _KEYS = {
     "SSIM": "ssim",
     "LPIPS": "lpips",
 }
-_DIGITS = {"C.R.": 2}  # as printed
+_DIGITS = {"C.R.": 2}  # as in the paper
 _COLUMNS = {
     name: replace(column, digits=_DIGITS.get(name, column.digits))
     for name, key in _KEYS.items()
@@ -38,8 +38,8 @@ _COLUMNS = {
     if column.key == key
 }
 
-# What a system of the tables is called here: a policy, or of those that do not plan a mapper.
-_OURS = {
+# Name in this package of each system of the tables: a policy, or a mapper for systems that do not plan.
+_ACTIVE = {
     "ActiveINR": "activeinr",
     "ANM-S": "anm_s",
     "NARUTO": "naruto",
@@ -163,7 +163,7 @@ ActiveStructure
 
 @dataclass(frozen=True)
 class Published:
-    """One of the paper's tables: the values of a system are those of the scenes, then their average."""
+    """Hold one of the paper's tables; values are one per scene, then the average."""
 
     number: int
     dataset: Dataset
@@ -185,12 +185,12 @@ PUBLISHED = (Published(1, REPLICA, _read(_TABLE_1)), Published(2, MATTERPORT3D, 
 
 
 def published_tables(results: Results) -> list[Table]:
-    """Tables 1 and 2: averages of every system, published and here; then the same by scene."""
+    """Return Tables 1 and 2, each as averages and by scene, with published values and those of these runs."""
     return [make(table, results) for table in PUBLISHED for make in (averages_table, scenes_table)]
 
 
 def averages_table(published: Published, results: Results) -> Table:
-    """A row per system: what was published, and what its counterpart here reached; others here stand below."""
+    """Return a row per system with its published averages, then rows of matching runs; other runs are last."""
     aspect = _aspect(results)
     columns = _columns(aspect)
     own = _of_dataset(results, published.dataset)
@@ -213,8 +213,8 @@ def averages_table(published: Published, results: Results) -> Table:
         where = f"{count} of {published.dataset.title}"
         cells = [number(values[name][-1] if name in values else None, c.digits, MISSING) for name, c in columns.items()]
         rows.append([Cell(system), Cell(kind), Cell("published"), Cell(where), *cells])
-        here(system, kind, (_PASSIVE if kind == "passive" else _OURS)[system])
-    known = {(system in _PASSIVE, {**_OURS, **_PASSIVE}[system]) for system in published.values}  # in this table
+        here(system, kind, (_PASSIVE if kind == "passive" else _ACTIVE)[system])
+    known = {(system in _PASSIVE, {**_ACTIVE, **_PASSIVE}[system]) for system in published.values}  # in this table
     others = [run for run in runs if (is_trajectory(run.job.policy), _name_here(run)) not in known]
     for policy in dict.fromkeys(run.policy for run in others):
         blocks.append(len(rows))
@@ -226,21 +226,21 @@ def averages_table(published: Published, results: Results) -> Table:
     headings = [Heading(text, numeric=False) for text in ("System", "Kind", "Values", "Scenes")]
     headings += [Heading.of(column) for column in columns.values()]
     caption = (
-        f"Published: averages of the paper's Table {published.number}, 2000 frames a scene, C.R. at 5 cm, images "
-        f"on the novel views of ActiveGAMER; \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
+        f"Published: averages of the paper's Table {published.number}, 2000 frames per scene, C.R. at 5 cm, images "
+        f"of the novel views of ActiveGAMER; \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
         f"Here: {_conditions(results.runs[0], aspect)}; means over scenes "
-        "of means over runs, with stratified bootstrap intervals of 95 % where every scene has several runs"
+        "of means over runs, with 95 % stratified bootstrap intervals if every scene has several runs"
     )
     if other:
         caption += ". None of these runs is on a scene of this table: all rows \u201chere\u201d are of another dataset"
     else:
         caption += f". {_by_name(published.dataset)}"
-    title = f"Table {published.number} in kind: {published.dataset.title}, averages"
+    title = f"Table {published.number} of the paper, {published.dataset.title}, averages"
     return Table(f"published-{published.number}", title, headings, rows, caption, blocks=blocks)
 
 
 def scenes_table(published: Published, results: Results) -> Table:
-    """As the paper prints it, a row per system and metric and a column per scene, with runs of these scenes here."""
+    """Return a row per system and metric and a column per scene, as in the paper, with runs on these scenes."""
     aspect = _aspect(results)
     columns = _columns(aspect)
     titles, folders = list(published.dataset.scenes), list(published.dataset.scenes.values())
@@ -283,26 +283,26 @@ def scenes_table(published: Published, results: Results) -> Table:
 
 
 def _aspect(results: Results) -> Aspect:
-    """The protocol whose numbers are nearest to the paper's: `activegamer` where the runs have it, else their own."""
+    """Return the aspect closest to the paper's evaluation: `activegamer` if measured, else the runs' own protocol."""
     found = aspects(results.runs)
     return next((aspect for aspect in found if aspect.title == "activegamer"), found[0])
 
 
 def _columns(aspect: Aspect) -> dict[str, Column]:
-    """The tables' metrics as columns of the protocol, measured or not."""
+    """Return the metrics of the tables as columns of the aspect, measured or not."""
     prefix = f"{aspect.name}/" if aspect.name else ""
     return {name: replace(column, key=f"{prefix}{column.key}") for name, column in _COLUMNS.items()}
 
 
 def _name_here(run: Run) -> str:
-    """Who is compared: of a trajectory that was followed the mapper, else the policy."""
+    """Return the mapper's name for a given trajectory, else the policy's name."""
     if is_trajectory(run.job.policy):
         return str(run.config["configuration"]["mapper"]["name"])
     return run.job.spec.name
 
 
 def _folder(run: Run, dataset: Dataset) -> str | None:
-    """The folder of the dataset's scene that the run was on."""
+    """Return the folder of the run's scene in the dataset; None if the scene is not part of it."""
     kind, colon, place = run.job.scene.partition(":")
     name = Spec.of(place if colon and kind == dataset.kind else run.job.scene).name.rstrip("/")
     parts = [part for part in re.split(r"[/\\]", name) if part not in ("habitat", "mesh.ply", "mesh_semantic.ply")]
@@ -311,8 +311,8 @@ def _folder(run: Run, dataset: Dataset) -> str | None:
 
 
 def _by_name(dataset: Dataset) -> str:
-    """What a reader must know of the rows: nobody here can tell the dataset's files from others of the same name."""
-    return f"A run counts as of {dataset.title} by its scene's name alone; the files behind the name were not checked"
+    """Return a sentence that scenes are matched by name, since the dataset's files are not checked."""
+    return f"Runs are assigned to {dataset.title} by their scene's name alone; the scenes' files were not checked"
 
 
 def _of_dataset(results: Results, dataset: Dataset) -> list[Run]:
@@ -320,7 +320,7 @@ def _of_dataset(results: Results, dataset: Dataset) -> list[Run]:
 
 
 def _where(runs: Sequence[Run], dataset: Dataset | None) -> str:
-    """Which scenes a row is about."""
+    """Return the scenes of a row as text."""
     if dataset is not None:
         return f"{len({_folder(run, dataset) for run in runs})} of {dataset.title}"
     scenes = list(dict.fromkeys(run.scene for run in runs))
@@ -329,7 +329,7 @@ def _where(runs: Sequence[Run], dataset: Dataset | None) -> str:
 
 
 def _means(runs: Sequence[Run], columns: dict[str, Column]) -> Iterator[Cell]:
-    """Mean over the scenes of means over their runs, with its interval."""
+    """Yield the mean over scenes of means over runs, with its interval, for each column."""
     for column in columns.values():
         strata = []
         for scene in dict.fromkeys(run.scene for run in runs):
@@ -347,7 +347,7 @@ def _mean(runs: Sequence[Run], column: Column) -> float | None:
 
 
 def _conditions(run: Run, aspect: Aspect) -> str:
-    """How the runs of a report were made, in a few words."""
+    """Return budget, image size and protocol of the runs as text."""
     configuration = run.config["configuration"]
     sensor = configuration["sensor"]
     size = f"{sensor['width']} x {sensor['height']} pixels"

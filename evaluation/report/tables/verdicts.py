@@ -1,4 +1,4 @@
-"""Tables of the statistics: leaders, paired differences, probability of improvement, areas, costs."""
+"""Build statistical tables: leads, paired differences, probability of improvement, aggregates, areas, costs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from activestructure_gym.evaluation.report.tables.columns import (
     MAIN,
     PROGRESS,
     Column,
-    exceeded,
+    is_lower_bound,
     measured,
     quality_columns,
-    unreached,
+    unreached_levels_text,
 )
 from activestructure_gym.evaluation.report.tables.layout import (
     MISSING,
@@ -39,23 +39,23 @@ from activestructure_gym.evaluation.statistics import (
     probability_of_improvement,
 )
 
-_FEW = 6  # pairs; of fewer not even all agreeing passes a two-sided sign test at 5 % (2 / 2^6 = 3 %)
+_FEW = 6  # minimum pairs: with fewer, a two-sided sign test at 5 % cannot be significant (2 / 2^6 = 3 %)
 
 
 @dataclass(frozen=True)
 class Lead:
-    """The leading policy in one metric, and its difference to the next."""
+    """Hold the best policy in one metric, and its difference to the second."""
 
     column: Column
     policy: str
     mean: Estimate
-    level: tuple[str, ...] = ()  # policies whose mean is printed alike; then nobody leads
+    tied: tuple[str, ...] = ()  # further policies with the same printed mean; then there is no lead
     runner_up: str | None = None
-    ahead: PairedDifference | None = None
+    margin: PairedDifference | None = None
 
 
 def leads(results: Results) -> list[Lead]:
-    """The best mean of every main metric, among the policies that finished on every scene; a reference leads nobody."""
+    """Return the best planner in each main metric, by the mean over scenes, of planners with a run on every scene."""
     found = []
     for column in measured(MAIN, results.runs):
         means = {
@@ -67,17 +67,17 @@ def leads(results: Results) -> list[Lead]:
             continue
         order = sorted(means, key=lambda policy: -column.sign * means[policy].value)
         first, second = order[0], order[1] if len(order) > 1 else None
-        level = tuple(p for p in order[1:] if _printed(means[p].value, column) == _printed(means[first].value, column))
-        ahead = None
-        if second is not None and not level:
-            ahead = paired_difference(results.cells(first, column.key), results.cells(second, column.key))
-        found.append(Lead(column, first, means[first], level, second, ahead))
+        tied = tuple(p for p in order[1:] if _printed(means[p].value, column) == _printed(means[first].value, column))
+        margin = None
+        if second is not None and not tied:
+            margin = paired_difference(results.cells(first, column.key), results.cells(second, column.key))
+        found.append(Lead(column, first, means[first], tied, second, margin))
     return found
 
 
 @once
 def differences(results: Results, column: Column) -> dict[str, PairedDifference]:
-    """Every policy against the baseline in one metric, paired by scene and seed."""
+    """Return each policy's differences to the baseline in one metric, paired by scene and seed."""
     base = results.baseline
     if base is None:
         return {}
@@ -91,8 +91,8 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
 
 
 @once
-def can_tell(results: Results) -> bool:
-    """Whether intervals exist: a policy shares two seeds or more with the baseline wherever both ran."""
+def has_intervals(results: Results) -> bool:
+    """Return whether any policy shares at least two seeds with the baseline on each common scene."""
     finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
     theirs = finished.pop(results.baseline or "", set())
     pairs = [Counter(scene for scene, _ in own & theirs) for own in finished.values()]
@@ -100,10 +100,10 @@ def can_tell(results: Results) -> bool:
 
 
 def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
-    """Words and tone for a paired difference: its interval's side of 0; nothing without an interval.
+    """Return text and tone of a paired difference; both are empty without an interval.
 
-    The numbers are judged as they are printed: what is smaller than the last digit is neither better nor worse. A
-    resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
+    Printed values are compared, so differences below the last digit are equal. An interval of very few pairs excludes 0
+    as soon as all pairs agree; with fewer than `_FEW` pairs the text states their number.
     """
     exact = pair.difference
     if exact.low is None or exact.high is None:
@@ -113,9 +113,9 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
     if found.low == found.high == 0.0:
         return "equal as printed", ""
     if not found.excludes(0.0):
-        return "0 not excluded", ""
+        return "no significant difference", ""
     better = found.value * column.sign > 0
-    words = f"0 excluded: {'better' if better else 'worse'}"
+    words = f"{'better' if better else 'worse'} (95 %)"
     if pair.pairs < _FEW:
         return f"{words}, {pair.pairs} pairs only", ""
     return words, "good" if better else "bad"
@@ -123,10 +123,10 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
 
 @once
 def difference_table(results: Results) -> Table | None:
-    """A row per policy and metric: the paired difference to the baseline with its interval, and what it excludes."""
+    """Return a row per policy and metric: paired difference to the baseline, interval, verdict, numbers of pairs."""
     rows: list[list[Cell]] = []
     blocks: list[int] = []
-    chance_known = can_tell(results)
+    intervals = has_intervals(results)
     for policy in results.policies:
         if policy == results.baseline:
             continue
@@ -134,12 +134,12 @@ def difference_table(results: Results) -> Table | None:
         for column in measured(dict.fromkeys((*MAIN, *quality_columns(results.runs), *PROGRESS)), results.runs):
             pair = differences(results, column).get(policy)
             both = (*results.of(policy), *results.of(results.baseline))
-            if pair is None or all(exceeded(run, column.key) for run in both):
+            if pair is None or all(is_lower_bound(run, column.key) for run in both):
                 continue
             wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
             row = [Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True)]
             row.append(Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs))
-            if chance_known:
+            if intervals:
                 words, tone = verdict(pair, column)
                 row.insert(3, Cell(words or MISSING, tone=tone))
                 row.append(with_interval(_improvement(results, policy, results.baseline or "", column), 2))
@@ -150,23 +150,23 @@ def difference_table(results: Results) -> Table | None:
     if not rows:
         return None
     headings = [Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference")]
-    headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: as printed"))
-    caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes"
+    headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: same printed value"))
+    caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over scenes"
     if measured(PROGRESS, results.runs):
-        caption += "; frames to a share of the surface are the budget where it was not reached"
-        caption += f". {missing}" if (missing := unreached(results.runs)) else ""
-    if chance_known:
+        caption += "; runs that did not reach a share of the surface count with the frame budget"
+        caption += f". {missing}" if (missing := unreached_levels_text(results.runs)) else ""
+    if intervals:
         headings.insert(3, Heading("Verdict", numeric=False))
         headings.append(Heading("P(improvement)"))
         caption += (
-            "; 95 % stratified bootstrap intervals. Verdicts are about the numbers as printed: what is smaller than "
-            "the last digit is equal"
+            "; 95 % stratified bootstrap intervals. Better or worse (95 %): the printed interval excludes 0. "
+            "Differences below the last printed digit are equal"
         )
     return Table("differences", f"Against {results.baseline}", headings, rows, caption, blocks=blocks)
 
 
 def improvement_table(results: Results, column: Column) -> Table | None:
-    """Every policy against every other: the probability that a run of the row is better than one of the column."""
+    """Return the probability that a run of the row's policy is better than one of the column's policy."""
     policies = [policy for policy in results.policies if results.strata(policy, column.key) is not None]
     if len(policies) < 2:
         return None
@@ -186,14 +186,13 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         f"Probability of improvement in {column.header}",
         [Heading("row better than column", numeric=False), *(Heading(policy) for policy in policies)],
         rows,
-        "P(X > Y) + P(X = Y) / 2 within a scene, averaged over the scenes; coloured where the 95 % interval excludes "
-        "1/2",
+        "P(X > Y) + P(X = Y) / 2 within a scene, averaged over scenes; coloured if the 95 % interval excludes 1/2",
     )
 
 
 @once
 def aggregate_table(results: Results) -> Table:
-    """Mean, median and interquartile mean of every metric, with intervals."""
+    """Return mean, median and interquartile mean of every metric, with intervals."""
     rows: list[list[Cell]] = []
     blocks: list[int] = []
     for column in quality_columns(results.runs):
@@ -210,15 +209,15 @@ def aggregate_table(results: Results) -> Table:
     headings = [Heading("Metric", numeric=False), Heading("Statistic", numeric=False)]
     headings += [Heading(policy) for policy in results.policies]
     caption = (
-        "Mean: over scenes of the mean over runs. Median: over scenes of the mean over runs (with one scene, over its "
-        "runs). IQM: mean of the middle half of all runs"
+        "Mean: mean over scenes of the means over runs. Median: median over scenes of the means over runs; with one "
+        "scene, median over its runs. IQM (interquartile mean): mean of the middle half of all runs"
     )
     return Table("aggregates", "Mean, median, interquartile mean", headings, rows, caption, blocks=blocks)
 
 
 @once
 def area_table(results: Results) -> Table:
-    """Area under the convergence curves, normalised by the budget, for every measure and cost."""
+    """Return areas under the convergence curves, divided by the budget, for every measure and cost."""
     columns = []
     for measure in measures_of(results):
         column = Column.of(measure.metric)
@@ -229,15 +228,15 @@ def area_table(results: Results) -> Table:
     rows = [[Cell(policy), *(cells[k] for _, cells in columns)] for k, policy in enumerate(results.policies)]
     headings = [Heading("Policy", numeric=False), *(heading for heading, _ in columns)]
     caption = (
-        "Mean height of the curve up to the budget: the frame budget; for metres and seconds the least that any run on "
-        "the scene spent, so that nothing is extrapolated"
+        "Area under the curve up to the budget, divided by the budget. It is the frame budget, and for metres and "
+        "seconds the lowest total of any run on the scene"
     )
     return Table("areas", "Area under the curves", headings, rows, caption)
 
 
 @once
 def cost_table(results: Results) -> Table:
-    """Costs of the episodes, planning and mapping apart; a collision is marked as an alarm."""
+    """Return the costs of the episodes; collisions are marked as an alarm."""
     columns = measured(COSTS, results.runs)
     rows = []
     for policy in results.policies:
@@ -253,15 +252,15 @@ def cost_table(results: Results) -> Table:
                 row.append(cell)
         rows.append(row)
     caption = (
-        "Means over all runs; collisions: executed steps through the true mesh, in all runs together (must be 0). "
-        "Seconds of wall clock: planning = candidates, paths, features and the policy; mapping = the Gaussian map"
+        "Means over all runs. Collisions: sum over all runs of executed steps through the true mesh; it must be 0. "
+        "Wall-clock seconds: planning is candidates, paths, features and the policy; mapping is the Gaussian map"
     )
     return Table("costs", "Costs", [Heading("Policy", numeric=False), *map(Heading.of, columns)], rows, caption)
 
 
 @once
 def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Estimate | None:
-    """Over the scenes that both finished."""
+    """Return the probability of improvement over the scenes that both policies finished."""
     strata = [
         (mine, other)
         for scene in results.scenes

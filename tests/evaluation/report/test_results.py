@@ -118,8 +118,8 @@ def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):
     other.__dict__["job"] = dataclasses.replace(other.job, conditions=Conditions(protocol=StandardProtocol(views=3)))
     with pytest.raises(InputError, match="protocol views: 64, 3"):
         Results([new, other], [])
-    assert ratios_text(new) == "C.R. 80.0 %, of the surface 85.0 %, observed 91.2 %"
-    assert ratios_text(other) == "C.R. 80.0 %, of the surface –, observed –"
+    assert ratios_text(new) == "C.R. 80.0 %, C.R. surface 85.0 %, observed 91.2 %"
+    assert ratios_text(other) == "C.R. 80.0 %, C.R. surface –, observed –"
     shown = {run.policy: [column.header for column in aspects([run])[0].columns] for run in (new, other)}
     assert shown["b"][2:5] == ["C.R.", "C.R. surface", "observed"]
     assert shown["random"][2:4] == ["C.R.", "Prec."]

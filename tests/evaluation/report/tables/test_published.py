@@ -53,8 +53,8 @@ def test_a_system_of_the_paper_stands_beside_its_counterpart_here(make_run):
     assert own[:4] == ["NARUTO", "active", "here: naruto", "2 of Replica"] and own[7].startswith("25.25")
     assert found[-1][:4] == ["mine", "active", "here", "1 of Replica"] and found[-1][7].startswith("20.50")
     assert "another dataset" not in table.caption and "60.15" in next(row for row in found if row[0] == "ActiveINR")
-    assert "by its scene's name alone" in table.caption
-    assert "by its scene's name alone" in scenes_table(REPLICA, Results(runs, [])).caption
+    assert "by their scene's name alone" in table.caption
+    assert "by their scene's name alone" in scenes_table(REPLICA, Results(runs, [])).caption
     by_scene = rows(scenes_table(REPLICA, Results(runs, [])))
     naruto = next(row for row in by_scene if row[0] == "naruto, here" and row[1].startswith("PSNR"))
     assert naruto[2:] == ["–", "–", "20.50", "–", "–", "30.00", "–", "–", "–"]  # no average of two out of eight

@@ -6,10 +6,10 @@ from activestructure_gym.evaluation.report.tables.columns import QUALITY
 from activestructure_gym.evaluation.report.tables.verdicts import (
     aggregate_table,
     area_table,
-    can_tell,
     cost_table,
     difference_table,
     differences,
+    has_intervals,
     improvement_table,
     leads,
     verdict,
@@ -43,9 +43,9 @@ def test_a_difference_says_whether_zero_is_excluded_and_which_way_is_better(grid
     results = grid()
     psnr = differences(results, COLUMNS["psnr"])["b"]
     assert psnr.difference.value == 3.5 and psnr.difference.low > 2.0
-    assert verdict(psnr, COLUMNS["psnr"]) == ("0 excluded: better", "good")
+    assert verdict(psnr, COLUMNS["psnr"]) == ("better (95 %)", "good")
     accuracy = differences(results, COLUMNS["accuracy_cm"])["b"]
-    assert verdict(accuracy, COLUMNS["accuracy_cm"]) == ("0 excluded: worse", "bad")
+    assert verdict(accuracy, COLUMNS["accuracy_cm"]) == ("worse (95 %)", "bad")
     ssim = differences(results, COLUMNS["ssim"])["b"]
     assert verdict(ssim, COLUMNS["ssim"]) == ("equal as printed", "")
 
@@ -53,11 +53,11 @@ def test_a_difference_says_whether_zero_is_excluded_and_which_way_is_better(grid
 @pytest.mark.parametrize(
     ("difference", "words"),
     [
-        ((-0.003, -0.006, 0.0), "0 not excluded"),  # printed: 0.00 [-0.01, 0.00]
+        ((-0.003, -0.006, 0.0), "no significant difference"),  # printed: 0.00 [-0.01, 0.00]
         ((-0.003, -0.004, -0.001), "equal as printed"),  # printed: 0.00 [0.00, 0.00]
-        ((-0.012, -0.02, -0.004), "0 not excluded"),  # printed: -0.01 [-0.02, 0.00]
-        ((-0.012, -0.02, -0.006), "0 excluded: better"),  # printed: -0.01 [-0.02, -0.01]
-        ((0.012, 0.006, 0.02), "0 excluded: worse"),
+        ((-0.012, -0.02, -0.004), "no significant difference"),  # printed: -0.01 [-0.02, 0.00]
+        ((-0.012, -0.02, -0.006), "better (95 %)"),  # printed: -0.01 [-0.02, -0.01]
+        ((0.012, 0.006, 0.02), "worse (95 %)"),
         ((-0.003, None, None), ""),
     ],
 )
@@ -73,14 +73,14 @@ def test_what_is_smaller_than_the_last_digit_is_neither_better_nor_worse_anywher
     assert [cell.text for cell in row[2:5]] == ["0.00 [0.00, 0.00]", "equal as printed", "0 / 8 / 0"]
     assert row[3].tone == "" and row[5].text == "0.50 [0.50, 0.50]"
     lead = next(lead for lead in leads(results) if lead.column.key == "depth_l1_cm")
-    assert {lead.policy, *lead.level} == {"a", "b"} and lead.ahead is None
+    assert {lead.policy, *lead.tied} == {"a", "b"} and lead.margin is None
 
 
 def test_few_pairs_are_said(grid):
     results = grid()
     few = Results([run for run in results.runs if run.job.seed < 2], [], "a")
     words, tone = verdict(differences(few, COLUMNS["psnr"])["b"], COLUMNS["psnr"])
-    assert words == "0 excluded: better, 4 pairs only" and not tone
+    assert words == "better (95 %), 4 pairs only" and not tone
     one = Results([run for run in results.runs if run.job.seed < 1], [], "a")
     assert verdict(differences(one, COLUMNS["psnr"])["b"], COLUMNS["psnr"]) == ("", "")
     assert [heading.text for heading in difference_table(one).headings][2:] == ["Difference", "better / equal / worse"]
@@ -90,8 +90,8 @@ def test_few_pairs_are_said(grid):
 def test_chance_can_be_told_from_two_pairs_on_every_scene(make_run, seeds, told):
     counts = dict(zip(("room", "box"), seeds))
     runs = [make_run(scene, policy, seed) for scene, n in counts.items() for policy in "ab" for seed in range(n)]
-    assert can_tell(Results(runs, [], "a")) is told
-    assert can_tell(Results([run for run in runs if run.policy == "a"], [])) is False
+    assert has_intervals(Results(runs, [], "a")) is told
+    assert has_intervals(Results([run for run in runs if run.policy == "a"], [])) is False
 
 
 def test_the_table_of_differences(grid, make_run):
@@ -116,7 +116,7 @@ def test_improvement_adds_up_to_one_and_is_coloured_where_it_is_sure(grid):
 def test_who_leads_and_by_how_much(grid):
     found = {lead.column.key: lead for lead in leads(grid())}
     assert found["psnr"].policy == "b" and found["psnr"].runner_up == "a"
-    assert found["psnr"].ahead.difference.value == 3.5
+    assert found["psnr"].margin.difference.value == 3.5
     assert list(found) == ["completion_ratio", "psnr"]  # in the order of the cards; Acc has none
 
 

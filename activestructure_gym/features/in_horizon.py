@@ -1,4 +1,4 @@
-"""Test whether a view is inside the bounding box that the newest keyframe of the path has seen."""
+"""Test whether a view is inside the region observed by the newest keyframe after a movement."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ class BaseMapperConfig:
     name: str = ""  # registered name of the mapper, or package.module:Name
     backend: str = "cpu"  # cpu (our kernels), gsplat (CUDA), reference (torch), or package.module:Name
     iterations: int = 5  # per keyframe (row C15; 15 for higher quality)
-    keyframe_reduction: int = 1  # factor on the image size of stored keyframes, per side; seeds use all pixels
+    keyframe_reduction: int = 1  # divides the image size of stored keyframes, per side; seeds use all pixels
     tracking: TrackingConfig = field(default_factory=TrackingConfig)  # tracking of keyframe poses; off by default
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Register mappers by name; an entry is a configuration, which makes the mapper."""
+"""Register mappers by name; an entry is the configuration that makes the mapper."""
 
 from __future__ import annotations
 

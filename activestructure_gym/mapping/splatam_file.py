@@ -143,7 +143,9 @@ def splatam_path(
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """Return ``world_from_first``: the given one, else that of the file, else from poses that start off the identity.
+    """Return the world pose of the first camera: the given one, else that of the file, else the first true pose.
+
+    If the true poses start with the identity, the result is the identity, with a warning.
 
     Raises `InputError` if it is not a rigid motion.
     """

@@ -35,7 +35,7 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
         "angle without overlap, radians": (gs, "OVERLAP_RAD"),
     },
     "hgs_planner": {
-        "gain worth going for": (hgs, "WORTH"),
+        "gain worth going for": (hgs, "MIN_COVERAGE"),
         "half the local window, metres": (hgs, "LOCAL_M"),
         "side of the parts of the tour, metres": (hgs, "CUBOID_M"),
         "least G_cov that counts as the best": (information, "MIN_COVERAGE"),

@@ -1,7 +1,7 @@
-"""Policies that were trained: one small network over the candidate set, found as ``learned:CHECKPOINT``.
+"""Provide trained policies: a small network over the set of candidates, named ``learned:CHECKPOINT``.
 
-Light to import: torch is loaded by the first decision, stable-baselines3 by `CandidatePolicy`, sb3-contrib (which is no
-dependency) by `MaskableCandidatePolicy`.
+Importing this package is fast. The first decision loads torch, `CandidatePolicy` loads stable-baselines3, and
+`MaskableCandidatePolicy` loads sb3-contrib, which is not a dependency.
 """
 
 from typing import Any

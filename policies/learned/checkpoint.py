@@ -1,4 +1,7 @@
-"""Checkpoints: ``NAME.safetensors`` with ``NAME.json`` beside it. Reading the description needs no torch."""
+"""Read and write checkpoints: weights in ``NAME.safetensors``, their description in ``NAME.json``.
+
+Reading the description does not load torch.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +24,20 @@ if TYPE_CHECKING:
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
 FORMAT = 1
-MAX_WEIGHT_BYTES = 256 << 20  # bytes
-_MAX_HEADER_BYTES, _MAX_DESCRIPTION_BYTES = 1 << 20, 4 << 20  # bytes: of the tensors' names and shapes; of the JSON
+MAX_WEIGHT_BYTES = 256 << 20  # maximum size of the weights' file, bytes
+_MAX_HEADER_BYTES = 1 << 20  # maximum size of the tensors' names and shapes, bytes
+_MAX_DESCRIPTION_BYTES = 4 << 20  # maximum size of the JSON file, bytes
 WEIGHTS = ".safetensors"
-_DIGITS = 8
-_BEST = "best"  # of a folder: a training run's directory, or one that somebody saved into
+_DIGITS = 8  # hex digits of a checkpoint's hash
+_BEST = "best"  # name of the checkpoint in a folder, such as a training run's directory
 _NO_QUESTION_MARK = "a checkpoint's path may hold no '?', behind which a policy's options begin; rename it"
 
 
 def find_checkpoint(place: str | os.PathLike[str]) -> Path:
-    """The weights' file that ``place`` means: the file, its JSON, its name without an ending, or its folder.
+    """Return the path of the weights' file of a checkpoint.
 
-    Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
+    ``place`` is the file, its JSON file, its name without suffix, or its folder. Raises `InputError` if one of the two
+    files is missing, or if the path contains a '?'.
     """
     path = Path(os.path.expanduser(place))
     weights = weights_at(path)
@@ -50,10 +55,10 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 
 
 def weights_at(place: str | os.PathLike[str]) -> Path:
-    """The weights' file of a checkpoint called ``place``, with or without an ending, whether or not it is there.
+    """Return the path of the weights' file of the checkpoint ``place``, which need not exist.
 
-    In a folder that is there it is ``best``, where it is written as where it is read. Raises `InputError` for a path
-    with a '?'.
+    ``place`` is the file, its JSON file, its name without suffix, or an existing folder, in which the checkpoint is
+    named ``best``. Raises `InputError` for a path with a '?'.
     """
     path = Path(os.path.expanduser(place))
     if "?" in str(path.absolute()):
@@ -66,7 +71,7 @@ def weights_at(place: str | os.PathLike[str]) -> Path:
 
 
 def digest(weights: Path) -> str:
-    """Eight hex digits over weights and description: a checkpoint that changes is another policy."""
+    """Return a hash of weights and description in eight hex digits; it identifies the policy in recorded runs."""
     check_size(weights)
     content = hashlib.sha256(weights.read_bytes())
     content.update(json.dumps(_described(weights)["network"], sort_keys=True).encode())
@@ -74,16 +79,16 @@ def digest(weights: Path) -> str:
 
 
 def check_size(file: Path, most: int = MAX_WEIGHT_BYTES) -> None:
-    """Raise `InputError` for a file larger than any of ours."""
+    """Raise `InputError` for a file of more than ``most`` bytes."""
     size = file.stat().st_size
     if size > most:
         raise InputError(f"'{file}' has {size:,} bytes, a checkpoint has at most {most:,}")
 
 
 def read_network_config(weights: Path) -> NetworkConfig:
-    """The shape of the network, from the description beside the weights.
+    """Return the network's configuration from the description next to the weights.
 
-    Raises `InputError`, also for features that are code, see `registry.refuse_code`.
+    Raises `InputError` for an invalid description, and for features that name Python code (`registry.refuse_code`).
     """
     file = weights.with_suffix(".json")
     content = _described(weights)["network"]
@@ -98,7 +103,7 @@ def read_network_config(weights: Path) -> NetworkConfig:
 
 
 def save_checkpoint(weights: Path, network: CandidateNetwork, notes: Mapping[str, Any]) -> None:
-    """Write both files, each at once; ``notes`` say how it was trained."""
+    """Write both files, each atomically; ``notes`` describe the training."""
     from safetensors.torch import save
 
     tensors = {name: tensor.detach().contiguous() for name, tensor in network.state_dict().items()}
@@ -109,7 +114,7 @@ def save_checkpoint(weights: Path, network: CandidateNetwork, notes: Mapping[str
 
 
 def load_network(weights: Path) -> CandidateNetwork:
-    """The network of a checkpoint; raises `InputError` if weights and description do not fit."""
+    """Return the network of a checkpoint; raise `InputError` if weights and description do not match."""
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
     network = CandidateNetwork(read_network_config(weights))
@@ -123,13 +128,14 @@ def load_network(weights: Path) -> CandidateNetwork:
 
 def read_tensors(
     file: Path,
-    expected: Mapping[str, tuple[int, ...]] | None = None,  # shapes by name: exactly these
+    expected: Mapping[str, tuple[int, ...]] | None = None,  # shapes by name that the file must have; None for any
     *,
-    most: int = MAX_WEIGHT_BYTES,  # bytes
+    most: int = MAX_WEIGHT_BYTES,  # maximum size of the file, bytes
 ) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Tensors and notes of a safetensors file, all of them float32 and finite; nothing is read of a file with others.
+    """Return the tensors and notes of a safetensors file.
 
-    Raises `InputError`.
+    Raises `InputError` for a damaged or too large file, and for tensors that have other shapes than ``expected``, that
+    are not float32, or that contain values that are not finite.
     """
     import torch
     from safetensors import SafetensorError, safe_open
@@ -163,6 +169,7 @@ def read_tensors(
 
 
 def _described(weights: Path) -> dict[str, Any]:
+    """Return the content of the JSON file; raise `InputError` if it is not a description of this format."""
     file = weights.with_suffix(".json")
     try:
         check_size(file, _MAX_DESCRIPTION_BYTES)
@@ -180,6 +187,7 @@ def _described(weights: Path) -> dict[str, Any]:
 
 
 def _replace(path: Path, content: bytes) -> None:
+    """Write a file atomically, and its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path, durable=True) as file:
         file.write(content)

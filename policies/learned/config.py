@@ -1,4 +1,4 @@
-"""Configuration of the network, kept beside the weights. No torch in here."""
+"""Define the network's configuration, stored next to the weights. This module does not load torch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, listed, short_repr
 
-# The entries of the observation that the network reads; all others can be dropped before training.
+# Entries of the observation that the network reads. The others can be removed before training.
 USED_KEYS = (
     "pose",
     "budget",
@@ -22,23 +22,23 @@ USED_KEYS = (
     "candidate_planes",
 )
 
-# Those of them that tell of the Plane Scene Graph.
+# Entries of the Plane Scene Graph.
 PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
 
-# Least and most of every size: a checkpoint of a stranger must not fill the memory.
+# Minimum and maximum of every size, so that a checkpoint from an unknown source cannot exhaust the memory.
 LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
 MAX_FEATURES = 64
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of the candidate-set network. The numbers of candidates and planes are free: it is a function of sets."""
+    """Define the sizes of the candidate-set network, which accepts any number of candidates and planes."""
 
     features: tuple[str, ...] = ("pixel", "hole_area")  # columns of ``candidate_features``, in this order
-    planes: int = 32  # channels of a plane
-    candidates: int = 48  # channels of a candidate
-    rounds: int = 2  # of passing messages between neighbouring planes
-    use_planes: bool = True  # False: an empty Plane Scene Graph is given to the network, for an ablation
+    planes: int = 32  # channels per plane
+    candidates: int = 48  # channels per candidate
+    rounds: int = 2  # rounds of message passing between neighbouring planes
+    use_planes: bool = True  # False: the network gets an empty Plane Scene Graph, for an ablation
 
     def __post_init__(self) -> None:
         features = self.features
@@ -57,12 +57,12 @@ class NetworkConfig:
             raise InputError(f"use_planes of the network must be true or false, got {short_repr(self.use_planes)}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the fields as plain values for JSON."""
         return {**dataclasses.asdict(self), "features": list(self.features)}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> NetworkConfig:
-        """The configuration that `as_dict` described; raises `InputError` for anything else."""
+        """Return the configuration from the result of `as_dict`; raise `InputError` for other content."""
         known = {field.name for field in dataclasses.fields(cls)}
         # The shipped checkpoint has no ``use_planes``.
         if not isinstance(content, Mapping) or set(content) | {"use_planes"} != known:

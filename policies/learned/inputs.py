@@ -1,8 +1,9 @@
-"""The network's inputs from observations, scaled by physical ranges.
+"""Compute the network's inputs from observations, scaled by physical ranges.
 
-No running statistics: those of a set-valued entry would be per row, which breaks equivariance and is spoilt by empty
-rows (stable-baselines3's VecNormalize does so). Places and directions are told in the camera's heading frame (at the
-camera, x along its horizontal viewing direction, z up), so a turned or moved world looks the same.
+Shapes: B observations, K candidates, P planes, G feature columns. There are no running statistics such as those of
+stable-baselines3's VecNormalize: they would be per row, which breaks equivariance, and empty rows would distort them.
+Positions and directions are in the camera's heading frame: origin at the camera, x along its horizontal view direction,
+z up. The inputs therefore do not change if the world is rotated about z or shifted.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 
 Tensors = Mapping[str, Tensor]
 
-_REACH = 5.0  # metres that count as 1: the farthest a plane may be to be seen
-_MAX_DISTANCE = 4.0  # in units of the reach; larger distances count as this one
-_TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-_MIN_GAIN = 1e-3  # features below a thousandth of an image count linearly, larger ones by their logarithm
+_REACH = 5.0  # metres, unit of lengths; planes farther away are not visible
+_MAX_DISTANCE = 4.0  # bound of lengths, in units of the reach
+_TRAVEL_FRAMES = 5.0  # of the shared travel discount 1 / (1 + frames / 5)
+_MIN_GAIN = 1e-3  # features below this value enter linearly, larger ones by their logarithm
 
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
 _PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
 
-# Columns of the plane table that lie in 0..1 already.
+# Columns of the plane table with values in 0..1.
 _UNIT_COLUMNS = (
     "quality_coverage", "quality_density", "quality_fit", "quality_observations", "quality_boundary",
     "quality_normals", "quality_stability", "quality_interior", "quality", "surprise_connectivity",
@@ -32,35 +33,35 @@ _UNIT_COLUMNS = (
 )  # fmt: skip
 
 PLANE_INPUTS = 3 + 3 + 1 + 4 + len(_UNIT_COLUMNS)
-CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # and INPUTS_PER_FEATURE for every gain
-# Of the candidates' inputs: height above the camera and revisit. In the preset `fast` both are always 0, so weights
-# drawn for them would never be learnt and would only add noise in the presets where they vary.
+CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # plus INPUTS_PER_FEATURE for each feature column
+# Indices of two candidate inputs, height above the camera and revisit. In the preset `fast` both are always 0. Random
+# initial weights for them would not be trained there, and would add noise in presets where the inputs vary.
 CONSTANT_IF_FAST = (2, 9)
 INPUTS_PER_FEATURE = 3
-GLOBAL_INPUTS = 3  # and one for every gain
+GLOBAL_INPUTS = 3  # plus one for each feature column
 
 
 def heading(pose: Tensor) -> tuple[Tensor, Tensor]:  # [B, 7] -> [B, 3] position, [B, 2] (cos, sin) of the yaw
-    """Position and yaw direction of the camera; (0, 0) where it looks straight up or down."""
+    """Return the position and the yaw direction of the camera; (0, 0) for a vertical view direction."""
     w, x, y, z = pose[:, 3:].unbind(-1)
-    forward = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], -1)  # of the optical axis, horizontal part
+    forward = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], -1)  # horizontal part of the optical axis
     return pose[:, :3], forward / (forward.norm(dim=-1, keepdim=True) + 1e-6)
 
 
 def turned(vectors: Tensor, yaw: Tensor) -> Tensor:  # [B, N, 3], [B, 2] -> [B, N, 3]
-    """World vectors in the heading frame."""
+    """Rotate world vectors into the heading frame."""
     cosine, sine = yaw[:, None, 0], yaw[:, None, 1]
     x, y, z = vectors.unbind(-1)
     return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
 
 
 def near(offsets: Tensor) -> Tensor:
-    """Metres in units of the reach, cut off far away."""
+    """Convert metres to units of the reach, limited to ±`_MAX_DISTANCE`."""
     return (offsets / _REACH).clamp(-_MAX_DISTANCE, _MAX_DISTANCE)
 
 
 def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
-    """Every plane as the camera has it before it; 0 in rows without a plane."""
+    """Return plane features in the camera's heading frame; 0 in padded rows."""
     table, present = observation["plane_features"], observation["plane_mask"]
     position, yaw = heading(observation["pose"])
     normals = table[..., plane_columns("normal_x", "normal_y", "normal_z")]
@@ -83,10 +84,10 @@ def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
 
 
 def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS + INPUTS_PER_FEATURE G]
-    """Every candidate: where it is, what it costs, what it would see, and its features; 0 in rows without one.
+    """Return pose, travel cost, visible planes and features of every candidate; 0 in padded rows.
 
-    A gain g comes three times: its size as log(1 + g / 0.001) / 7, and as shares of the largest valid one without and
-    with the travel discount, so that the greedy planners are simple functions of the inputs.
+    A feature g has three inputs: log(1 + g / 0.001) / 7, and g over the largest valid one, without and with the travel
+    discount. Greedy planners are simple functions of these inputs.
     """
     table, valid = observation["candidates"], observation["action_mask"][..., None]
     position, yaw = heading(observation["pose"])
@@ -115,17 +116,18 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
 
 
 def feature_sizes(features: Tensor) -> Tensor:
-    """About 1 for a gain of 1, 0 for none; the sign is kept."""
+    """Return sign(g) log(1 + |g| / 0.001) / 7, which is about 1 for g = 1."""
     return features.sign() * (features.abs() / _MIN_GAIN).log1p() / 7
 
 
 def _shares(features: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> [B, K, G] in -1..1
+    """Return the features over the largest magnitude among valid candidates; 0 if that is 0."""
     largest = (features.abs() * valid).amax(dim=1, keepdim=True)
     return features / largest.clamp(min=1e-12) * (largest > 0)
 
 
 def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
-    """Remaining budget, log counts of candidates and planes, and the largest valid value of every feature."""
+    """Return remaining budget, log counts of candidates and planes, and the largest valid value of each feature."""
     valid = observation["action_mask"]
     counts = [valid.sum(-1, keepdim=True).log1p() / 6, observation["plane_mask"].sum(-1, keepdim=True).log1p() / 4]
     most = (feature_sizes(observation["candidate_features"]) * valid[..., None]).amax(dim=1)
@@ -133,7 +135,7 @@ def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
 
 
 def plane_links(observation: Tensors) -> Tensor:  # [B, P, P]
-    """Row-normalised adjacency with self-loops: exp(-w_ij) where there is an edge (Eq. 4: small = reliable)."""
+    """Return the row-normalised adjacency with self-loops: exp(-w_ij) for each edge (Eq. 4: small = reliable)."""
     weights, present = observation["plane_edges"], observation["plane_mask"]
     links = (-weights).exp() * (weights > 0) + torch.eye(weights.shape[-1], device=weights.device)
     links = links * present[:, None, :]

@@ -1,6 +1,6 @@
-"""The candidate-set network inside sb3-contrib's MaskablePPO, which takes policies of its own kind alone.
+"""Adapt the candidate-set network to sb3-contrib's MaskablePPO: ``MaskablePPO(MaskableCandidatePolicy, env)``.
 
-``MaskablePPO(MaskableCandidatePolicy, env)``; the environments offer the ``action_masks()`` it asks for.
+MaskablePPO accepts only subclasses of its own policies, and needs the ``action_masks()`` that the environments have.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from activestructure_gym.policies.learned.sb3 import CandidateHeads
 
 
 class MaskableCandidatePolicy(CandidateHeads, MaskableMultiInputActorCriticPolicy):
-    """Actor and critic of the candidate-set network, as `CandidatePolicy` has them.
+    """Provide actor and critic of the candidate-set network to MaskablePPO, as `CandidatePolicy` does to PPO.
 
-    A row without a candidate is ruled out by the network and by the masks that MaskablePPO brings; those of a wrapper
-    may close more rows, and open none.
+    The network masks rows without a candidate; the masks of MaskablePPO or of a wrapper can only mask more rows.
     """

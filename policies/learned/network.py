@@ -1,9 +1,10 @@
-"""The candidate-set network: one score per candidate view, and a value of the state.
+"""Define the candidate-set network: one score per candidate view, and a value of the state.
 
-A flat network over the candidate table learns nothing, since a row's content changes place from step to step; the
-same small head applied to every row reaches a greedy expert within a few thousand steps
-(docs/notebook/groundwork.md). Planes pass messages along the edges of the Plane Scene Graph and reach a candidate
-through the planes it would see. Renumbering candidates renumbers the scores, renumbering planes changes nothing.
+The same small head is applied to every row of the candidate table. It reaches a greedy expert within a few thousand
+steps. A flat network over the table learns nothing, because rows change their order in every step
+(docs/notebook/groundwork.md). Planes pass messages along the edges of the Plane Scene Graph, and a candidate gets the
+messages of the planes it would see. Scores are equivariant to permutations of candidates and invariant to permutations
+of planes.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from torch import Tensor, nn
 from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 
-MASKED = -1e8  # the score of a row without a candidate: finite, so that entropies stay finite
+MASKED = -1e8  # score of a row without a candidate; finite, to keep entropies finite
 
 
 def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] -> [B, 2 C]
-    """Mean and maximum over the rows that count; 0 where none does."""
+    """Return mean and maximum over the rows with mask 1; 0 if there is none."""
     weights = mask[..., None]
     mean = (tokens * weights).sum(1) / weights.sum(1).clamp(min=1.0)
     most = torch.where(weights > 0, tokens, tokens.new_full((), -torch.inf)).amax(1)
@@ -29,7 +30,7 @@ def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] ->
 
 
 def _head(inputs: int, width: int) -> nn.Sequential:
-    """Two layers to one number that begins near 0: all candidates about equally likely."""
+    """Return two layers to one output, initially near 0, so that all candidates are about equally likely."""
     last = nn.Linear(width, 1)
     nn.init.normal_(last.weight, std=0.01)
     nn.init.zeros_(last.bias)
@@ -37,9 +38,10 @@ def _head(inputs: int, width: int) -> nn.Sequential:
 
 
 class CandidateNetwork(nn.Module):
-    """Scores of candidates and the value of the state, from observations of `USED_KEYS` in batches."""
+    """Compute scores of candidates and the value of the state from batches of observations (`USED_KEYS`)."""
 
     def __init__(self, config: NetworkConfig) -> None:
+        """Create the layers with random weights."""
         super().__init__()
         self.config = config
         planes, width, features = config.planes, config.candidates, len(config.features)
@@ -55,10 +57,10 @@ class CandidateNetwork(nn.Module):
         self.critic = _head(pooled, width)
 
     def forward(self, observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:  # [B, K], [B]
-        """Scores, `MASKED` in rows without a candidate, and values.
+        """Return scores, `MASKED` in rows without a candidate, and values.
 
-        The critic only reads what the scorer has learnt to see: its errors do not reach the shared layers, so a
-        policy that begins from a copied expert is not bent by a critic that knows nothing yet.
+        Gradients of the critic do not reach the shared layers. An untrained critic therefore does not change a policy
+        that starts from a copied expert.
         """
         if not self.config.use_planes:
             observation = {**observation, **{key: torch.zeros_like(observation[key]) for key in PLANE_KEYS}}
@@ -81,10 +83,10 @@ class CandidateNetwork(nn.Module):
 
     @property
     def parameter_count(self) -> int:
-        """Numbers that are learnt."""
+        """Return the number of trainable parameters."""
         return sum(parameter.numel() for parameter in self.parameters())
 
 
 def as_tensors(observations: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
-    """The entries the network reads, as float32; a leading batch axis must be there already."""
+    """Return the entries that the network reads as float32 tensors; arrays need a leading batch axis."""
     return {key: torch.as_tensor(np.asarray(observations[key]), dtype=torch.float32) for key in USED_KEYS}

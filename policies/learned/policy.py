@@ -1,4 +1,4 @@
-"""A trained network as a policy like any other: ``learned:CHECKPOINT`` in every command, ``learned`` for our own."""
+"""Define the policies of trained networks: ``learned:CHECKPOINT``, and ``learned`` for the package's checkpoint."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ SHIPPED = Path(__file__).resolve().parent / "checkpoints" / "learned.safetensors
 
 
 class Learned(Policy):
-    """row* = argmax f(row, all rows, planes), f the score of the network; no random choice, no state between steps.
+    """Choose argmax f(row, all rows, planes), where f is the network's score. It has no random choice and no state.
 
-    A class for each checkpoint, made by `learned_from`, since an env is told by the class which features to evaluate.
+    `learned_from` creates a subclass for each checkpoint, since the class defines the required features.
     """
 
-    criterion = "the score of a small network over all candidates"
+    criterion = "score of a small network over all candidates"
     travel_term = "an input"
     source = "this project"
 
@@ -33,19 +33,20 @@ class Learned(Policy):
     spec: ClassVar[str]
 
     def __init__(self) -> None:
+        """Leave the weights unloaded until the first decision."""
         super().__init__()
         self._network: CandidateNetwork | None = None
         self._trace: dict[str, Any] = {}
 
     @property
     def network(self) -> CandidateNetwork:
-        """Loaded by the first decision."""
+        """Return the network; the first call loads it."""
         if self._network is None:
             self._network = load_network(self.checkpoint)
         return self._network
 
     def scores(self, observation: Observation) -> np.ndarray:  # [K]
-        """The network's score of every candidate; very low in rows without one."""
+        """Return the network's score of every candidate; -1e8 in rows without one."""
         import torch
 
         from activestructure_gym.policies.learned.network import as_tensors
@@ -57,8 +58,8 @@ class Learned(Policy):
             return self.network(as_tensors(entries))[0][0].numpy()
 
     def act(self, observation: Observation) -> int:
-        """The valid row with the highest score; the first of equals."""
-        best_valid(np.zeros(len(self.candidates(observation))), observation)  # before torch is loaded for nothing
+        """Return the valid row with the highest score; the first of equal ones."""
+        best_valid(np.zeros(len(self.candidates(observation))), observation)  # raises before torch is loaded
         scores = self.scores(observation)
         choice = best_valid(scores, observation)
         valid = scores[observation["action_mask"].astype(bool)]
@@ -66,23 +67,24 @@ class Learned(Policy):
         return choice
 
     def trace(self) -> dict[str, Any]:
-        """The chosen view's score, and how far it stood above the mean of all."""
+        """Return the chosen view's score, and its difference from the mean score of the valid views."""
         return self._trace
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The class is made at run time: it travels by name, and the weights are read again there.
-        return _again, (self.spec,), {**self.__dict__, "_network": None}
+        # The class is created at run time, so a pickle stores its spec. The weights are loaded again when needed.
+        return _from_spec, (self.spec,), {**self.__dict__, "_network": None}
 
 
-def _again(spec: str) -> Policy:
+def _from_spec(spec: str) -> Policy:
     return POLICIES.get(spec)()
 
 
 @POLICIES.register_family("learned")
 def learned_from(place: str) -> type[Learned]:
-    """The policy of a checkpoint: ``FILE.safetensors``, the same without an ending, or a training run's directory.
+    """Return the policy class of a checkpoint.
 
-    ``FILE@1a2b3c4d`` says which content is meant. Raises `InputError` if it is not there, or another one.
+    ``place`` is ``FILE.safetensors``, ``FILE`` or a training run's directory. ``FILE@1a2b3c4d`` also requires the hash
+    of its content. Raises `InputError` if the checkpoint is missing or has another hash.
     """
     path, at, expected = place.rpartition("@")
     if not at or len(expected) != 8 or Path(os.path.expanduser(place)).exists():
@@ -95,15 +97,15 @@ def learned_from(place: str) -> type[Learned]:
 
 
 def _policy_of(weights: Path, spec: str) -> type[Learned]:
-    features = read_network_config(weights).features
-    about = {
+    """Create the policy class of the weights' file."""
+    attributes = {
         "checkpoint": weights,
         "spec": spec,
-        "required_features": features,
-        "__module__": __name__,
-    }  # else it is "abc"
-    about["__doc__"] = Learned.__doc__
-    return type("Learned", (Learned,), about)
+        "required_features": read_network_config(weights).features,
+        "__module__": __name__,  # the default would be "abc"
+        "__doc__": Learned.__doc__,
+    }
+    return type("Learned", (Learned,), attributes)
 
 
 if SHIPPED.is_file():

@@ -1,10 +1,9 @@
-"""The candidate-set network inside stable-baselines3's PPO.
+"""Adapt the candidate-set network to stable-baselines3: ``PPO(CandidatePolicy, env)``.
 
-``PPO(CandidatePolicy, env)`` trains on any of our environments; with ``with_used_keys(env)`` it does so about twice as
-fast, since stable-baselines3 copies and converts every entry of an observation, images included. The mask is applied
-inside the policy, from the observation: plain PPO never samples a masked row, and nothing else is needed. For
-sb3-contrib's MaskablePPO, which brings the mask itself and takes policies of its own kind alone, there is
-`MaskableCandidatePolicy` (``maskable.py``).
+It trains on any environment of this package. ``with_used_keys(env)`` makes training about twice as fast, since
+stable-baselines3 copies and converts every entry of an observation, including images. The policy applies the action
+mask of the observation, so PPO never samples a masked row. `MaskableCandidatePolicy` (``maskable.py``) is the policy
+for sb3-contrib's MaskablePPO.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from activestructure_gym.policies.learned.network import CandidateNetwork
 
 
 def with_used_keys(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The env without the entries of the observation that the network does not read."""
+    """Wrap an env to remove the entries of the observation that the network does not read."""
     _refuse_others(env.observation_space)
     return gym.wrappers.FilterObservation(env, list(USED_KEYS))
 
@@ -45,9 +44,13 @@ def _refuse_others(space: gym.Space[Any]) -> None:
 
 
 class CandidateExtractor(BaseFeaturesExtractor):
-    """The whole network, as what stable-baselines3 calls a feature extractor: [B, K + 1], scores and value."""
+    """Wrap the whole network as a feature extractor of stable-baselines3; its output [B, K + 1] is scores and value."""
 
     def __init__(self, observation_space: spaces.Dict, network: Mapping[str, Any] | None = None) -> None:
+        """Create the network; ``network`` is a `NetworkConfig` as a dictionary.
+
+        Its default has the features of the observation space. Raises `InputError` if the space does not match.
+        """
         _refuse_others(observation_space)
         table = observation_space["candidate_features"]
         names: tuple[str, ...] | None = getattr(table, "names", None)
@@ -71,7 +74,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
         self.network = CandidateNetwork(config)
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Scores of all rows, then the value."""
+        """Return the scores of all rows, then the value."""
         mask = observations["action_mask"]
         if not ((mask == 0) | (mask == 1)).all():
             raise InputError(
@@ -83,27 +86,31 @@ class CandidateExtractor(BaseFeaturesExtractor):
 
 
 class _Split(nn.Module):
-    """Takes scores and value apart again, where stable-baselines3 has its two hidden networks."""
+    """Split scores and value; it replaces the two hidden networks of stable-baselines3."""
 
     def __init__(self, rows: int) -> None:
+        """Store the number of rows as the width of the scores."""
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = rows, 1
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return scores and value."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: Tensor) -> Tensor:
+        """Return the scores."""
         return features[:, :-1]
 
     def forward_critic(self, features: Tensor) -> Tensor:
+        """Return the value."""
         return features[:, -1:]
 
 
 class CandidateHeads(BasePolicy):
-    """Mixin before an actor-critic policy of stable-baselines3 that makes it one of the candidate-set network.
+    """Replace the networks of an actor-critic policy of stable-baselines3 by the candidate-set network; a mixin.
 
-    ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its features;
-    `begin_from` copies a checkpoint of ours, and `save_learned` writes one.
+    ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the sizes and the features of the network.
+    `begin_from` copies the weights of a checkpoint, and `save_learned` writes a checkpoint.
     """
 
     features_dim: Any
@@ -120,37 +127,40 @@ class CandidateHeads(BasePolicy):
         network: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
+        """Create the policy; ``network`` is a `NetworkConfig` as a dictionary, ``options`` are the base class's."""
         options.setdefault("features_extractor_class", CandidateExtractor)
         options.setdefault("features_extractor_kwargs", {"network": network})
         options["ortho_init"] = False
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Any) -> None:
+        """Create the optimiser, and identity layers in place of the heads."""
         self.mlp_extractor = _Split(self.features_dim - 1)
         self.action_net, self.value_net = nn.Identity(), nn.Identity()
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     @property
     def network(self) -> CandidateNetwork:
-        """The network itself, to be saved or copied."""
+        """Return the network."""
         return self.features_extractor.network  # type: ignore[return-value,union-attr]
 
     def begin_from(self, place: str | os.PathLike[str]) -> None:
-        """Take over the weights of a checkpoint; raises `InputError` if its network is another one."""
+        """Copy the weights of a checkpoint; raise `InputError` if its network has another configuration."""
         start = load_network(find_checkpoint(place))
         if start.config != self.network.config:
             raise InputError(f"'{place}' holds another network: {start.config}, expected {self.network.config}")
         self.network.load_state_dict(start.state_dict())
 
     def save_learned(self, place: str | os.PathLike[str]) -> Path:
-        """Write the network as a checkpoint, ``PLACE.safetensors`` and ``PLACE.json``: it plays as ``learned:PLACE``.
+        """Write the network as a checkpoint for the policy ``learned:PLACE``.
 
-        Where PLACE is a folder that exists, the files are ``best.safetensors`` and ``best.json`` in it.
+        The files are ``PLACE.safetensors`` and ``PLACE.json``. In an existing folder PLACE, they are
+        ``best.safetensors`` and ``best.json``.
 
         Parameters
         ----------
         place
-            The checkpoint's name, with its folder; what is there already is replaced.
+            Path of the checkpoint; existing files are replaced.
 
         Returns
         -------
@@ -160,7 +170,7 @@ class CandidateHeads(BasePolicy):
         Raises
         ------
         InputError
-            A name that holds a '?'.
+            The path contains a '?'.
         """
         weights = weights_at(place)
         save_checkpoint(weights, self.network, {"method": "stable-baselines3"})
@@ -168,4 +178,4 @@ class CandidateHeads(BasePolicy):
 
 
 class CandidatePolicy(CandidateHeads, MultiInputActorCriticPolicy):
-    """Actor and critic of the candidate-set network, for stable-baselines3's ``PPO`` and ``A2C``."""
+    """Provide actor and critic of the candidate-set network to stable-baselines3's ``PPO`` and ``A2C``."""

@@ -76,8 +76,8 @@ def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
     pages = site.pages()
     index = pages["policies/index.md"]
     said = dict(re.findall(r"<strong>([\w-]+)</strong><span>[^<]*</span><code>([^<]+)</code>", index))
-    assert said["naruto"] == "g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g"
-    assert said["pixel_only"] == "score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"
+    assert said["naruto"] == "g* = argmax S(g), where S(g) is the sum of sigma(t) over the targets t seen from g"
+    assert said["pixel_only"] == "argmax IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"
     assert set(said) == set(POLICIES)
     # The lines in grey stand in the page once and are used by every chart.
     drawn = index.count('class="mine"')

@@ -112,12 +112,13 @@ def _runs() -> list[dict[str, str]]:
 def _equation(kind: type[Policy]) -> str:
     """Return the sentence of the docstring's first paragraph that is an equation or names a maximum."""
     first = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
-    sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|: inspired by|, as ActiveGS", first)
-    return next((one.strip() for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
+    first = re.sub(r"^(Choose|Follow) ", "", first)
+    sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|, as ActiveGS", first)
+    return next((one.strip(" .") for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
 
 
 def _table(names: Sequence[str]) -> str:
-    rows = ["| policy | decides by | own travel term | source |", "|---|---|---|---|"]
+    rows = ["| policy | criterion | own travel term | source |", "|---|---|---|---|"]
     for name in names:
         kind = POLICIES.get(name)
         cells = (kind.criterion or _first(kind), kind.travel_term, kind.source)

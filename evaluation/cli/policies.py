@@ -42,7 +42,7 @@ class Policies:
             rows = [_policy_facts(name) for name in POLICIES]
             if self.json:
                 return print_json(rows)
-            heads = ["name", "source", "decides by"]
+            heads = ["name", "source", "criterion"]
             if self.wide:
                 heads.insert(2, "features it needs")
             print_listed("Policies", heads, [_entries(row, wide=self.wide) for row in rows], _HINT, wide=self.wide)

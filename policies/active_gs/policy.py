@@ -13,7 +13,7 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 @POLICIES.register("active_gs")
 class ActiveGS(Greedy):
-    """Choose the view with the highest U / sum U - 0.5 L / sum L over the valid candidates.
+    """Choose argmax of U / sum U - 0.5 L / sum L over the valid candidates.
 
     U is the gain, L the path length in metres. If no view has a gain, the nearest is chosen; the original then draws
     random scores. Revisits are not candidates.

@@ -64,17 +64,19 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("activeinr", **_COLUMNS)
 def activeinr(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Compute the surface share and the target (m) of the candidate's cluster (`assigned`), with ANM's uncertainty.
+    """Compute the share of the surface in the candidate's uncertain cluster, and the cluster's target (m, world).
 
-    The uncertainty comes from 20 renderings of the map with perturbed parameters. Source: [anm], [activeinr, code].
+    A cluster is a connected part of the most uncertain 80 % of the surface. Each is assigned one candidate near its
+    target, so most candidates have none (share 0, own position). The uncertainty comes from 20 renderings of the map
+    with perturbed parameters. Source: [anm], [activeinr, code].
     """
     return assigned(context, by_perturbing_all)
 
 
 @FEATURES.register("activeinr_proxy", **_COLUMNS)
 def activeinr_proxy(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Compute the surface share and the target (m) of the candidate's cluster (`assigned`), with a proxy uncertainty.
+    """Compute the share of the surface in the candidate's uncertain cluster, and the cluster's target (m, world).
 
-    The proxy is the first-order approximation of ANM's uncertainty and needs no rendering.
+    The columns are those of ``activeinr``. The uncertainty is a first-order approximation that needs no rendering.
     """
     return assigned(context, by_proxy)

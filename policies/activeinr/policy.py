@@ -20,7 +20,7 @@ PATIENCE = 0.1  # share of the frame budget after which the next target is chose
 
 @POLICIES.register("activeinr")
 class ActiveINR(Planner):
-    """Move to the target of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
+    """Choose target* = mean of v + 0.5 n over the points v of the largest cluster of uncertain surface ([anm]).
 
     Clusters are connected parts of the most uncertain 80 % of the surface, each at least 0.5 % of it. Targets that are
     free, more than 1 m away and inside the workspace are preferred (feature ``activeinr``). There is no travel term.

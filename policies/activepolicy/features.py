@@ -39,7 +39,7 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
-    """Return the depth of the Gaussian at which the transmittance falls to one half."""
+    """Return the median depth of every pixel: that of the Gaussian at which the transmittance falls to one half."""
     camera, poses = context.camera, context.world_from_camera
     parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
     parameters = fitted(parameters)

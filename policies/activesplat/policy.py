@@ -83,7 +83,7 @@ class ActiveSplat(Planner):
             self._leave(xyz[choice])
             return choice
         if self.travel == "shared":
-            nodes = self._aged(nodes)
+            nodes = self._update_late(nodes)
             gain = np.zeros(len(valid))
             for rows, score, here in zip(nodes.rows, node_scores(nodes, self._late), nodes.here):
                 # The gaps in a view add at most 1, so they decide between the views of one node.
@@ -99,7 +99,7 @@ class ActiveSplat(Planner):
             self._local_views += 1
             self._trace["mode"] = "local"
             return best_valid(np.where(local, show, -1.0), observation)
-        nodes = self._aged(nodes)
+        nodes = self._update_late(nodes)
         scores = node_scores(nodes, self._late)
         node = choose_node(nodes, scores, self.rng if self._late else None)
         rows = nodes.rows[node]
@@ -119,8 +119,11 @@ class ActiveSplat(Planner):
             self._spent = np.vstack([self._spent, self._stop])
             self._stop, self._local_views = place, 0
 
-    def _aged(self, nodes: Nodes) -> Nodes:
-        """Switch to the late weights permanently, and forget failures, after LATE_AFTER choices without a goal."""
+    def _update_late(self, nodes: Nodes) -> Nodes:
+        """Return the nodes; after LATE_AFTER choices without a goal, use the late weights and forget failures.
+
+        The late weights stay in use for the rest of the episode.
+        """
         self._idle = 0 if (nodes.unarrived & ~nodes.failed).any() else self._idle + 1
         if self._idle < LATE_AFTER:
             return nodes

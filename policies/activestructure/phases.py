@@ -14,7 +14,7 @@ from activestructure_gym.policies.activestructure.information_gain import GainTe
 
 @dataclass(frozen=True)
 class Phase:
-    """Define one phase psi."""
+    """Define one phase (psi in the paper): its weights, the views in its pool, and whether it revisits keyframes."""
 
     name: str
     weights: Weights

@@ -19,7 +19,7 @@ EXECUTED_M = 5.0  # metres of the tour after which it is planned anew (own choic
 
 @POLICIES.register("aiisrfe")
 class Aiisrfe(Planner):
-    """Follow the shortest tour of tasks: one view for each frontier, and the views of the most uncertain surface.
+    """Follow tour* = argmin length over the tasks: one view per frontier, and the views of the most uncertain surface.
 
     While more than 3 frontiers, and more than 20 % of all, are near, only frontiers are tasks. Without frontiers, only
     surface is. The tasks within the first 5 m of the tour are visited, then a new tour is planned. With

@@ -32,18 +32,21 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s", **_COLUMNS)
 def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the numbers of clusters and of views at the candidate's node, and the cosine to the nearest direction.
+    """Compute the uncertain clusters at the candidate's Voronoi node, the views they need, and its alignment (cosine).
 
-    See `views_at_node`. The uncertainty comes from 20 renderings of the map with perturbed means ([anm_s, code]).
+    A cluster is a connected part of the most uncertain 20 % of the surface. The first column counts the clusters whose
+    nearest node is the candidate's. The second is the number of views that see these and the ends of the chains cut off
+    from the node. The third is the cosine between the candidate's view direction and the nearest direction to one of
+    them. The uncertainty comes from 20 renderings of the map with perturbed means. Source: [anm_s, code].
     """
     return views_at_node(context, by_perturbing_means)
 
 
 @FEATURES.register("anm_s_proxy", **_COLUMNS)
 def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the numbers of clusters and of views at the candidate's node, and the cosine to the nearest direction.
+    """Compute the uncertain clusters at the candidate's Voronoi node, the views they need, and its alignment (cosine).
 
-    See `views_at_node`. The uncertainty is a first-order approximation of that of ``anm_s`` and needs no rendering.
+    The columns are those of ``anm_s``. The uncertainty is a first-order approximation that needs no rendering.
     """
     return views_at_node(context, by_proxy)
 

@@ -31,7 +31,7 @@ class FisherRFCov(Greedy):
 
 @POLICIES.register("fisherrf_path")
 class FisherRFPath(Greedy):
-    """Choose the view with the most information along the path and at its end (feature `fisherrf_path`).
+    """Choose argmax of the information along the path and at its end (feature `fisherrf_path`).
 
     This is the closed loop of the published active mapping. The 20 most informative views are found first, then the
     information along their paths.

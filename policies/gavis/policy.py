@@ -11,7 +11,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("gavis")
 class Gavis(Planner):
-    """Choose the view with the highest entropy of its colours (feature `gavis`), without a travel term.
+    """Choose argmax of the entropy of a view's colours (feature `gavis`), without a travel term.
 
     The colour of a Gaussian is known only from sides from which keyframes saw it.
     """

@@ -30,7 +30,7 @@ def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] ->
 
 
 def _head(inputs: int, width: int) -> nn.Sequential:
-    """Return two layers to one output, initially near 0, so that all candidates are about equally likely."""
+    """Return two layers with one output, which is initially near 0, so that all candidates are about equally likely."""
     last = nn.Linear(width, 1)
     nn.init.normal_(last.weight, std=0.01)
     nn.init.zeros_(last.bias)

@@ -62,7 +62,7 @@ def continuation(
     volume: VoxelVolume,
     wanted: np.ndarray,  # [X, Y, Z] bool
 ) -> np.ndarray:  # [n, 3] metres, on the plane
-    """Return the centres of the plane's cells within `CAP` that are connected to seen cells by wanted voxels."""
+    """Return the centres of the cells that extend the plane: within `CAP`, connected to seen cells by wanted voxels."""
     grid = node.surface
     margin = int(np.ceil(CAP / grid.cell))
     seen = np.pad(grid.seen.astype(bool), margin)

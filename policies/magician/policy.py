@@ -13,7 +13,7 @@ Search = Literal["beam", "greedy"]
 
 @POLICIES.register("magician")
 class Magician(Planner):
-    """Choose the first view of the plan with the largest sum of G.
+    """Choose the first view of plan* = argmax of the sum of G over its views.
 
     G is the imagined surface that a view sees and that no earlier view of the plan has seen. Each decision plans anew.
     By the abstract and a digest of [magician], without equation numbers.

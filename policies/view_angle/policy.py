@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import Planner
 
 @POLICIES.register("view_angle")
 class ViewAngle(Planner):
-    """Choose the view with the lowest mean coverage of its view directions, without a travel term.
+    """Choose argmin of the mean coverage of a view's directions, without a travel term.
 
     Of equal views, the nearest is chosen. Early in an episode, many views see no mapped surface and score exactly 1.
     """

@@ -173,7 +173,7 @@ def test_never_a_masked_row_deterministic_and_picklable(checkpoint: Path, make_o
 def test_gains_are_found_by_name(checkpoint: Path, make_observation) -> None:
     policy, other = bound(POLICIES.get(f"learned:{checkpoint}")()), POLICIES.get(f"learned:{checkpoint}")()
     observation = make_observation()
-    with pytest.raises(InputError, match=r"does not know which column .* call policy.bind\(env\)"):
+    with pytest.raises(InputError, match=r"is not bound, so .* call policy.bind\(env\)"):
         other.act(observation)
     other.bind(("hole_area", "structure", "pixel"))
     pixel, hole_area = observation["candidate_features"].T

@@ -1,9 +1,8 @@
-"""Comparing policies: protocols, metrics, the grid of jobs, the run directory, the report and the command line.
+"""Compare policies: run grids of jobs, measure the maps, store the runs, and report the results.
 
-`compare` runs scenes x policies x seeds into a directory, `open_comparison` and `read_run` read what stands in one,
-metrics say what a number means, statistics what repeated runs say. Nothing of the package imports this room.
-
-Nothing is loaded before it is used, so that ``asg --help`` answers at once.
+`compare` runs scenes x policies x seeds into a directory. `open_comparison` and `read_run` read such a directory.
+Metrics measure a map, protocols fix their constants, and statistics summarise repeated runs. No other part of the
+package imports this one. Names are imported at first use, so that ``asg --help`` starts quickly.
 
 >>> import numpy as np
 >>> from activestructure_gym.evaluation import psnr

@@ -1,4 +1,4 @@
-"""One cell of a comparison's grid: what decides an episode and its numbers, and nothing else."""
+"""Define a job, one cell of a comparison's grid: everything that determines an episode and its metrics."""
 
 from __future__ import annotations
 
@@ -24,26 +24,40 @@ from activestructure_gym.specs import Spec
 if TYPE_CHECKING:
     from activestructure_gym.registry import Registry
 
-REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
-TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in place of a policy
+REFERENCE = "reference:"  # prefix of the name of a reference, which uses the ground truth, in ``Job.policy``
+TRAJECTORY = "trajectory:"  # prefix of the path of a given trajectory in ``Job.policy``
 CELL = ("scene", "policy", "seed", "scene_hash")  # fields that differ between the jobs of a comparison
 _HASH_DIGITS = 12
 MAX_SEED = 2**63 - 1
-_LABEL_DIGITS = 8  # of a content hash, in a name that people read
-_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose")  # of files of poses, and their folder
-_RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # at the end of a run directory's name
-_MAX_NAME_CHARACTERS = 80  # characters of a scene, and of a policy, in a file's name
+_LABEL_DIGITS = 8  # digits of a content hash in a label
+_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose")  # generic names of trajectory files and folders
+_RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # end of a run directory's name
+_MAX_NAME_CHARACTERS = 80  # maximum length of the scene, and of the policy, in a directory's name
 
 
 @dataclass(frozen=True)
 class Job:
-    """One policy on one scene with one seed. Equal jobs give equal results, whoever runs them."""
+    """Describe one policy on one scene with one seed. Equal jobs give equal results on equal machines.
 
-    scene: str  # spec, as `load_scene` takes it
-    policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
-    seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
-    scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
-    conditions: Conditions = field(default_factory=Conditions)  # equal for all jobs of a comparison
+    Parameters
+    ----------
+    scene
+        Scene spec as `load_scene` takes it.
+    policy
+        Name or ``"module:Class"`` with options, for example ``"naruto?travel=shared"``; or a reference or trajectory.
+    seed
+        Seed of the start pose, the sensor noise, the path planner and the policy.
+    scene_hash
+        Content hash of the loaded scene. A scene file with other content makes another job.
+    conditions
+        Conditions that all jobs of a comparison share.
+    """
+
+    scene: str
+    policy: str
+    seed: int
+    scene_hash: str = ""
+    conditions: Conditions = field(default_factory=Conditions)
 
     def __post_init__(self) -> None:
         for kind, name in (("scene", self.scene), ("policy", self.policy)):
@@ -53,36 +67,36 @@ class Job:
 
     @cached_property
     def spec(self) -> Spec:
-        """The policy's name and options."""
+        """Return the policy's name and options."""
         return Spec.of(self.policy)
 
     @cached_property
     def hash(self) -> str:
-        """Twelve hex digits over everything above but the scene's spec, and over the version of this package."""
+        """Return 12 hex digits over all fields except the scene's spec, and over the version of this package."""
         content = {key: value for key, value in self.as_dict().items() if key != "scene"}
         text = json.dumps([__version__, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
 
     @cached_property
     def name(self) -> str:
-        """The name of the job's run directory."""
-        # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
+        """Return the name of the job's run directory."""
+        # The path of a checkpoint can be longer than a file name; the hash covers all of it.
         scene, policy = slug(scene_label(self.scene))[-_MAX_NAME_CHARACTERS:], slug(self.policy)[-_MAX_NAME_CHARACTERS:]
         return f"{scene}--{policy}--seed{self.seed}--{self.hash}"
 
     @property
     def title(self) -> str:
-        """Scene, policy and seed in short names, for people."""
+        """Return scene, policy and seed as a short text for messages and tables."""
         return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the job as plain values for JSON."""
         cell = {name: getattr(self, name) for name in CELL}
         return cell | self.conditions.as_dict()
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
-        """Return the job that `as_dict` described."""
+        """Return the job that `as_dict` wrote; raise `InputError` for unknown fields."""
         known = {*CELL, *(one.name for one in dataclasses.fields(Conditions))}
         if more := content.keys() - known:
             raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
@@ -91,7 +105,7 @@ class Job:
 
 
 def check_in_one_line(kind: str, name: str) -> None:
-    """Raise `InputError` for a name that tables and pictures cannot show: with line breaks or control characters."""
+    """Raise `InputError` for a name with line breaks or control characters, which tables cannot show."""
     if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in name):
         raise InputError(
             f"the {kind} {short_repr(name)} has a line break or a control character in its name: rename it"
@@ -99,9 +113,9 @@ def check_in_one_line(kind: str, name: str) -> None:
 
 
 def refuse_code(jobs: Iterable[Job], file: object) -> None:
-    """Raise `InputError` where jobs that were read from ``file`` name scenes, policies or features that are code.
+    """Raise `InputError` if jobs that were read from ``file`` name plug-in code that is not trusted.
 
-    They may name what is registered, and files; see `registry.refuse_code`.
+    Registered names and files are allowed; see `registry.refuse_code`.
     """
     from activestructure_gym import registry
 
@@ -111,7 +125,7 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
 
 
 def code_of(job: Job) -> Iterator[tuple[str, str]]:
-    """What kind of thing, and its name, of all that a job names by the module to import it from."""
+    """Yield kind and name of all plug-in code of a job, which it names as ``"module:Name"``."""
     from activestructure_gym.scenes.library import imports_code
 
     if imports_code(job.scene):
@@ -154,9 +168,9 @@ def named_in_overrides(overrides: Mapping[str, Any]) -> Iterator[tuple[Registry[
 
 
 def scene_label(spec: str, parts: int = 1) -> str:
-    """A short name for a scene spec: the file's stem, or the registered name with its options.
+    """Return a short name for a scene spec: the file's stem, or the registered name with its options.
 
-    ``parts`` > 1 keeps that many of the last folder names, to tell files of one name apart.
+    With ``parts`` > 1, up to ``parts`` - 1 parent folders are included, to distinguish files of equal names.
     """
     kind, path, options = split_spec(spec)
     place = PurePath(path)
@@ -167,10 +181,10 @@ def scene_label(spec: str, parts: int = 1) -> str:
 
 
 def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the content's hash, empty if unknown
-    """Short names by spec, which differ for different specs and never hold a whole absolute path.
+    """Return unique short names by spec, which never contain a complete absolute path.
 
-    Where the names of folders tell two files apart no better than the file's own, the first digits of their content do,
-    ``house@01234567``; of one content under several names, and of unknown content, their order.
+    If the folder names do not distinguish two files, the first digits of their content hash are added:
+    ``house@01234567``. If these are equal or unknown too, a number is added.
     """
     deepest = max((len(PurePath(split_spec(spec)[1]).parts) for spec in hashes), default=1)
     for parts in range(1, max(4, deepest - 1)):
@@ -190,9 +204,9 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
 
 
 def one_spec_each(jobs: Sequence[Job]) -> list[Job]:
-    """The jobs, all those on one scene with one spec for it, that of the last: a file that has moved is where it is.
+    """Return the jobs with one spec per scene: that of its last job, which has the current path of a moved file.
 
-    One scene is one content under one file's name. Names and hashes of jobs do not change by it.
+    Scenes with the same content and file name are the same scene. Names and hashes of the jobs do not change.
     """
     last = {_scene_of(job): job.scene for job in jobs}
     return [dataclasses.replace(job, scene=last[_scene_of(job)]) for job in jobs]
@@ -203,30 +217,31 @@ def _scene_of(job: Job) -> tuple[str, str]:
 
 
 def is_reference(policy: str) -> bool:
-    """Whether a job's ``policy`` is none, but a reference that sees the ground truth."""
+    """Return whether a job's ``policy`` is a reference, which uses the ground truth."""
     return Spec.of(policy).kind == "reference"
 
 
 def is_trajectory(policy: str) -> bool:
-    """Whether a job's ``policy`` is none, but a trajectory that was given."""
+    """Return whether a job's ``policy`` is a given trajectory."""
     return Spec.of(policy).kind == "trajectory"
 
 
 def ranked_among(policies: Collection[str]) -> set[str]:
-    """Which of the jobs' ``policies`` have ranks: planners, who choose their views by what they have seen.
+    """Return which of the jobs' ``policies`` are ranked in tables: the planners, or the trajectories without planners.
 
-    A reference sees the ground truth, and a trajectory was given. Where nobody plans, trajectories are compared.
+    References are never ranked, because they use the ground truth. A given trajectory is not planned.
     """
     planners = {policy for policy in policies if not is_reference(policy) and not is_trajectory(policy)}
     return planners or {policy for policy in policies if not is_reference(policy)}
 
 
 def policy_label(spec: str) -> str:
-    """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
+    """Return a short name for a policy, without the folders of a checkpoint or a trajectory.
 
-    The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
-    is the checkpoint of the run whose directory it lies in. A trajectory's name is that of its file, or of the folder
-    where the file is called as everywhere: ``trajectory:room0@01234567``; a run's is its policy and seed.
+    - A checkpoint has the name of its file and the digits of its content: ``learned:bc@01234567``. A file named
+      ``best`` gets the name of its folder, a training run.
+    - A trajectory has the name of its file and the digits of its content: ``trajectory:room0@01234567``. A file with a
+      generic name gets that of its folder; the trajectory of a run gets the run's policy and seed.
     """
     if is_reference(spec):
         return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
@@ -244,7 +259,7 @@ def policy_label(spec: str) -> str:
 
 
 def absolute_spec(spec: str) -> str:
-    """The scene's spec with absolute paths, so that it is found from any working directory."""
+    """Return the scene's spec with absolute paths, which are valid in any working directory."""
     from activestructure_gym.scenes.library import is_scene_name
 
     if is_scene_name(spec):
@@ -266,16 +281,16 @@ def _pairs(options: str) -> list[tuple[str, str]]:
 
 
 def split_spec(spec: str) -> tuple[str, str, str]:
-    """``kind:path?options`` taken apart; what is missing is empty."""
+    """Split ``kind:path?options``; missing parts are empty."""
     if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
     parsed = Spec.of(spec)
     kind, colon, rest = parsed.name.partition(":")
     return (
         (kind, rest, parsed.query) if colon and len(kind) > 1 else ("", parsed.name, parsed.query)
-    )  # one letter would be a drive
+    )  # a kind of one letter is a drive of Windows
 
 
 def slug(text: str) -> str:
-    """``text`` as part of a file name on any system."""
+    """Return ``text`` with all characters replaced that a file name cannot contain on every system."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-.") or "unnamed"

@@ -160,7 +160,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         with hold(directory, shared=shard is not None) as held:
             given: dict[str, Any] = {
                 "engine": options.engine, "limits": limits, "command": _command_line(), "held": held, "shard": shard,
-                "tell": lambda text: console.print(f"[yellow]{escape(text)}[/]"),
+                "notify": lambda text: console.print(f"[yellow]{escape(text)}[/]"),
             }  # fmt: skip
             with LiveProgress(console) as live:
                 result = run_comparison(jobs, directory, live, resume=options.resume, **given)

@@ -1,4 +1,4 @@
-"""Metrics: distances between point sets, and differences between images. Pure functions of arrays."""
+"""Compute metrics: distances between point sets, and differences between images. All are pure functions of arrays."""
 
 from activestructure_gym.evaluation.metrics.geometry import (
     GeometryScores,

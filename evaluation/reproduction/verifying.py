@@ -49,7 +49,7 @@ class Verification:
     why: tuple[str, ...] = ()  # the differences of files, of the processor, and of versions
 
 
-def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
+def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None) -> Verification:
     """Compare the files of ``run`` with their checksums, play its job again, and compare the results.
 
     Raise `InputError` if the job cannot be played here: its scene or policy is missing or has changed, or its files
@@ -70,7 +70,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         )
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
-        again = run_job(run.job, Path(folder) / "again", tell)
+        again = run_job(run.job, Path(folder) / "again", notify)
         evaluations, missing = remeasured_evaluations(run, again)
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:

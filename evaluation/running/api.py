@@ -1,4 +1,4 @@
-"""A comparison in one call, for notebooks and scripts: what ``asg compare`` does, without words and a report."""
+"""Run a comparison with one call, for notebooks and scripts: like ``asg compare``, without output and report."""
 
 from __future__ import annotations
 
@@ -46,40 +46,40 @@ def compare(
 ) -> Result:
     """Run policies on scenes under one budget and measure the finished maps.
 
-    Equal seeds share start, sensor noise and planner noise, so that policies are compared in pairs. What is finished
-    in ``out`` is not run again unless it is damaged or other own code played it, of which an `InputWarning` tells.
-    ``asg report OUT`` draws the pages.
+    Runs with equal seeds share start, sensor noise and planner noise, so that policies are compared in pairs. Finished
+    runs in ``out`` are not repeated, unless their files are damaged or their plug-in code has changed. In both cases an
+    `InputWarning` is given. ``asg report OUT`` creates the report.
 
     Parameters
     ----------
     scenes
-        Texts as `load_scene` takes them: ``"room?seed=3"``, ``"house.glb"``.
+        Scene specs as `load_scene` takes them: ``"room?seed=3"``, ``"house.glb"``.
     policies
         Names with options: ``"activestructure"``, ``"active_gs?travel=shared"``, ``"package.module:Class"``.
     out
-        The directory of the comparison; new or empty, unless ``resume``.
+        The directory of the comparison; new or empty, unless ``resume`` is set.
     seeds
-        Whole numbers from 0 on.
+        Whole numbers from 0.
     conditions
-        Configuration, budget, start and protocols of all runs; the defaults if not given.
+        Configuration, budget, start and protocols of all runs. Default: `Conditions()`.
     engine
         ``"local"`` (a process per run), ``"inline"`` (this process) or ``"ray"``.
     limits
-        Runs at a time, minutes per run, further attempts.
+        Runs at a time, minutes per attempt, further attempts.
     listener
-        Who is told how the runs get on; nobody if not given.
+        Receives the progress of the runs. Default: `NullListener`.
     resume
-        Go on with the comparison in ``out``.
+        Whether to continue the comparison in ``out``.
 
     Returns
     -------
     Result
-        ``runs`` (every finished run, those of earlier sittings included), ``failed``, ``skipped``, ``missing``.
+        ``runs`` (all finished runs, also those of earlier calls), ``failed``, ``skipped``, ``missing``.
 
     Raises
     ------
     InputError
-        Before anything is run: a name, a file or a number that cannot be used, or a directory that is not free.
+        A name, a file or a number is invalid, or the directory is in use. It is raised before the first run.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def compare(
             limits=limits,
             resume=resume,
             held=held,
-            tell=_warn,
+            notify=_warn,
         )
 
 

@@ -1,4 +1,4 @@
-"""Comparing policies: scenes x policies x seeds under one budget, checked before anything is written."""
+"""Compare policies: run scenes x policies x seeds under one budget, after checking all inputs."""
 
 from __future__ import annotations
 
@@ -43,14 +43,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Scenes, policies, seeds and the conditions that all of them share."""
+    """Define a grid of jobs: scenes, policies, seeds, and the conditions that all of them share.
 
-    scenes: Sequence[str]  # texts as `load_scene` takes them
-    policies: Sequence[str]  # names with options
-    seeds: Sequence[int] = (0,)  # equal seeds share start and noise
-    references: Sequence[str] = ()  # names of references, which see the ground truth
-    conditions: Conditions = field(default_factory=Conditions)  # shared by all runs
-    recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
+    Parameters
+    ----------
+    scenes
+        Scene specs as `load_scene` takes them.
+    policies
+        Names with options.
+    seeds
+        Seeds from 0; runs with equal seeds share start and noise.
+    references
+        Names of references, which use the ground truth.
+    conditions
+        Conditions of all runs.
+    recorded
+        Content hash by scene, for scenes of a comparison that is resumed.
+    """
+
+    scenes: Sequence[str]
+    policies: Sequence[str]
+    seeds: Sequence[int] = (0,)
+    references: Sequence[str] = ()
+    conditions: Conditions = field(default_factory=Conditions)
+    recorded: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("scenes", "policies", "seeds", "references"):
@@ -62,7 +78,7 @@ class Comparison:
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
-        """The smallest comparison that has all of these jobs, which were made under the same conditions."""
+        """Return the smallest comparison that contains all of these jobs, which share their conditions."""
         return cls(
             scenes=[job.scene for job in jobs],
             policies=[job.policy for job in jobs if not is_reference(job.policy)],
@@ -73,7 +89,7 @@ class Comparison:
         )
 
     def check_machine(self) -> None:
-        """Raise `InputError` where this machine lacks what the jobs need; those of a cluster may have it."""
+        """Raise `InputError` if this machine cannot run the jobs. Machines of a cluster may differ."""
         from activestructure_gym.compiling import check_compiling
         from activestructure_gym.config import configure
         from activestructure_gym.splatting.rasterizers import rasterizer
@@ -82,25 +98,28 @@ class Comparison:
         rasterizer(configure(self.conditions.preset, self.conditions.overrides).mapper.backend)
 
     def participants(self, policies: Sequence[str] = ()) -> list[str]:
-        """Who takes part, as jobs call them: the policies (of these names, if they are known), then the references."""
+        """Return the ``policy`` of all jobs: the policies, then the references.
+
+        ``policies`` are the canonical names, if they are already known.
+        """
         from activestructure_gym.evaluation.references.oracles import reference_job
 
         return [*(policies or self._check_policies()), *map(reference_job, self.references)]
 
     def check_scene_names(self) -> None:
-        """Raise `InputError` where a scene has an unknown name or a missing file; loads none."""
+        """Raise `InputError` if a scene has an unknown name or a missing file; load none."""
         from activestructure_gym.scenes.library import check_scene_name
 
         for spec in self.scenes:
-            if not self.recorded.get(spec):  # a file that has moved since is found by `scene_as_recorded`
+            if not self.recorded.get(spec):  # `scene_as_recorded` finds a file that has moved
                 check_scene_name(spec)
 
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
-        """Check everything a job could fail on, and compute what all jobs of a scene share.
+        """Check all inputs, fill the caches that the jobs of a scene share, and return the jobs.
 
-        Loads every scene, finds its free space, and fills the cache with its observable surface and its held-out
-        views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
-        stopped early has compared something. Raises `InputError` for the first thing that cannot work.
+        Every scene is loaded, and its free space, observable surface and held-out views are computed. Only the cache is
+        written. The seed is the outer loop of the jobs, so that a comparison that is stopped early has runs of all
+        policies. Raise `InputError` for the first invalid input.
         """
         policies = self._check_policies()
         participants = self.participants(policies)
@@ -122,7 +141,7 @@ class Comparison:
         return jobs
 
     def _check_policies(self) -> list[str]:
-        """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
+        """Return the canonical policies without duplicates; raise `InputError` for an invalid policy or override."""
         from activestructure_gym.config import configure
         from activestructure_gym.policies import canonical_policy, make_policy
 
@@ -130,7 +149,7 @@ class Comparison:
             plugin_code_of(Job("", spec, 0, conditions=self.conditions), first_checksum_of)
         list(map(get_protocol, self.conditions.also))
         list(map(get_metric, self.conditions.metrics))
-        configure(self.conditions.preset, self.conditions.overrides)  # what policies replace must be usable too
+        configure(self.conditions.preset, self.conditions.overrides)  # must be valid even where policies replace them
         changes = dict(self.conditions.overrides)
         if self.conditions.frame_budget is not None:
             changes["frame_budget"] = self.conditions.frame_budget
@@ -180,18 +199,30 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Result:
-    """Finished, failed, skipped and missing jobs of a comparison."""
+    """Hold the finished, failed, skipped and missing jobs of a comparison.
 
-    runs: list[Run]  # every finished job of the grid, those of earlier sittings included
-    failed: list[Outcome]  # with the error of each
-    skipped: int  # of the jobs asked for: finished before, and not run again
-    missing: int = 0  # jobs of earlier sittings that are not finished and were not asked for
+    Parameters
+    ----------
+    runs
+        All finished runs, also those of earlier calls.
+    failed
+        Failed jobs with their errors.
+    skipped
+        Number of requested jobs that were already finished.
+    missing
+        Number of unfinished jobs of earlier calls that were not requested now.
+    """
+
+    runs: list[Run]
+    failed: list[Outcome]
+    skipped: int
+    missing: int = 0
 
 
 def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None:
-    """Refuse a directory that cannot be written, or that holds something else; raises `InputError`.
+    """Raise `InputError` for a directory that cannot be written or holds other files.
 
-    With ``shared``, it may hold a comparison that others have begun.
+    With ``resume`` or ``shared``, it may hold a comparison.
     """
     if directory.is_symlink() and not directory.exists():
         raise InputError(f"the output '{directory}' is a link that leads nowhere: mend it, or choose another --out")
@@ -206,7 +237,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
             if not (resume or shared):
                 raise _begun(directory)
         elif resume and (directory / store.JOBS).is_dir():
-            pass  # its record is lost, its runs are not
+            pass  # the record is lost, but the runs still exist
         elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
     parent = directory
@@ -216,7 +247,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         raise InputError(f"the output '{directory}' cannot be made: '{parent}' is a file")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
-    try:  # what the system says of the owner is not true of every file system
+    try:  # on some file systems `os.access` is not reliable
         os.rmdir(tempfile.mkdtemp(prefix=f".{store.COMPARISON}.", dir=parent))
     except OSError as error:
         raise InputError(f"the output '{directory}' cannot be written: {error.strerror} in '{parent}'") from None
@@ -229,17 +260,17 @@ def _begun(directory: Path) -> InputError:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a comparison that was killed before it wrote its record can have left this file."""
+    """Return whether this file can be a leftover of a comparison that was killed before it wrote its record."""
     return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")
 
 
 def jobs_to_resume(
     directory: Path, asked: Comparison | None = None, notify: Callable[[str], None] = lambda _: None
 ) -> list[Job]:
-    """The jobs of a comparison that was begun, checked like those of a new one, and no others.
+    """Return the recorded jobs of a comparison, after checking them like those of a new one.
 
-    ``asked`` is that comparison under the conditions that a user says, whose own words need no trust. Raises
-    `InputError`, also where those are others than it was begun under.
+    ``asked`` is the comparison as the user has specified it; plug-in code that it names is trusted. Raise `InputError`
+    if there is no record, if a check fails, or if the conditions of ``asked`` differ from the recorded ones.
     """
     recorded = recorded_jobs(directory)
     if not recorded:
@@ -247,7 +278,7 @@ def jobs_to_resume(
     if asked is None:
         refuse_code(recorded, directory / store.COMPARISON)
     prepared = {job.name: job for job in (asked or Comparison.of(recorded)).prepare(notify)}
-    # Raises for a scene that has changed.
+    # Raises `InputError` if a scene has changed.
     merged(recorded, list(prepared.values()), directory)
     return recorded
 
@@ -263,41 +294,41 @@ def run_comparison(
     command: str = "",
     held: int | None = None,
     shard: Shard | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> Result:
-    """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
+    """Run the jobs that are not finished yet in ``directory``, and read all finished runs.
 
-    Unfinished jobs are never counted. Finished ones are repeated only if their files are damaged or their plug-in code
-    (`archive.plugin_code`) has changed. Jobs of earlier sittings stay part of the comparison. Call `check_output`
-    first, then hold the directory.
+    Finished jobs are repeated only if their files are damaged or their plug-in code (`archive.plugin_code`) or native
+    settings have changed. Jobs of earlier calls stay part of the comparison. Call `check_output` first, then lock the
+    directory.
 
     Parameters
     ----------
     jobs
-        From `Comparison.prepare`, or those of a comparison that is gone on with.
+        Jobs from `Comparison.prepare` or `jobs_to_resume`.
     directory
-        Where results go; see `archive.store`.
+        Output directory; `archive.store` describes its files.
     listener
         Receives the progress of the jobs.
     engine
         ``"local"``, ``"inline"`` or ``"ray"``.
     limits
-        Jobs at a time, minutes per job, further attempts; the defaults if not given.
+        Jobs at a time, minutes per attempt and further attempts. Default: those of `Limits`.
     resume
-        Whether there may be a comparison in the directory.
+        Whether the directory may hold a comparison.
     command
-        How the comparison was asked for; kept in the archive.
+        Command of the user, stored in the record.
     held
-        The descriptor that `directory_lock.hold` gave for the directory.
+        The file descriptor from `directory_lock.hold`.
     shard
-        Run only these of the jobs. Other programs may run the rest at the same time; hold the directory ``shared``.
-    tell
+        Run only this part of the jobs. Other programs may run the rest at the same time: lock with ``shared``.
+    notify
         Called with a message about every run that is played again: its files are damaged, or its code has changed.
 
     Returns
     -------
     Result
-        All finished runs, and what became of the others.
+        All finished runs, the failed jobs, and the numbers of skipped and missing jobs.
 
     Raises
     ------
@@ -316,7 +347,7 @@ def run_comparison(
     else:
         jobs = shard.part(jobs)
     asked = {job.name for job in jobs}
-    review_finished(everything if shard is None else jobs, asked, directory, tell)
+    review_finished(everything if shard is None else jobs, asked, directory, notify)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     before = read_record(directory)
@@ -336,7 +367,7 @@ def run_comparison(
 def _new_record(
     jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
 ) -> dict[str, Any]:
-    """The content of ``compare.json``; the command is the first sitting's, those of later ones stand beside it."""
+    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones."""
     return {
         "format": store.FORMAT_VERSION,
         "command": before["command"] if before else command,
@@ -352,7 +383,7 @@ def _new_record(
 
 
 class _Recording:
-    """Passes everything on, and keeps in the record what failed and what took several attempts."""
+    """Forward all events to a listener, and record failed jobs and repeated attempts."""
 
     def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
         self._listener, self._directory, self._record = listener, directory, record
@@ -375,7 +406,7 @@ class _Recording:
         if not outcome.finished:
             self.failed.append(outcome)
         if not outcome.finished or outcome.attempts > 1:
-            record = read_record(self._directory) or self._record  # another shard may have added to it
+            record = read_record(self._directory) or self._record  # another shard may have changed it
             if not outcome.finished:
                 record.setdefault("failed", {})[outcome.job.title] = outcome.error
             if outcome.attempts > 1:
@@ -385,7 +416,7 @@ class _Recording:
 
 
 def _refuse_twins(jobs: Sequence[Job]) -> None:
-    """Raise `InputError` where two scenes would have the same run directories: one content, and one file name."""
+    """Raise `InputError` if two scenes have equal content and file name, and so the same run directories."""
     named = dict[str, Job]()
     for job in jobs:
         first = named.setdefault(job.name, job)

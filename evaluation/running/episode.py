@@ -75,8 +75,8 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     """
     from activestructure_gym.ground_truth import ground_truth_of
 
-    tell = progress or (lambda _: None)
-    tell(Progress("loading"))
+    notify = progress or (lambda _: None)
+    notify(Progress("loading"))
     own = plugin_code_of(job, first_checksum_of)  # before the import: the files may be edited during the episode
     began = time.perf_counter()
     known = ground_truth_of(load_job_scene(job))
@@ -85,15 +85,15 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         get_protocol(name).truth(known)
     place = played.played_episode(directory, job, first_checksum_of)
     if place is None:
-        _play(job, directory, known, truth, own, time.perf_counter() - began, tell)
+        _play(job, directory, known, truth, own, time.perf_counter() - began, notify)
         if store.is_done(directory, job):  # another process was faster
             return store.read_run(directory)
         place = directory
     episode = played.read_episode(place)
     frames, budget = episode["metrics"]["frames"], episode["frame_budget"]
-    tell(Progress("measuring", frames, budget, episode["curve"][-1]["completion_ratio"]))
+    notify(Progress("measuring", frames, budget, episode["curve"][-1]["completion_ratio"]))
     run = measure(job, place, directory, known, truth)
-    tell(Progress("done", frames, budget, run.metrics["metrics"]["completion_ratio"]))
+    notify(Progress("done", frames, budget, run.metrics["metrics"]["completion_ratio"]))
     return run
 
 
@@ -104,14 +104,14 @@ def _play(
     truth: Truth,
     own: dict[str, str],
     loading: float,  # seconds spent on loading so far
-    tell: Callable[[Progress], None],
+    notify: Callable[[Progress], None],
 ) -> None:
     """Play the episode of ``job`` and store it in ``directory``, completely or not at all."""
     began = time.perf_counter()
     policy, env = build(job, known)
     loading += time.perf_counter() - began
     try:
-        episode = _Episode(job, env, policy, truth, tell)
+        episode = _Episode(job, env, policy, truth, notify)
         episode.run()
         began = time.perf_counter()
         with played.written_episode(directory, job) as part:
@@ -179,9 +179,9 @@ class _Episode:
     """Play an episode, and record its decisions, convergence curve and times."""
 
     def __init__(
-        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth, tell: Callable[[Progress], None]
+        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth, notify: Callable[[Progress], None]
     ) -> None:
-        self.job, self.env, self.policy, self.truth, self.tell = job, env, policy, truth, tell
+        self.job, self.env, self.policy, self.truth, self.notify = job, env, policy, truth, notify
         self.steps: list[dict[str, Any]] = []
         self.curve: list[dict[str, float]] = []
         self.ended = ""
@@ -216,7 +216,7 @@ class _Episode:
             if ended or truncated or info["frames"] >= self._next_checkpoint:
                 step["checkpoint"] = self._checkpoint(last=ended or truncated)
             self.steps.append(step)
-            self.tell(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
+            self.notify(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
         by_choice = "ended by the policy" if env.reconstruction.finished else "no candidate left"
         by_choice = "the trajectory has ended" if given else by_choice
         self.ended = "frame budget used up" if truncated else by_choice

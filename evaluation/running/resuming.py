@@ -37,11 +37,13 @@ def recorded_jobs(directory: Path) -> list[Job]:
     return jobs
 
 
-def review_finished(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
+def review_finished(
+    jobs: Iterable[Job], asked: Collection[str], directory: Path, notify: Callable[[str], None]
+) -> None:
     """Mark damaged runs as not finished, and withdraw runs of ``asked`` jobs that were played with other code.
 
     Other code means changed plug-in code or, in the native setup, changed native settings of the policy. ``asked``
-    holds the names of jobs. A withdrawn run is reinstated if its code is unchanged again. ``tell`` is called with a
+    holds the names of jobs. A withdrawn run is reinstated if its code is unchanged again. ``notify`` is called with a
     message for each damaged run, and one for all runs with the same changed code.
     """
     checksums = cache(plugin_code.checksum_of)
@@ -54,15 +56,15 @@ def review_finished(jobs: Iterable[Job], asked: Collection[str], directory: Path
             continue
         if damage := store.damage_of(place, job):
             store.set_aside(place)
-            tell(f"{job.title} counts as not finished: {damage}")
+            notify(f"{job.title} counts as not finished: {damage}")
         elif changed := [*plugin_code.changed_code(place, job, checksums), *_changed_settings(place, job)]:
             if job.name in asked:
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
     for names, count in again.items():
-        tell(f"{_runs(count, names)} {'is' if count == 1 else 'are'} played again: its code has changed since")
+        notify(f"{_runs(count, names)} {'is' if count == 1 else 'are'} played again: its code has changed since")
     for names, count in kept.items():
-        tell(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
+        notify(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
 
 
 def _is_unchanged(place: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:

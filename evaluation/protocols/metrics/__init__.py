@@ -1,6 +1,6 @@
-"""Metrics by name: those of the protocol `standard`, and further ones that a comparison asks for.
+"""Register metrics by name: those of the protocol `standard`, and further ones for ``asg compare --metrics NAME``.
 
-Every other file of this folder registers further metrics, which `asg compare --metrics NAME` measures.
+Every other file of this folder can register further metrics.
 """
 
 from activestructure_gym.evaluation.protocols.metrics.base import (

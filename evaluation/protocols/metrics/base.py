@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
 
 Best = Literal["lowest", "highest"]
-_MAX_DIGITS = 12  # behind the decimal point
+_MAX_DIGITS = 12  # after the decimal point
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -65,18 +65,18 @@ class Metric:
     name
         Key in ``metrics.json``: lower-case letters, digits and underscores.
     best
-        ``"lowest"`` or ``"highest"``.
+        Whether the ``"lowest"`` or the ``"highest"`` value is the best.
     label
-        Heading in tables; the name if not given.
+        Heading in tables. Default: the name.
     unit
-        Unit in tables, ``"cm"``.
+        Unit in tables, for example ``"cm"``.
     digits
-        Digits behind the decimal point in tables. Values that are printed alike count as equal.
+        Digits after the decimal point in tables. Values that are printed equally count as equal.
     meaning
         Explanation in the report.
     compute
-        Function of a `MetricContext`; returns a number, or None where it is not defined. None for a number that a
-        protocol measures.
+        Function of a `MetricContext` that returns a number, or None if the metric is undefined. A metric that a
+        protocol measures has no function.
     """
 
     name: str
@@ -102,11 +102,11 @@ class Metric:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Metric:
-        """Return the description that `as_dict` returned, without the function."""
+        """Return the metric that `as_dict` described, without its function."""
         return cls(**{field.name: content[field.name] for field in dataclasses.fields(cls) if field.name != "compute"})
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all fields but the function, for ``metrics.json``."""
+        """Return all fields except the function for ``metrics.json``."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "compute"}
 
 
@@ -120,9 +120,9 @@ METRICS: Registry[Metric] = Registry(
 
 
 def get_metric(name: str) -> Metric:
-    """Return the metric that a comparison asks for by this name.
+    """Return a further metric by its name.
 
-    Raises `InputError` for an unknown name, and for a number that every run has.
+    Raise `InputError` for an unknown name, and for a metric that every run has already.
     """
     metric = METRICS.get(name)
     if metric.compute is None:
@@ -135,9 +135,9 @@ def get_metric(name: str) -> Metric:
 def measure_metrics(
     names: Sequence[str], context: MetricContext
 ) -> tuple[dict[str, float | None], list[dict[str, Any]]]:
-    """Compute the metrics of these names.
+    """Compute the named metrics.
 
-    Returns the values by the metrics' own names, and the descriptions, with a ``reason`` where the value is None.
+    Return the values by the metrics' own names, and the metrics' descriptions; that of a None value has a ``reason``.
     """
     values: dict[str, float | None] = {}
     described = list[dict[str, Any]]()
@@ -147,7 +147,7 @@ def measure_metrics(
         try:
             found = metric.compute(context)
             value = None if found is None else float(found)
-        except Exception as error:  # of the metric's own code, which must not cost a played run
+        except Exception as error:  # an error in the metric's code must not lose a played run
             value, reason = None, " ".join(f"{type(error).__name__}: {error}".split())
         if value is not None and not math.isfinite(value):
             value, reason = None, f"its value is {value}"

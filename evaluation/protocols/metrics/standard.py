@@ -1,10 +1,10 @@
-"""Describe the numbers that the protocol `standard` measures, in the order of the tables."""
+"""Describe the metrics of the protocol `standard` in the order of the tables."""
 
 from __future__ import annotations
 
 from activestructure_gym.evaluation.protocols.metrics.base import METRICS, Metric
 
-# In a meaning, {near} is the threshold of the protocol.
+# {near} in a meaning is replaced by the protocol's threshold.
 ACCURACY = Metric(
     "accuracy_cm", "lowest", "Acc", "cm", 2, "mean distance from the reconstructed points to the true surface"
 )
@@ -43,7 +43,7 @@ DEPTH = Metric("depth_l1_cm", "lowest", "Depth", "cm", 2, "mean absolute depth e
 STANDARD = (
     ACCURACY, COMPLETION, RATIO, TSDF_RATIO, OBSERVED, PRECISION, F_SCORE, PSNR, SSIM, MS_SSIM, LPIPS, DEPTH
 )  # fmt: skip
-SURFACE = (ACCURACY, COMPLETION, RATIO, PRECISION, F_SCORE)  # measured of the TSDF surface, too, as tsdf_NAME
+SURFACE = (ACCURACY, COMPLETION, RATIO, PRECISION, F_SCORE)  # also measured on the TSDF surface, as tsdf_NAME
 
 for metric in STANDARD:
     METRICS.register(metric.name)(metric)

@@ -94,7 +94,7 @@ def claimed(run: Run) -> Run:
 def as_made(made: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the play by the true run, so that the comparison alone is tested."""
 
-    def played(job: Any, directory: Path, tell: Any) -> Run:
+    def played(job: Any, directory: Path, notify: Any) -> Run:
         return replace(made, directory=Path(shutil.copytree(made.directory, directory)))
 
     monkeypatch.setattr("activestructure_gym.evaluation.reproduction.verifying.run_job", played)
@@ -204,7 +204,7 @@ def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
     later(0.25)
     assert (verify(seal(run)).verdict, verify(run).why) == ("not comparable here", unmeasured)
 
-    def measured_here(job: Any, directory: Path, tell: Any) -> Run:
+    def measured_here(job: Any, directory: Path, notify: Any) -> Run:
         shutil.copytree(run.directory, directory)
         return edited(replace(run, directory=directory), "metrics.json", with_lpips(0.25))
 
@@ -331,12 +331,12 @@ def test_a_run_that_cannot_be_played_says_so(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     playing = "activestructure_gym.evaluation.reproduction.verifying.verify"
-    monkeypatch.setattr(playing, lambda run, tell: Verification("identical"))
+    monkeypatch.setattr(playing, lambda run, notify: Verification("identical"))
     assert main(["verify", str(run.directory)]) == 0
     assert "box · random · seed 0: identical" in capsys.readouterr().out
     assert main(["verify"]) == 2 and main(["verify", str(tmp_path / "nothing")]) == 2
 
-    def raising(run: Run, tell: Any) -> None:
+    def raising(run: Run, notify: Any) -> None:
         raise RuntimeError("a policy's own")
 
     monkeypatch.setattr(playing, raising)

@@ -238,7 +238,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     engine = Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None)
     monkeypatch.setitem(engines.ENGINES._entries, "fake", engine)
     heard = []
-    result, listener = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    result, listener = go(grid[:2], tmp_path / "all", resume=True, notify=heard.append)
     assert done == grid[:2] and listener.begun == ([job.title for job in grid[:2]], 0)
     assert len(heard) == 1 and "seed 0 counts as not finished: '" in heard[0] and "pictures.npz' is damaged" in heard[0]
     assert [run.job for run in result.runs] == grid and [store.damage_of(*pair) for pair in zip(places, grid)] == [
@@ -247,7 +247,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     assert (places[2] / store.DONE).stat().st_mtime_ns == stamp
     # One that is damaged and not asked for is told apart from those that failed.
     (places[2] / "map.npz").unlink()
-    result, _ = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    result, _ = go(grid[:2], tmp_path / "all", resume=True, notify=heard.append)
     assert (len(result.runs), result.missing, result.failed) == (2, 1, []) and len(heard) == 2
 
 
@@ -291,7 +291,7 @@ def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, 
 
     def go_on(asked=(job,), **options):  # by workers, which find the code by themselves
         told.clear()
-        result = run_comparison(asked, runs, Silent(), engine="local", tell=told.append, **options)
+        result = run_comparison(asked, runs, Silent(), engine="local", notify=told.append, **options)
         assert not result.failed
         return result.skipped, len(result.runs)
 

@@ -1,8 +1,8 @@
 """Parse and resolve a given trajectory, which a job names in place of a policy: ``trajectory:FILE``.
 
 ``trajectory:sweep`` is a generated passive sweep. ``trajectory:passive`` is the sequence recorded with the scene, or
-the sweep if there is none. A file may be the ``trajectory.npz`` of a run. Keyframes, iterations and decisions are then
-those of the run, and on its scene, seed and configuration the map is identical.
+the sweep if there is none. If the file is the ``trajectory.npz`` of a run, the keyframes, iteration factors and
+decisions of this run are used. With the run's scene, seed and configuration the map is bit-identical.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ from activestructure_gym.specs import Spec, number_text, typed_options
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
 
-SWEEP, PASSIVE = "sweep", "passive"  # in place of a file
-_DIGITS = 8  # of the file's SHA-256, in its name
-_ROOM = 1e-3  # metres that must be free around the start of a camera that has been there
+SWEEP, PASSIVE = "sweep", "passive"  # names used instead of a file
+_DIGITS = 8  # digits of the file's SHA-256 in a spec
+_ROOM = 1e-3  # metres of clearance required at the start of a given trajectory
 
 
 @dataclass(frozen=True)
 class TrajectorySpec:
-    """A trajectory as it is asked for."""
+    """Hold the options of a requested trajectory."""
 
-    place: str  # a file, or a folder that has one; or `SWEEP`, `PASSIVE`
-    digits: str = ""  # of the content that is meant
+    place: str  # a file, or a folder that contains one; or `SWEEP`, `PASSIVE`
+    digits: str = ""  # expected first digits of the content's SHA-256
     kind: str = "auto"  # format, see `formats`
-    axes: str = ""  # convention, see `axes`; the format's usual one if not given
+    axes: str = ""  # axis convention, see `axes`; default: the usual one of the format
     inverted: bool = False  # whether poses map world to camera
-    start: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw degrees, of the first pose
-    mapper: str = ""  # recipe that maps it; the configuration's if not given
+    start: tuple[float, float, float, float] | None = None  # x, y, z in metres and yaw in degrees of the first pose
+    mapper: str = ""  # name of the mapper; default: that of the configuration
 
     @classmethod
     def of(cls, spec: str) -> TrajectorySpec:
-        """What ``trajectory:FILE?axes=opengl&mapper=splatam`` asks for; raises `InputError`."""
+        """Parse a spec such as ``trajectory:FILE?axes=opengl&mapper=splatam``; raise `InputError` for a wrong one."""
         parsed = Spec.of(spec)
         name = parsed.place
         place, at, digits = name.rpartition("@")
@@ -72,12 +72,12 @@ class TrajectorySpec:
 
     @property
     def of_file(self) -> bool:
-        """Whether it stands in a file."""
+        """Return whether the trajectory is read from a file."""
         return self.place not in (SWEEP, PASSIVE)
 
     @property
     def frames(self) -> int | None:
-        """Frames that it costs, whatever the scene; None where the scene decides."""
+        """Return the number of frames of the episode; None if it depends on the scene."""
         if not self.of_file:
             return None
         file, kind = self.file()
@@ -86,9 +86,9 @@ class TrajectorySpec:
 
     @property
     def spec(self) -> str:
-        """The one text for it: absolute place, the first digits of its content, and what is not usual.
+        """Return the canonical spec: absolute path, the first digits of the content, and options that are not default.
 
-        Raises `InputError` where the file is not there or another one than is meant.
+        Raise `InputError` if the file is missing or has changed.
         """
         if not self.of_file:
             return str(Spec(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else ""))
@@ -105,9 +105,10 @@ class TrajectorySpec:
         return str(Spec(f"{TRAJECTORY}{file}@{_digits(file)}", query))
 
     def file(self) -> tuple[Path, str]:
-        """The file and its format, checked against the digits."""
+        """Return the file and its format; raise `InputError` if the content differs from the expected digits."""
         file, kind = find_file(self.place, self.kind)
-        file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()  # a linked folder keeps its scan
+        # A symbolic link to a folder is not resolved, because the scan's text file is next to the link.
+        file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()
         if any(letter in str(file) for letter in "?@,&"):
             raise InputError(f"'{file}' has one of ? @ , & in its name, which separate options: rename it")
         if self.digits and _digits(file) != self.digits:
@@ -115,15 +116,15 @@ class TrajectorySpec:
         return file, kind
 
     def changes(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        """All changes of the preset's fields where ``overrides`` were asked for."""
+        """Return all changes of the preset: the ``overrides``, the mapper, and a small body radius for given poses."""
         mapper = {"mapper.name": self.mapper} if self.mapper else {}
         room = {} if self.place == SWEEP else {"motion.body_radius": _ROOM}
         return {**room, **overrides, **mapper}
 
-    def course(self, truth: GroundTruth, keyframe_every: int) -> ResolvedTrajectory | None:
-        """Its legs in a scene, None for a sweep, which depends on the start of an episode.
+    def resolve(self, truth: GroundTruth, keyframe_every: int) -> ResolvedTrajectory | None:
+        """Return the trajectory in a scene; None for a sweep, which depends on the start of an episode.
 
-        Raises `InputError` where a camera cannot have been there.
+        Raise `InputError` if the poses do not fit the scene's free space.
         """
         if self.place == PASSIVE and truth.scene.evaluation_views is not None:
             poses = truth.scene.evaluation_views.world_from_camera
@@ -147,25 +148,25 @@ class TrajectorySpec:
 
 @dataclass(frozen=True)
 class ResolvedTrajectory:
-    """A trajectory in a scene."""
+    """Hold a trajectory in a scene."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera
-    legs: Sequence[PathSegment]  # what is done along them
-    outside: int = 0  # poses that are not in the scene's free space
+    segments: Sequence[PathSegment]  # the poses with their keyframes, one segment per step
+    outside: int = 0  # number of poses outside of the scene's free space
 
     @property
     def frames(self) -> int:
-        """Frames that it costs, the first one included."""
-        return 1 + sum(len(leg.poses) + leg.lost + leg.stays for leg in self.legs)
+        """Return the number of frames, including the first one."""
+        return 1 + sum(len(segment.poses) + segment.lost + segment.stays for segment in self.segments)
 
 
 def named_trajectory(spec: str) -> str:
-    """The one text for ``trajectory:FILE?options``; raises `InputError`."""
+    """Return the canonical spec of ``trajectory:FILE?options``; raise `InputError` for a wrong one."""
     return TrajectorySpec.of(spec).spec
 
 
 def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
-    """The policies, every trajectory among them once for each mapper; raises `InputError` where there is none."""
+    """Return the policies with every trajectory repeated for each mapper; raise `InputError` without a trajectory."""
     if not mappers:
         return list(policies)
     if not any(map(is_trajectory, policies)):
@@ -191,11 +192,12 @@ def _options(
     start: tuple[float, float, float, float] | None = None,
     mapper: str = "",
 ) -> None:
-    """The options of a trajectory, for `typed_options`."""
+    """Declare the options of a trajectory for `typed_options`."""
 
 
 def _digits(file: Path) -> str:
-    if file.is_dir():  # of poses, a file each
+    """Return the first digits of the SHA-256 of a trajectory's file or folder."""
+    if file.is_dir():  # one file per pose
         whole = hashlib.sha256()
         for one in (*pose_files(file), *filter(Path.is_file, [scan_text(file)])):
             whole.update(f"{one.name} {hashlib.sha256(one.read_bytes()).hexdigest()}\n".encode())

@@ -1,4 +1,4 @@
-"""Follow the trajectory of a job, frame by frame, through the sensor, the map and the protocols of every other run."""
+"""Follow the trajectory of a job with the same sensor, mapper and protocols as in every other run."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
 
 
 class TrajectoryEnv(ReconstructionEnv):
-    """An environment in which every step, whatever the action, is the next leg of a trajectory."""
+    """Follow the next segment of a trajectory at every step and ignore the action."""
 
-    course: ResolvedTrajectory
+    resolved: ResolvedTrajectory
 
-    def __init__(self, course: ResolvedTrajectory | None, truth: GroundTruth, **options: Any) -> None:
-        given = {} if course is None else {"start_pose": course.poses[0]}
-        super().__init__(**options | given, scene=truth)
-        self._given, self._truth = course, truth
+    def __init__(self, resolved: ResolvedTrajectory | None, truth: GroundTruth, **options: Any) -> None:
+        start = {} if resolved is None else {"start_pose": resolved.poses[0]}
+        super().__init__(**options | start, scene=truth)
+        self._given, self._truth = resolved, truth
         self._next = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin where the trajectory begins; a sweep begins where any episode would."""
+        """Begin at the first pose of the trajectory; a sweep begins at the usual start pose of an episode."""
         self._next = 0
         begun = super().reset(seed=seed, options=options)
-        self.course = self._given or self._sweep()
+        self.resolved = self._given or self._sweep()
         return begun
 
     def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-        return as_pose(value)  # a camera in somebody's hand rolls
+        return as_pose(value)  # unlike in `ReconstructionEnv` the pose may be rolled: a hand-held camera rolls
 
     def _sweep(self) -> ResolvedTrajectory:
         from activestructure_gym.evaluation.references.sweep import sweep
@@ -50,42 +50,42 @@ class TrajectoryEnv(ReconstructionEnv):
         return ResolvedTrajectory(poses, regular_segments(poses, config.keyframe_every))
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Follow the next leg; terminates with the last one."""
+        """Follow the next segment; the episode terminates with the last one."""
         self._access.check_open("step")
-        legs = self.course.legs
-        leg = legs[self._next] if self._next < len(legs) else PathSegment(self.course.poses[:0], ())
+        segments = self.resolved.segments
+        segment = segments[self._next] if self._next < len(segments) else PathSegment(self.resolved.poses[:0], ())
         self._next += 1
-        observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(leg), invalid=False)
-        return observation, reward, self._next >= len(legs), truncated, info
+        observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(segment), invalid=False)
+        return observation, reward, self._next >= len(segments), truncated, info
 
 
 class TrajectoryPolicy:
-    """In place of a policy: decides nothing."""
+    """Replace the policy in an episode: `TrajectoryEnv` ignores its actions."""
 
     def reset(self, seed: int) -> None:
-        """Nothing is drawn."""
+        """Begin an episode; the seed is not used."""
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Any row: `TrajectoryEnv` takes none."""
+        """Return 0."""
         return 0
 
     def trace(self) -> dict[str, Any]:
-        """Nothing was weighed."""
+        """Return an empty trace."""
         return {}
 
 
 def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryPolicy, TrajectoryEnv]:
-    """Who follows the trajectory of a job, and its env."""
+    """Return a policy without effect and the env that follows the trajectory of a job."""
     given = TrajectorySpec.of(job.policy)
     changes = given.changes(job.conditions.overrides)
     config = configure(job.conditions.preset, changes)
-    resolved = given.course(known, config.keyframe_every)
+    resolved = given.resolve(known, config.keyframe_every)
     env = TrajectoryEnv(resolved, known, features=(), **job.conditions.env_options(changes))
     return TrajectoryPolicy(), env
 
 
 def followed_metrics(env: TrajectoryEnv) -> dict[str, float]:
-    """How the trajectory moved beside the limits of planners, and how many of its poses stand in something."""
+    """Return how the executed trajectory compares with the motion limits, and its number of poses outside."""
     motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
-    told = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
-    return {**told, "poses_outside": env.course.outside}
+    report = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
+    return {**report, "poses_outside": env.resolved.outside}

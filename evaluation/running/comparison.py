@@ -184,7 +184,7 @@ class Comparison:
             check_start_pose(known, as_pose(self.conditions.start_pose), config.motion.body_radius)
         for policy in filter(is_trajectory, policies):
             given = TrajectorySpec.of(policy)
-            given.course(known, config.keyframe_every)
+            given.resolve(known, config.keyframe_every)
             if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":
                 raise InputError(
                     f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "

@@ -1,4 +1,4 @@
-"""Compile the kernels of a comparison before the clock of any run starts, while the scenes are prepared."""
+"""Compile the kernels of a comparison while its scenes are prepared, so that no run's time includes compilation."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 @contextmanager
 def warming_up(policies: Sequence[str], notify: Callable[[str], None] = lambda _: None) -> Iterator[None]:
-    """Compile the listed kernels that are not on disk: by helpers while the block runs, the others after it.
+    """Compile the listed kernels that are not on disk: in helper processes while the block runs, the rest after it.
 
-    The time of a run contains no compiling then, except for kernels of the user's own code and of unusual settings.
-    ``notify`` gets the progress; it is not called if nothing has to be compiled.
+    Only kernels of plug-in code or of unusual settings may still be compiled during a run. ``notify`` is called with
+    the progress if any kernel is compiled.
     """
     from activestructure_gym.compiling import describe, told_to
     from activestructure_gym.compiling.ahead import listed_kernels, start_helpers
@@ -35,7 +35,7 @@ def warming_up(policies: Sequence[str], notify: Callable[[str], None] = lambda _
 
 
 def feature_modules(policies: Sequence[str]) -> set[str]:
-    """Return the modules of the features that any of the policies needs."""
+    """Return the modules of the features that at least one of the policies needs."""
     from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import make_policy
 

@@ -158,7 +158,7 @@ def test_a_record_with_two_paths_of_one_scene_is_gone_on_with_and_labelled_as_on
 def test_every_option_that_decides_a_result_is_compared():
     # A new field of a job is a condition, unless it may differ within one comparison.
     assert {field.name for field in dataclasses.fields(Job)} == {*jobs.CELL, "conditions"}
-    native = dataclasses.replace(JOB.conditions, setup="native")
+    native = dataclasses.replace(JOB.conditions, setup="native", metrics=("mine:metric",))
     assert native.as_dict().keys() == {field.name for field in dataclasses.fields(Conditions)}
 
 

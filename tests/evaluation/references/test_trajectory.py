@@ -81,7 +81,7 @@ def test_what_a_trajectory_does_beyond_the_limits_is_told(played: Run, tmp_path:
     assert run.config["configuration"]["mapper"]["name"] == "splatam"
     assert run.trajectory["keyframes"].tolist() == [0, 4, 5]
     (told,) = trajectories_text(gather([tmp_path / "runs"]))
-    assert "6 frames) 0 collisions, 0 poses outside of the free space, 1 steps over 0.1 m (largest 0.15 m)" in told
+    assert "6 frames) 0 collisions, 0 poses outside free space, 1 steps over 0.1 m (largest 0.15 m)" in told
     assert "5 turns over 10 degrees (largest 15)" in told
     assert run.policy.startswith(f"trajectory:{tmp_path.name}@") and run.policy.endswith("?mapper=splatam")
 

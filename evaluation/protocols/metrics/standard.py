@@ -6,11 +6,11 @@ from activestructure_gym.evaluation.protocols.metrics.base import METRICS, Metri
 
 # {near} in a meaning is replaced by the protocol's threshold.
 ACCURACY = Metric(
-    "accuracy_cm", "lowest", "Acc", "cm", 2, "mean distance from the reconstructed points to the true surface"
+    "accuracy_cm", "lowest", "Acc", "cm", 2, "accuracy: mean distance from the reconstructed points to the true surface"
 )
 COMPLETION = Metric(
     "completion_cm", "lowest", "Com.", "cm", 2,
-    "mean distance from the true surface to the reconstructed points; missing parts count",
+    "completion: mean distance from the true surface to the reconstructed points; missing parts count",
 )  # fmt: skip
 RATIO = Metric(
     "completion_ratio", "highest", "C.R.", "%", 1,

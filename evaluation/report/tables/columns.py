@@ -27,6 +27,7 @@ class Column:
     unit: str
     digits: int
     best: Best | None = None  # None for costs and sizes, which have no best value
+    meaning: str = ""  # definition, shown as a tooltip
 
     @property
     def arrow(self) -> str:
@@ -51,12 +52,15 @@ class Column:
     @classmethod
     def of(cls, metric: Metric) -> Column:
         """Return the column of a metric."""
-        return cls(metric.name, metric.label, metric.unit, metric.digits, metric.best)
+        meaning = metric.meaning.replace("{near}", "the distance threshold")
+        return cls(metric.name, metric.label, metric.unit, metric.digits, metric.best, meaning)
 
 
 # C.R. of the Gaussians' means, C.R. of the TSDF surface, and observed share.
 RATIOS = tuple(map(Column.of, (standard.RATIO, standard.TSDF_RATIO, standard.OBSERVED)))
-_EXPLORATION = Column("observed_area", "exploration", "%", 1, "highest")
+_EXPLORATION = Column(
+    "observed_area", "exploration", "%", 1, "highest", "mean observed share of the surface over the frame budget"
+)
 
 # Columns of the overview.
 COLUMNS = (

@@ -38,7 +38,7 @@ class Heading:
     @classmethod
     def of(cls, column: Column) -> Heading:
         """Return the heading of a metric's column."""
-        return cls(column.title)
+        return cls(column.title, note=column.meaning)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
             block = ranked(means, column, results.planners)
             cells |= {(policy, column.key, scene): cell for policy, cell in zip(results.policies, block)}
     rows = [
-        [Cell(policy), Cell(column.title), *(cells[policy, column.key, scene] for scene in scenes)]
+        [Cell(policy), Cell(column.title, note=column.meaning), *(cells[policy, column.key, scene] for scene in scenes)]
         for policy in results.policies
         for column in columns
     ]

@@ -137,7 +137,8 @@ def difference_table(results: Results) -> Table | None:
             if pair is None or all(is_lower_bound(run, column.key) for run in both):
                 continue
             wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
-            row = [Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True)]
+            name = Cell(column.title, note=column.meaning)
+            row = [Cell(policy), name, with_interval(pair.difference, column.digits, signed=True)]
             row.append(Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs))
             if intervals:
                 words, tone = verdict(pair, column)
@@ -202,7 +203,8 @@ def aggregate_table(results: Results) -> Table:
             for policy in results.policies:
                 own = results.strata(policy, column.key)
                 found.append(with_interval(None if own is None else estimate(own, statistic), column.digits))
-            block.append([Cell(column.title), Cell(name), *ranked(found, column, results.planners)])
+            heading = Cell(column.title, note=column.meaning)
+            block.append([heading, Cell(name), *ranked(found, column, results.planners)])
         if rows:
             blocks.append(len(rows))
         rows += block
@@ -224,7 +226,9 @@ def area_table(results: Results) -> Table:
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
             found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
-            columns.append((Heading(f"{column.title}, {cost.key}"), ranked(found, column, results.planners)))
+            columns.append(
+                (Heading(f"{column.title}, {cost.key}", note=column.meaning), ranked(found, column, results.planners))
+            )
     rows = [[Cell(policy), *(cells[k] for _, cells in columns)] for k, policy in enumerate(results.policies)]
     headings = [Heading("Policy", numeric=False), *(heading for heading, _ in columns)]
     caption = (

@@ -122,8 +122,9 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
-    from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
+    from activestructure_gym.evaluation.running.comparison import jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import ENGINES, Limits
+    from activestructure_gym.evaluation.running.output_directory import check_output
     from activestructure_gym.evaluation.running.resuming import recorded_jobs
     from activestructure_gym.evaluation.running.sharding import Shard
 

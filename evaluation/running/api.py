@@ -11,9 +11,10 @@ from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.comparison import Comparison, Result, check_output, run_comparison
+from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
+from activestructure_gym.evaluation.running.output_directory import check_output
 
 
 class NullListener:

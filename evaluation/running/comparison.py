@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +11,6 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store, temporary
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
-from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.archive.jobs import (
     REFERENCE,
     Job,
@@ -29,8 +26,8 @@ from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.protocols.metrics import get_metric
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Listener, Outcome
-from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
+from activestructure_gym.evaluation.running.output_directory import already_begun
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
@@ -219,51 +216,6 @@ class Result:
     missing: int = 0
 
 
-def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None:
-    """Raise `InputError` for a directory that cannot be written or holds other files.
-
-    With ``resume`` or ``shared``, it may hold a comparison.
-    """
-    if directory.is_symlink() and not directory.exists():
-        raise InputError(f"the output '{directory}' is a link that leads nowhere: mend it, or choose another --out")
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
-    if directory.is_dir():
-        temporary.refuse_links(directory, LOCK, LOGS, store.TABLES)
-        if (directory / store.JOBS).is_symlink() and not (directory / store.JOBS).is_dir():
-            raise InputError(f"'{directory / store.JOBS}' is a link that leads to no folder: mend it, or remove it")
-        check_free(directory, shared=shared)
-        if (directory / store.COMPARISON).is_file():
-            if not (resume or shared):
-                raise _begun(directory)
-        elif resume and (directory / store.JOBS).is_dir():
-            pass  # the record is lost, but the runs still exist
-        elif any(not _is_ours(path) for path in directory.iterdir()):
-            raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
-    parent = directory
-    while not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir():
-        raise InputError(f"the output '{directory}' cannot be made: '{parent}' is a file")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
-    try:  # on some file systems `os.access` is not reliable
-        os.rmdir(tempfile.mkdtemp(prefix=f".{store.COMPARISON}.", dir=parent))
-    except OSError as error:
-        raise InputError(f"the output '{directory}' cannot be written: {error.strerror} in '{parent}'") from None
-
-
-def _begun(directory: Path) -> InputError:
-    return InputError(
-        f"'{directory}' holds a comparison already; add --resume (in Python resume=True), or choose another directory"
-    )
-
-
-def _is_ours(path: Path) -> bool:
-    """Return whether this file can be a leftover of a comparison that was killed before it wrote its record."""
-    return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")
-
-
 def jobs_to_resume(
     directory: Path, asked: Comparison | None = None, notify: Callable[[str], None] = lambda _: None
 ) -> list[Job]:
@@ -338,7 +290,7 @@ def run_comparison(
     chosen, limits = ENGINES.get(engine), limits or Limits()
     recorded = recorded_jobs(directory)
     if recorded and not resume and shard is None:
-        raise _begun(directory)
+        raise already_begun(directory)
     everything = merged(recorded, jobs, directory)
     if shard is None:
         temporary.remove_leftovers(directory / store.JOBS)

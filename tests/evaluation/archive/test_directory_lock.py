@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import directory_lock
 from activestructure_gym.evaluation.archive.directory_lock import check_free, hold
-from activestructure_gym.evaluation.running.comparison import check_output
+from activestructure_gym.evaluation.running.output_directory import check_output
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks of another kind")
 

@@ -11,8 +11,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store, temporary
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, hold
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.comparison import check_output
 from activestructure_gym.evaluation.running.engines.base import LOGS
+from activestructure_gym.evaluation.running.output_directory import check_output
 from activestructure_gym.evaluation.running.resuming import review_finished
 from tests.evaluation.written_runs import write_comparison, write_run
 

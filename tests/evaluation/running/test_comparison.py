@@ -1,8 +1,4 @@
 import itertools
-import os
-import shutil
-import subprocess
-import sys
 
 import pytest
 import trimesh
@@ -10,7 +6,7 @@ import trimesh
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running.comparison import Comparison, check_output
+from activestructure_gym.evaluation.running.comparison import Comparison
 
 
 @pytest.fixture
@@ -86,43 +82,6 @@ def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, m
     assert "\n" not in str(error.value)
 
 
-def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
-    check_output(tmp_path / "new" / "deep", resume=False)
-    check_output(tmp_path, resume=False)  # empty
-    file = tmp_path / "file"
-    file.touch()
-    with pytest.raises(InputError, match="is a file"):
-        check_output(file, resume=False)
-    with pytest.raises(InputError, match="other files"):
-        check_output(tmp_path, resume=False)
-    with pytest.raises(InputError, match="other files"):
-        check_output(tmp_path, resume=True)
-    (tmp_path / "compare.json").touch()
-    with pytest.raises(InputError, match="--resume"):
-        check_output(tmp_path, resume=False)
-    check_output(tmp_path, resume=True)
-    with pytest.raises(InputError, match="cannot be made: '.*file' is a file"):
-        check_output(file / "below", resume=False)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="permission bits")
-def test_an_output_without_permission(tmp_path):
-    tmp_path.chmod(0o500)
-    code = (
-        "import sys; from pathlib import Path;"
-        "from activestructure_gym.evaluation.running.comparison import check_output;"
-        "check_output(Path(sys.argv[1]), resume=False)"
-    )
-    prefix = []
-    if os.geteuid() == 0:  # permissions do not bind root, unless it gives that up
-        if shutil.which("setpriv") is None:
-            pytest.skip("no setpriv to give up root's rights")
-        prefix = ["setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override"]
-    command = [*prefix, sys.executable, "-c", code, str(tmp_path / "new")]
-    ended = subprocess.run(command, capture_output=True, text=True)
-    assert ended.returncode == 1 and "InputError" in ended.stderr and "no permission" in ended.stderr
-
-
 @pytest.mark.parametrize("scene", ["bx", "nowhere/house.glb", "mesh:nowhere.glb", "missing.obj"])
 def test_a_scene_that_is_not_there_is_refused_before_anything_is_compiled(scene, monkeypatch):
     from activestructure_gym.evaluation.running import comparison
@@ -130,12 +89,3 @@ def test_a_scene_that_is_not_there_is_refused_before_anything_is_compiled(scene,
     monkeypatch.setattr(comparison, "warming_up", lambda *given: pytest.fail("compiles"))
     with pytest.raises(InputError, match="unknown scene|there is no scene file"):
         Comparison([scene], ["random"]).prepare()
-
-
-def test_an_output_that_no_file_can_be_made_in_is_refused(tmp_path, monkeypatch):
-    def refuse(**given):
-        raise OSError(2, "No such file or directory")
-
-    monkeypatch.setattr("tempfile.mkdtemp", refuse)  # as in /proc, of which the system says that it can be written
-    with pytest.raises(InputError, match="cannot be written: No such file or directory in"):
-        check_output(tmp_path / "new", resume=False)

@@ -57,7 +57,7 @@ class Decisions:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         settings, seeds = self._settings(), parse_seeds(self.seeds)
         if self.out is None:
             return self._decide(settings, seeds, None)
@@ -81,7 +81,7 @@ class Decisions:
                 title = short_title(console, f"{scene}, seed {seed}")
                 bar.update(task, completed=ended * settings.frames + frames, description=title)
 
-            for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, tell=show):
+            for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, notify=show):
                 ended += 1
                 records += found
                 if folder is not None:

@@ -117,7 +117,7 @@ class Evaluation:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         console = make_console()
         rows = measure_evaluation(console, split_scenes(self.scenes), quick=self.quick)
         print_rows(console, rows, "cost of an episode's evaluation, with cached ground truth")

@@ -47,9 +47,9 @@ class Settings:
 
 
 def frozen_decisions(
-    scene: str, seed: int, settings: Settings, tell: Callable[[int], None] = lambda _: None
+    scene: str, seed: int, settings: Settings, notify: Callable[[int], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Return one record per frozen decision of an episode; ``tell`` is called with the frames spent."""
+    """Return one record per frozen decision of an episode; ``notify`` is called with the frames spent."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -82,7 +82,7 @@ def frozen_decisions(
                 records.append({"scene": scene, "seed": seed, "decision": number, "frames": frames} | record)
             observation, _, terminated, truncated, info = env.step(row)
             ended = terminated or truncated
-            tell(int(info["frames"]))
+            notify(int(info["frames"]))
     finally:
         env.close()
     return records
@@ -285,11 +285,11 @@ def run_decisions_benchmark(
     settings: Settings,
     *,
     done: Sequence[Mapping[str, Any]] = (),  # records that exist already
-    tell: Callable[[str, int, int], None] = lambda scene, seed, frames: None,
+    notify: Callable[[str, int, int], None] = lambda scene, seed, frames: None,
 ) -> Iterator[list[dict[str, Any]]]:
     """Yield the records of every episode that is not in ``done``, episode by episode."""
     have = {(record["scene"], record["seed"]) for record in done}
     for scene in scenes:
         for seed in seeds:
             if (scene, seed) not in have:
-                yield frozen_decisions(scene, seed, settings, partial(tell, scene, seed))
+                yield frozen_decisions(scene, seed, settings, partial(notify, scene, seed))

@@ -130,7 +130,7 @@ class Grid:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         console = make_console()
         size: dict[str, Any] = {"frames": 8, "seeds": (0,), "repeats": 1} if self.quick else {}
         with working(console, "measuring the grid") as notify:

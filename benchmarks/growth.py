@@ -264,7 +264,7 @@ class Growth:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         console = make_console()
         rows = _growth(console, self.scene, quick=self.quick, out=self.out)
         print_rows(console, rows, "cost of one place while the map grows elsewhere")

@@ -180,7 +180,7 @@ class Quality:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         console = make_console()
         rows = _quality(console, split_scenes(self.scenes), quick=self.quick, out=self.out)
         print_rows(console, rows, "quality of maps on held-out views")

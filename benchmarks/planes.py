@@ -358,7 +358,7 @@ class Planes:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         from activestructure_gym.scenes.library import load_scene
 
         console = make_console()

@@ -160,7 +160,7 @@ class Policies:
     """Run a small version, which shows only that the benchmark works."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         from activestructure_gym.policies import make_policy
 
         console = make_console()

@@ -26,7 +26,7 @@ class Sensor:
     """Render these scenes."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         from activestructure_gym.evaluation.benchmarks.sensors import run_sensor_benchmark
 
         console = make_console()
@@ -51,7 +51,7 @@ class Splatting:
     """Measure plain torch as well, for the ratios; this takes minutes instead of half a minute."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         from activestructure_gym.evaluation.benchmarks.information import run_information_benchmark
         from activestructure_gym.evaluation.benchmarks.splatting import run_splatting_benchmark
 
@@ -82,7 +82,7 @@ class Env:
     """Measure one short round, as a check that the benchmark runs."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.benchmarks.env import SCENES, run_env_benchmark
 
@@ -113,7 +113,7 @@ class Bench:
     """Measure this part."""
 
     def run(self) -> int:
-        """Measure and print."""
+        """Measure, print a table, and return 0."""
         return self.part.run()
 
 

@@ -254,10 +254,10 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.archive.conditions import Conditions
     from activestructure_gym.evaluation.running.comparison import Comparison
 
-    usual = Comparison(
+    defaults = Comparison(
         scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(setup=options.setup or "shared")
     )
-    return dataclasses.replace(usual, **_typed_fields(options, usual))
+    return dataclasses.replace(defaults, **_typed_fields(options, defaults))
 
 
 def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
@@ -330,10 +330,10 @@ def _announce(
     what = f"[bold]{' x '.join(parts)}[/], {conditions} per run" if jobs > 1 else f"[bold]one run[/], {conditions}"
     console.print(f"{what}, into {escape(str(directory))}")
     if demo:
-        protocol, usual = shared.protocol, StandardProtocol()
+        protocol, full = shared.protocol, StandardProtocol()
         console.print(
             f"[dim]The demo is measured on {protocol.views} views and {protocol.surface_samples:,} points; with "
-            f"--scenes a comparison is measured on {usual.views} and {usual.surface_samples:,} (asg compare --help)."
+            f"--scenes a comparison is measured on {full.views} and {full.surface_samples:,} (asg compare --help)."
         )
 
 

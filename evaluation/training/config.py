@@ -90,7 +90,7 @@ class TrainingConfig:
     episodes: int = 480  # episodes of the expert
     explore: float = 0.25  # share of steps with a random action, so that states off the expert's path are in the data
     # Temperature of the soft labels, relative to the best candidate's score. At 0.04 a view with 9/10 of the best score
-    # has a twelfth of its probability. PPO that starts from such a checkpoint draws its actions so.
+    # has a twelfth of its probability. PPO from such a checkpoint starts with these probabilities.
     temperature: float = 0.04
     mirror: bool = True  # reflect half of the states, drawn anew in every epoch
     weight_decay: float = 1e-4

@@ -68,11 +68,11 @@ def description(config: TrainingConfig) -> dict[str, Any]:
 
 
 def collect(
-    config: TrainingConfig, directory: Path, *, workers: int = 1, tell: Callable[[int, int], None] = lambda *_: None
+    config: TrainingConfig, directory: Path, *, workers: int = 1, notify: Callable[[int, int], None] = lambda *_: None
 ) -> int:
     """Write the missing files of ``directory`` and return their number.
 
-    ``tell`` is called with the numbers of existing files and of all files. Raises `InputError` if the directory holds
+    ``notify`` is called with the numbers of existing files and of all files. Raises `InputError` if the directory holds
     demonstrations of other settings.
     """
     directory.mkdir(parents=True, exist_ok=True)
@@ -80,9 +80,9 @@ def collect(
     write_json(directory / _DESCRIPTION, description(config))
     numbers = list(range(-(-config.episodes // config.world.episodes_per_layout)))
     missing = [number for number in numbers if not _file(directory, number).is_file()]
-    tell(len(numbers) - len(missing), len(numbers))
+    notify(len(numbers) - len(missing), len(numbers))
     for done in spread(_write, [(config, directory, number) for number in missing], workers):
-        tell(len(numbers) - len(missing) + done, len(numbers))
+        notify(len(numbers) - len(missing) + done, len(numbers))
     return len(missing)
 
 

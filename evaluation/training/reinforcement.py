@@ -30,7 +30,7 @@ from activestructure_gym.evaluation.training.runs import (
     optimizer_tensors,
 )
 from activestructure_gym.evaluation.training.stopwatch import Timing
-from activestructure_gym.evaluation.training.supervised import Tell, Validate
+from activestructure_gym.evaluation.training.supervised import Notify, Validate
 from activestructure_gym.policies.learned.network import CandidateNetwork
 from activestructure_gym.policies.learned.sb3 import CandidatePolicy
 
@@ -58,7 +58,7 @@ def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
 
 
 def train_ppo(
-    config: TrainingConfig, envs: VecEnv, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
+    config: TrainingConfig, envs: VecEnv, run: TrainingRun, validate: Validate, notify: Notify = lambda *_: None
 ) -> CandidateNetwork:
     """Train from the run's position to the last iteration; return the network."""
     torch.manual_seed(config.seed)
@@ -90,7 +90,7 @@ def train_ppo(
         run.timing.switch("validating")
         row = dict(validate(policy.network))
         run.begin_with(row, policy.network)
-        tell(0, row)
+        notify(0, row)
 
     order = layout_order(config.seed, config.world.layouts)
     while not run.ended:
@@ -111,7 +111,7 @@ def train_ppo(
             run.timing.switch("validating")
             row |= validate(policy.network)
         run.finish_unit(row, policy.network, module_tensors(policy.network) | optimizer_tensors(policy.optimizer))
-        tell(run.position, row)
+        notify(run.position, row)
     return policy.network
 
 

@@ -89,7 +89,7 @@ def play_cells(
     directory: Path,
     *,
     workers: int = 1,
-    tell: Callable[[int, int], None] = lambda *_: None,
+    notify: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
     """Play the episodes that ``directory`` lacks; an episode is written after all policies have played it."""
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
@@ -106,7 +106,7 @@ def play_cells(
     write_json(record, {"conditions": conditions})
     calls = [(world, tuple(policies), cell, directory) for cell in todo]
     for done in spread(play_cell, calls, workers):
-        tell(done, len(todo))
+        notify(done, len(todo))
 
 
 def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_from_camera

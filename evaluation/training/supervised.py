@@ -23,7 +23,7 @@ from activestructure_gym.evaluation.training.targets import bin_edges, ordinal, 
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
 
 Validate = Callable[[CandidateNetwork], Mapping[str, float]]
-Tell = Callable[[int, Mapping[str, float]], None]
+Notify = Callable[[int, Mapping[str, float]], None]
 
 _CRITIC_WEIGHT = 0.5  # weight of the squared value error, whose gradients reach only the critic
 
@@ -48,7 +48,7 @@ class OrdinalRanks(nn.Module):
 
 
 def train_supervised(
-    config: TrainingConfig, data: Demonstrations, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
+    config: TrainingConfig, data: Demonstrations, run: TrainingRun, validate: Validate, notify: Notify = lambda *_: None
 ) -> CandidateNetwork:
     """Train from the run's position to the last epoch; return the network."""
     torch.manual_seed(config.seed)
@@ -97,7 +97,7 @@ def train_supervised(
             row |= validate(network)
             run.timing.switch("updating")
         run.finish_unit(row, network, module_tensors(model) | optimizer_tensors(optimizer))
-        tell(run.position, row)
+        notify(run.position, row)
     return network
 
 

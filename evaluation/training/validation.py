@@ -41,8 +41,8 @@ def network_choice(network: CandidateNetwork) -> Choose:
 class Validation:
     """Play one episode on each validation layout; layouts stay in memory, and references are played once per run."""
 
-    def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
-        self._config, self._file, self._tell = config, directory / _FILE, tell
+    def __init__(self, config: TrainingConfig, directory: Path, notify: Callable[[str], None] = lambda _: None) -> None:
+        self._config, self._file, self._notify = config, directory / _FILE, notify
         self._specs = learning_layouts(config.world, "validation", config.validation_layouts)
         self._truths: list[GroundTruth] = []
         self._references: dict[str, list[float]] = {}
@@ -52,7 +52,7 @@ class Validation:
         self._prepare()
         areas = []
         for number, truth in enumerate(self._truths):
-            self._tell(f"validating on layout {number + 1} of {len(self._truths)}")
+            self._notify(f"validating on layout {number + 1} of {len(self._truths)}")
             env = make_env(self._config.world, truth)
             areas.append(play(env, network_choice(network), _SEED + number).auc)
             env.close()
@@ -63,7 +63,7 @@ class Validation:
         if self._truths:
             return
         for number, spec in enumerate(self._specs):
-            self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
+            self._notify(f"preparing validation layout {number + 1} of {len(self._specs)}")
             self._truths.append(learning_truth(spec))
         stored: dict[str, Any] = {}
         if self._file.is_file():
@@ -73,7 +73,7 @@ class Validation:
             stored = {"layouts": list(self._specs), "random": [], "oracle": []}
             world = self._config.world
             for number, truth in enumerate(self._truths):
-                self._tell(f"playing the references on layout {number + 1} of {len(self._specs)}")
+                self._notify(f"playing the references on layout {number + 1} of {len(self._specs)}")
                 stored["random"].append(play_policy(world, truth, Random(), _SEED + number).auc)
                 stored["oracle"].append(play_oracle(world, truth, _SEED + number).auc)
             write_json(self._file, stored)

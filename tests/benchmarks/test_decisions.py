@@ -8,8 +8,8 @@ from benchmarks.command import run
 from benchmarks.decisions import Decisions
 
 
-def made_up(scene, seed, settings, tell):
-    tell(settings.frames)
+def made_up(scene, seed, settings, notify):
+    notify(settings.frames)
     picks = {"feature pixel": {"row": 0, "rate": 0.5}}
     table = {"views": 3, "best": 1.0, "mean": 0.25}
     return [{"scene": scene, "seed": seed, "decision": 0, "frames": 1, "table": table, "pool": table, "picks": picks}]

@@ -46,7 +46,7 @@ class Episodes:
 
 
 def check_empty(directory: Path) -> None:
-    """Raise `InputError` if the directory holds anything."""
+    """Raise `InputError` if the output is a file or a directory with files other than ``.lock``."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory")
     if directory.exists() and any(path.name != ".lock" for path in directory.iterdir()):

@@ -75,7 +75,7 @@ class Eval(Episodes):
         with hold(directory), Live(console) as live:
             live.begin("episodes", len(cells), 0)
             live.say(f"{len(policies) + 2} policies each, {workers} at a time")
-            scoring.play_cells(world, policies, cells, directory, workers=workers, tell=live.files)
+            scoring.play_cells(world, policies, cells, directory, workers=workers, notify=live.files)
         rows = scoring.table(directory, policies, cells, baselines)
         with writing(directory), replaced(directory / "eval.md") as file:
             file.write(scoring.markdown(rows, baselines).encode())

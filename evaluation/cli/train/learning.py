@@ -116,7 +116,7 @@ def _run(
                 run.timing.save()
 
             run.timing.switch("collecting")
-            missing = demonstrations.collect(config, episodes, workers=workers, tell=update)
+            missing = demonstrations.collect(config, episodes, workers=workers, notify=update)
             states = demonstrations.load(config, episodes)
             if missing:
                 run.timing.count("collecting", len(states))

@@ -35,9 +35,9 @@ def somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes in place of apartments, which take seconds to build."""
-    from activestructure_gym.evaluation.training import scoring, world
+    from activestructure_gym.evaluation.training import scoring, training_env
 
-    for module in (world, scoring):
+    for module in (training_env, scoring):
         monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms, lit=True: BOXES[:count])
 
 

@@ -50,12 +50,12 @@ def test_episodes_that_are_cut_do_not_count() -> None:
     assert whole_episodes(rewards[:2], starts[:2]) is None
 
 
-def train(config: TrainingConfig, place: Path, tell=lambda *_: None, validate=no_validation, processes=False):
+def train(config: TrainingConfig, place: Path, notify=lambda *_: None, validate=no_validation, processes=False):
     torch.set_num_threads(1)
     envs = vector_env([partial(RandomCandidates, 16, 5)] * config.envs, processes=processes)
     run = TrainingRun(place, config)
     try:
-        return train_ppo(config, envs, run, validate, tell), run
+        return train_ppo(config, envs, run, validate, notify), run
     finally:
         envs.close()
 

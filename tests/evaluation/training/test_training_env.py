@@ -259,7 +259,7 @@ def test_the_expert_goes_to_the_nearest_where_nothing_is_to_gain(box: Scene) -> 
 def test_demonstrations_are_collected_once_and_go_on(tiny_layouts: None, tmp_path: Path) -> None:
     config = TrainingConfig(world=replace(SMALL, layouts=2), episodes=3)
     told: list[tuple[int, int]] = []
-    assert demonstrations.collect(config, tmp_path / "a", tell=lambda *at: told.append(at)) == 2
+    assert demonstrations.collect(config, tmp_path / "a", notify=lambda *at: told.append(at)) == 2
     assert told == [(0, 2), (1, 2), (2, 2)]
     data = demonstrations.load(config, tmp_path / "a")
     assert int(data.ends.sum()) == 3 and data.ends[-1]

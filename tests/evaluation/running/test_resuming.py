@@ -11,8 +11,9 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison, engines
-from activestructure_gym.evaluation.running.comparison import Comparison, check_output, jobs_to_resume, run_comparison
+from activestructure_gym.evaluation.running.comparison import Comparison, jobs_to_resume, run_comparison
 from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome
+from activestructure_gym.evaluation.running.output_directory import check_output
 from activestructure_gym.evaluation.running.resuming import recorded_jobs
 from tests.evaluation.written_runs import write_comparison, write_run
 

@@ -280,9 +280,8 @@ def source_of(
     """
     finished = {run.job.hash: run.job.title for run in runs}
     failed = record.get("failed") or {}
-    missing = {
-        title: why for title, why in failed.items() if title not in finished.values()
-    }  # another process may have finished it
+    # Another process may have finished a job after it failed.
+    missing = {title: why for title, why in failed.items() if title not in finished.values()}
     for content in (record.get("jobs") or {}).values():
         job = Job.from_dict(content)
         if job.hash not in finished:

@@ -166,9 +166,8 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
         if lowest:
             for tick in x_ticks:
                 x = tick / right * panel_width
-                anchor = (
-                    "start" if x < 15 else "end" if x > panel_width - 15 else "middle"
-                )  # keeps labels inside their panel
+                # Labels stay inside their panel.
+                anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"
                 below.append(label(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
         own: list[Part] = []
         if line.low is not None and line.high is not None:

@@ -58,9 +58,8 @@ def draw_centres(
     """Draw deficiency centres as white discs; the disc's area is proportional to that of the hole."""
     draw = ImageDraw.Draw(picture)
     shrunk = min(1.0, max(0.35, (_MANY / max(len(places), 1)) ** 0.5))
-    for k in np.argsort(
-        -arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable"
-    ):  # occluded ones first, then by falling area
+    order = np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable")  # occluded first, then large ones
+    for k in order:
         if hidden[k]:
             _disc(draw, places[k, 0], places[k, 1], 1.6 * SMOOTH, style.FAINT_INK, 0)
         else:

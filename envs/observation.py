@@ -99,12 +99,12 @@ def feature_names(source: Any) -> tuple[str, ...]:
         return table.names
     if isinstance(table, spaces.Space):
         raise InputError(
-            "this observation space does not name the columns of candidate_features, as one that a wrapper made anew; "
+            "this observation space does not name the columns of candidate_features, which a wrapper can cause; "
             "give the names instead, as in info['features']"
         )
     raise InputError(
-        f"which features stand in which column is told by an env, by its observation space or by a list of their names "
-        f"as in info['features'], got {short_repr(source)}"
+        "the names of the feature columns come from an env, from its observation space or from a list of names as in "
+        f"info['features'], got {short_repr(source)}"
     )
 
 

@@ -41,7 +41,7 @@ class NativeSettings:
 
     def describe(self) -> str:
         """Describe the settings in words, with the paper's budget if it is given."""
-        frames = "at the end of a way" if self.goal_keyframes else f"every {self.keyframe_every} frames"
+        frames = "at the end of a path" if self.goal_keyframes else f"every {self.keyframe_every} frames"
         given = {
             "views of " + " or ".join(" + ".join(stage) for stage in self.stages or ()): self.stages,
             f"up to {self.candidates} of them": self.candidates,
@@ -52,7 +52,7 @@ class NativeSettings:
             ", ".join(f"{name} = {value}" for name, value in self.changes.items()): self.changes or None,
         }
         settings = ", ".join(text for text, value in given.items() if value is not None) or "nothing"
-        return f"{settings}; its paper spends {self.budget}" if self.budget else settings
+        return f"{settings}; budget in its paper: {self.budget}" if self.budget else settings
 
     def overrides(self) -> dict[str, Any]:
         """Return the changes of the configuration by field name."""

@@ -59,9 +59,9 @@ def coarse_views(
 class ActiveGAMER(Planner):
     """Choose argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
-    IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice. A stage ends when its pool is empty. In the native setup, the pools are the lattices
-    themselves, and post-refinement optimises in place. Source: [activegamer, code].
+    IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views with IG_c below 0.005
+    leave the pool after the choice. A stage ends when its pool is empty. In the native setup, the pools are the
+    lattices themselves, and post-refinement optimises in place. Source: [activegamer, code].
     """
 
     criterion = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"

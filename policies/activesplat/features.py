@@ -33,7 +33,8 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
 
     I (rad^2 m deg^2) sums (hull volume) x (sum of 1 - opacity) over clusters of gaps in the node's panorama. V
     (rad^2 m) sums the hull volumes. Both are 0 without a node. The number of a subregion is valid in one step only; it
-    is -1 without a node. The last column is `visible_gaps`. Source: [activesplat, code].
+    is -1 without a node. The last column sums 1 - opacity over the gaps of more than 25 square degrees in the image.
+    Source: [activesplat, code].
     """
     information, volume = node_openings(context)
     region = regions(context.once(floor_graph)).astype(np.float64)

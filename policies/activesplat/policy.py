@@ -31,7 +31,7 @@ LATE_AFTER = 3  # successive node choices without an offered node that is neithe
 class ActiveSplat(Planner):
     """Choose the node argmax 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
 
-    The view at the node that shows most gaps is chosen, followed by up to LOCAL_VIEWS views around it. I and V come
+    The view at the node that shows most gaps is chosen, followed by up to five views around it. I and V come
     from panoramas of the map at the node (feature `activesplat`). The score, its late weights and the order of
     subregions are those of [activesplat, code], `planner_node.py`.
     """

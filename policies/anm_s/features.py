@@ -32,7 +32,7 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s", **_COLUMNS)
 def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the uncertain clusters at the candidate's Voronoi node, the views they need, and its alignment (cosine).
+    """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
 
     A cluster is a connected part of the most uncertain 20 % of the surface. The first column counts the clusters whose
     nearest node is the candidate's. The second is the number of views that see these and the ends of the chains cut off
@@ -44,7 +44,7 @@ def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
 
 @FEATURES.register("anm_s_proxy", **_COLUMNS)
 def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the uncertain clusters at the candidate's Voronoi node, the views they need, and its alignment (cosine).
+    """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
 
     The columns are those of ``anm_s``. The uncertainty is a first-order approximation that needs no rendering.
     """

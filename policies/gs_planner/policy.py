@@ -56,9 +56,9 @@ class GSPlanner(Planner):
     """Choose argmax G = G_completeness + w G_quality among near views, then from a library ([gs_planner]).
 
     The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
-    VIEWPOINTS nearest places is considered; they replace one growth of the original's tree. The best one is chosen, and
-    others above STORED_GAIN are stored in the library. If none has MIN_GAIN, the best view of the library is chosen. If
-    the library is empty, the best of all views is; the original then ends. Revisits are not candidates.
+    four nearest places is considered; they replace one growth of the original's tree. The best one is chosen, and
+    others with G above 0.05 are stored in the library. If none has at least 0.02, the best view of the library is
+    chosen. If the library is empty, the best of all views is; the original then ends. Revisits are not candidates.
     Source: [gs_planner], by its text.
     """
 

@@ -95,7 +95,7 @@ def read_network_config(weights: Path) -> NetworkConfig:
     try:
         config = NetworkConfig.from_dict(content)
     except InputError as error:
-        raise InputError(f"'{file}' describes no policy of ours: {error}") from error
+        raise InputError(f"'{file}' does not describe a learned policy: {error}") from error
     for name in config.features:
         if ":" in name:  # no registered feature has a colon in its name
             refuse_code("feature", name, file)

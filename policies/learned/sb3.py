@@ -37,7 +37,7 @@ def _refuse_others(space: gym.Space[Any]) -> None:
     if not isinstance(space, spaces.Dict):
         raise InputError(
             f"a learned policy reads the entries {', '.join(USED_KEYS)} of an observation, and this one is a "
-            f"{type(space).__name__} without entries: give it an env of ours that no wrapper has flattened"
+            f"{type(space).__name__} without entries: use an env of this package that no wrapper has flattened"
         )
     if missing := [key for key in USED_KEYS if key not in space.spaces]:
         raise InputError(f"the observation lacks {', '.join(missing)}: a learned policy reads {', '.join(USED_KEYS)}")

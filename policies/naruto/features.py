@@ -44,7 +44,7 @@ def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
 
 @FEATURES.register("naruto_look", columns=[f"{rank}_{axis}" for rank in range(LISTED) for axis in "xyz"], unit="m")
 def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
-    """Compute the look-at list of a goal at the candidate's position: x, y, z (m, world) of LISTED targets.
+    """Compute the look-at list of a goal at the candidate's position: x, y, z (m, world) of 10 targets.
 
     The list contains the most uncertain targets seen from there. It is filled up with the candidate's own position.
     """

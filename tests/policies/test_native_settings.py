@@ -86,7 +86,7 @@ def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:
     assert (
         NativeSettings().describe() == "nothing"
-        and NativeSettings(budget="a day").describe() == "nothing; its paper spends a day"
+        and NativeSettings(budget="a day").describe() == "nothing; budget in its paper: a day"
     )
     assert NativeSettings(clearance_m=0.0, iterations=0).describe() == (
         "views 0.0 m from what is not free, 0 iterations a keyframe"
@@ -96,9 +96,9 @@ def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:
     )
     assert full.describe() == (
         "views of pool + stay or turns, up to 9 of them, views 0.5 m from what is not free, mapper splatam, "
-        "3 iterations a keyframe, a keyframe every 4 frames, sensor.width = 64; its paper spends an hour"
+        "3 iterations a keyframe, a keyframe every 4 frames, sensor.width = 64; budget in its paper: an hour"
     )
-    assert NativeSettings(goal_keyframes=True).describe() == "a keyframe at the end of a way"
+    assert NativeSettings(goal_keyframes=True).describe() == "a keyframe at the end of a path"
 
 
 def test_r3_recon_is_offered_views_of_the_frontier_and_around_the_agent() -> None:

@@ -138,11 +138,11 @@ def test_features_are_found_by_name_whatever_their_order_and_whoever_tells_it(
             "PixelOnly needs the features pixel, and the env offers hole_area: make the env with",
         ),
         ((), "PixelOnly needs the features pixel, and the env offers none"),
-        ("pixel", "which features stand in which column is told by an env, by its observation space or by a list"),
-        (None, "which features stand in which column is told by an env"),
-        (("pixel", 3), "which features stand in which column is told by an env"),
+        ("pixel", "the names of the feature columns come from an env, from its observation space or from a list"),
+        (None, "the names of the feature columns come from an env"),
+        (("pixel", 3), "the names of the feature columns come from an env"),
         (Dull(said=False), "this observation space does not name the columns"),
-        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which features stand in which column is told by an env"),
+        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "the names of the feature columns come from an env"),
     ],
 )
 def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:

@@ -168,7 +168,7 @@ def test_unused_entries_can_be_dropped() -> None:
 def test_what_is_no_observation_of_ours_is_one_sentence() -> None:
     flat = gym.wrappers.FlattenObservation(RandomCandidates())
     for use in (with_used_keys, lambda env: PPO(CandidatePolicy, env)):
-        with pytest.raises(InputError, match="this one is a Box without entries: give it an env of ours"):
+        with pytest.raises(InputError, match="this one is a Box without entries: use an env of this package"):
             use(flat)
     some = gym.wrappers.FilterObservation(RandomCandidates(), ["budget"])
     with pytest.raises(InputError, match="the observation lacks pose, candidates, "):

@@ -131,7 +131,6 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         render_mode: RenderMode | None = None,
         gains: Sequence[str] | None = None,
     ) -> None:
-        """Create the environment; the class docstring explains the arguments."""
         features = renamed("gains", gains, "features", features)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]

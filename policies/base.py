@@ -43,7 +43,6 @@ class Policy(ABC):
         cls.required_features = renamed("required_gains", old, "required_features", cls.required_features)
 
     def __init__(self) -> None:
-        """Create the random generator ``rng``; `reset` seeds it."""
         self.rng = np.random.default_rng(0)
 
     def bind(self, source: Any) -> None:

@@ -61,7 +61,6 @@ class Candidates:
         reader: str = "this policy",
         rows: Sequence[str] = CANDIDATE_COLUMNS,
     ) -> None:
-        """Keep a reference to the observation; the class docstring explains the parameters."""
         check_observation(observation, reader)
         self._observation, self._columns, self._reader, self._rows = observation, columns, reader, rows
 

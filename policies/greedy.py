@@ -80,5 +80,4 @@ class SharedGreedy(Greedy):
     min_gain = 1e-6  # share of the image; below the share of one pixel
 
     def __init__(self) -> None:
-        """Select the shared travel term."""
         super().__init__("shared")

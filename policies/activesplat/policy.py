@@ -43,7 +43,6 @@ class ActiveSplat(Planner):
     required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
     def __init__(self, travel: Travel = "native") -> None:
-        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 

@@ -58,7 +58,6 @@ class PhaseMachine:
     """Switch to the next phase when the pool of the current one has been empty for `PATIENCE` decisions."""
 
     def __init__(self) -> None:
-        """Begin with phase I."""
         self.index = 0
         self._empty = 0
 
@@ -86,7 +85,6 @@ class RevisitedViews:
     """
 
     def __init__(self) -> None:
-        """Begin without views."""
         self._views: list[np.ndarray] = []
 
     def add(self, view: np.ndarray) -> None:  # [6] metres, unit vector
@@ -109,7 +107,6 @@ class RevisitProgress:
     """Test whether the last `LOT` revisits raised the PSNR enough; otherwise phase III ends."""
 
     def __init__(self) -> None:
-        """Begin without a PSNR to compare with."""
         self._before, self._over = -np.inf, False
 
     def continues(self, lowest: float, revisits: int) -> bool:

@@ -165,7 +165,6 @@ class ActiveStructure(StructurePolicy):
     deficiencies = True
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:
-        """Store the discovery gain and begin with phase I."""
         super().__init__(discovery)
         self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 

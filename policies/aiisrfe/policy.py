@@ -38,7 +38,6 @@ class Aiisrfe(Planner):
     )
 
     def __init__(self, travel: Travel = "native") -> None:
-        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 

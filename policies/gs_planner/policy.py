@@ -69,7 +69,6 @@ class GSPlanner(Planner):
     native_settings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native") -> None:
-        """Store the travel term and reset."""
         super().__init__(travel)
         self.reset(0)
 

@@ -41,7 +41,6 @@ class CandidateNetwork(nn.Module):
     """Compute scores of candidates and the value of the state from batches of observations (`USED_KEYS`)."""
 
     def __init__(self, config: NetworkConfig) -> None:
-        """Create the layers with random weights."""
         super().__init__()
         self.config = config
         planes, width, features = config.planes, config.candidates, len(config.features)

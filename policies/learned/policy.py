@@ -33,7 +33,6 @@ class Learned(Policy):
     spec: ClassVar[str]
 
     def __init__(self) -> None:
-        """Leave the weights unloaded until the first decision."""
         super().__init__()
         self._network: CandidateNetwork | None = None
         self._trace: dict[str, Any] = {}

@@ -89,7 +89,6 @@ class _Split(nn.Module):
     """Split scores and value; it replaces the two hidden networks of stable-baselines3."""
 
     def __init__(self, rows: int) -> None:
-        """Store the number of rows as the width of the scores."""
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = rows, 1
 

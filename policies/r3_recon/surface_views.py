@@ -23,7 +23,6 @@ class SurfaceViews:
     """Hold the V observed surface voxels, in increasing order of their keys."""
 
     def __init__(self) -> None:
-        """Begin without voxels."""
         self._keys = np.zeros(0, np.int64)
         self.centres = np.zeros((0, 3))  # [V, 3] metres, world
         self.views = np.zeros(0)  # [V] number of keyframes that saw the voxel

@@ -89,7 +89,8 @@ def test_lists_fold_at_the_width_of_a_terminal(capsys, monkeypatch, words):
 
 def test_a_feature_is_described_with_its_columns_and_who_asks_for_it(capsys):
     out = said(capsys, "features", "naruto_look", "unknown_volume_way")  # a column stands for its feature
-    assert "30" in out and "Needed by: naruto" in out and "the whole way" in out and "activestructure" in out
+    assert "30" in out and "Needed by: naruto" in out
+    assert "all keyframes of the path" in out and "activestructure" in out
     assert [row["name"] for row in json.loads(said(capsys, "features", "pixel", "--json"))] == ["pixel"]
     assert main(["features", "pixle"]) == 2
     assert "did you mean 'pixel'" in capsys.readouterr().err

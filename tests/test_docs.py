@@ -130,9 +130,9 @@ def test_the_first_example_of_a_page_runs(page: str, capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize("policy", sorted(POLICIES))
 def test_every_policy_plays_in_the_readme_s_lines(policy: str, capsys: pytest.CaptureFixture[str]) -> None:
-    small = '"box", frame_budget=25, config={"sensor": {"width": 48, "height": 27}, "views.max_candidates": 12}'
+    small = '"box", frame_budget=15, config={"sensor": {"width": 48, "height": 27}, "views.max_candidates": 12}'
     exec(compile(readme_with(policy, small), "README.md", "exec"), {})
-    assert "Gaussians after 25 frames" in capsys.readouterr().out
+    assert "Gaussians after 15 frames" in capsys.readouterr().out
 
 
 @pytest.mark.slow

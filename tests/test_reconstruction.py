@@ -195,6 +195,7 @@ def test_tracking_replaces_the_reported_pose_everywhere(box: Scene, monkeypatch:
     assert run.seconds["tracking"] > 0
 
 
+@pytest.mark.slow
 def test_tracked_poses_are_a_fifth_as_wrong_as_the_reported_ones() -> None:
     # Furnished, since beside a single bare wall a pose may slide; several starts, since one slide decides one episode.
     scene = load_scene("room?seed=2")
@@ -320,8 +321,9 @@ def test_the_graph_describes_the_state_at_the_decision(box: Scene) -> None:
     np.testing.assert_array_equal(again.deficiencies.areas, graph.deficiencies.areas)
 
 
-def test_few_keyframes_on_the_way_cost_no_safety() -> None:
-    check_safety(load_scene("apartment?rooms=2&seed=1"), 0, 100, keyframe_every=20)
+@pytest.mark.parametrize("spec", ["box", pytest.param("apartment?rooms=2&seed=1", marks=pytest.mark.slow)])
+def test_few_keyframes_on_the_way_cost_no_safety(spec: str) -> None:
+    check_safety(load_scene(spec), 0, 100, keyframe_every=20)
 
 
 def check_safety(scene: Scene, seed: int, frames: int, **overrides: object) -> None:

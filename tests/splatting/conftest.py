@@ -64,6 +64,7 @@ def make_splats(kind: str, seed: int = 0) -> Splats:
         logits = rng.uniform(6.0, 20.0, count)
     elif kind == "crowd":
         count = 1600  # more than a chunk of the kernels (1024)
+        camera = PinholeCamera(35, 25, 20.0, 21.0, 17.0, 13.0)  # what autograd takes grows with pixels x Gaussians
         depth = rng.permutation(np.linspace(1.0, 4.0, count))
         at = np.broadcast_to([0.013, -0.021], (count, 2)) + rng.normal(0, 0.02, (count, 2))
         size = rng.uniform(-4.5, -3.0, (count, 1)) + rng.uniform(-0.3, 0.3, (count, 3))

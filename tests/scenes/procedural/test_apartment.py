@@ -38,9 +38,8 @@ def single_room() -> Scene:
 
 def test_no_ray_escapes_and_all_furniture_is_solid(flat: Scene, single_room: Scene) -> None:
     # From free points only front faces are seen: every surface belongs to a closed solid or to the closed shell.
-    assert cast_from_free_points(flat, seed=2, rooms=3, rays=100_000) == (0, 0)
-    assert cast_from_free_points(single_room, seed=0, rooms=1, rays=100_000) == (0, 0)
-    assert cast_from_free_points(make_apartment(seed=7, rooms=1), seed=7, rooms=1, rays=100_000) == (0, 0)
+    assert cast_from_free_points(flat, seed=2, rooms=3, rays=50_000) == (0, 0)
+    assert cast_from_free_points(single_room, seed=0, rooms=1, rays=50_000) == (0, 0)
 
 
 @pytest.mark.slow
@@ -107,7 +106,7 @@ def test_labels_tell_building_from_furniture(flat: Scene) -> None:
 
 @pytest.mark.parametrize("rooms", range(1, 8))
 def test_exactly_the_requested_rooms(rooms: int) -> None:
-    if rooms > 3:  # the plan is what decides; meshes of large flats take seconds
+    if rooms > 2:  # the plan is what decides; meshes of larger flats take seconds
         assert plan_apartment(seed=1, rooms=rooms, furnished=True).layout.rooms == rooms
         return
     labels = make_apartment(seed=1, rooms=rooms, furnished=False).labels

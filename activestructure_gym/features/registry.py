@@ -51,7 +51,7 @@ class Feature:
         count = len(self.columns)
         if not count or len(set(self.columns)) < count or not all(isinstance(name, str) for name in self.columns):
             raise InputError(
-                f"columns of a feature are texts, all different and at least one, got {short_repr(columns)}"
+                f"columns of a feature must be at least one text, all different, got {short_repr(columns)}"
             )
         self.units: tuple[str, ...] = self._each("unit", unit, isinstance(unit, str))
         self.low: tuple[float, ...] = self._each("low", low, isinstance(low, int | float))
@@ -60,7 +60,7 @@ class Feature:
     def _each(self, what: str, value: Any, same: bool) -> tuple[Any, ...]:
         values = (value,) * len(self.columns) if same else tuple(value)
         if len(values) != len(self.columns):
-            raise InputError(f"{what} of a feature is one for all columns or one for each, got {short_repr(value)}")
+            raise InputError(f"{what} of a feature must be one value, or one per column, got {short_repr(value)}")
         return values
 
     def __call__(self, context: FeatureContext) -> np.ndarray:  # [K] or [K, C]

@@ -35,10 +35,8 @@ def map_kind(path: str | os.PathLike[str]) -> MapKind:
         raise InputError(f"expected a map, but there is no file '{path}'") from None
     except (OSError, zipfile.BadZipFile) as error:
         raise InputError(f"'{path}' cannot be read: {error}") from error
-    hint = "; a .splat, of 8 bits a number, is only written" if str(path).endswith(".splat") else ""
-    raise InputError(
-        f"'{path}' is no map that is known here: expected a 3DGS PLY, SplaTAM's params.npz, or a run's map.npz{hint}"
-    )
+    hint = "; .splat files can be written, but not read" if str(path).endswith(".splat") else ""
+    raise InputError(f"'{path}' is not a map file: expected a 3DGS PLY, SplaTAM's params.npz, or a run's map.npz{hint}")
 
 
 def read_map(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:

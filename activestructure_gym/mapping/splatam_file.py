@@ -161,7 +161,7 @@ def _place(
         raise InputError(f"'{path}': expected gt_w2c_all_frames of shape (T, 4, 4), got {poses.shape}")
     if np.allclose(poses[0], np.eye(4), atol=1e-6):
         warnings.warn(
-            f"{path} does not say where its first camera stood; its frame is taken for the world", stacklevel=3
+            f"{path} has no world pose of its first camera; the map stays in the frame of that camera", stacklevel=3
         )
         return np.eye(4)
     return invert_rigid(_rigid(poses[0], "gt_w2c_all_frames[0]", path))

@@ -196,7 +196,7 @@ def surface_normals(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
     camera: PinholeCamera,
     *,
-    most_bend: float = 0.02,  # relative second difference of the inverse depth, which is linear on planes
+    max_bend: float = 0.02,  # relative second difference of the inverse depth, which is linear on planes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # points [H, W, 3], normals [H, W, 3], defined [H, W] bool
     """Return points and normals (towards the camera) by central differences; undefined at borders, edges and holes."""
     points = camera.backproject(depth)
@@ -213,7 +213,7 @@ def surface_normals(
         (inverse[middle, before], inverse[middle, after]),
         (inverse[before, middle], inverse[after, middle]),
     ):
-        good &= (one > 0) & (other > 0) & (np.abs(one + other - 2.0 * center) < most_bend * center)
+        good &= (one > 0) & (other > 0) & (np.abs(one + other - 2.0 * center) < max_bend * center)
     defined[middle, middle] = good
     return points, normals, defined
 

@@ -59,10 +59,10 @@ class Proposals:
     def __post_init__(self) -> None:
         shape = np.shape(self.world_from_camera)
         if len(shape) != 3 or shape[1:] != (4, 4) or not np.isfinite(self.world_from_camera).all():
-            raise InputError(f"a source proposes finite poses [n, 4, 4], got an array of the shape {shape}")
+            raise InputError(f"a source must propose finite poses [n, 4, 4], got an array of the shape {shape}")
         if self.look_at is not None and np.shape(self.look_at) != (shape[0], 3):
             raise InputError(
-                f"points to look at are [n, 3], one for each of the {shape[0]} poses, got {np.shape(self.look_at)}"
+                f"points to look at must be [n, 3], one for each of the {shape[0]} poses, got {np.shape(self.look_at)}"
             )
 
     def __len__(self) -> int:

@@ -137,8 +137,8 @@ def _checked(
     level = is_level(poses) | (np.abs(poses - present).max(axis=(1, 2)) < 1e-9) | (proposed.ids is not None)
     if not (good := rotates & level).all():
         raise InputError(
-            f"{np.sum(~good)} of the {len(poses)} poses of the source '{name}' are no rotation or have roll: make them "
-            "with geometry.look_along"
+            f"{np.sum(~good)} of the {len(poses)} poses of the source '{name}' are not rotations or have roll: make "
+            "them with geometry.look_along"
         )
     return proposed
 

@@ -229,7 +229,7 @@ class Wrong(Source):
     ("kind", "message"),
     [
         ("list", r"propose\(\) of the source .*Wrong\?kind=list' must return Proposals, got list"),
-        ("rolled", r"1 of the 3 poses of the source .* no rotation or have roll.*look_along"),
+        ("rolled", r"1 of the 3 poses of the source .* not rotations or have roll.*look_along"),
         ("upside_down", "1 of the 3 poses"),
         ("larger", "1 of the 3 poses"),
     ],

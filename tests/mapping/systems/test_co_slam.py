@@ -99,5 +99,5 @@ def test_same_bytes_with_any_number_of_threads(room_frames):
 def test_what_follows_gaussians_is_refused(room_frames):
     mapper = _mapper(iterations=1)
     mapper.observe(room_frames[0])
-    with pytest.raises(InputError, match="co_slam has no Gaussians that persist"):
+    with pytest.raises(InputError, match="co_slam creates new Gaussians in every event"):
         _ = mapper.persistent_map

@@ -48,7 +48,7 @@ class CoSLAMConfig(BaseMapperConfig):
     log2_entries: int = 15  # entries in the table of a level (16)
     truncation: float = 0.1  # metres, truncation distance
     rays: int = 512  # rays of all keyframes per step (2048)
-    least_newest: int = 100  # additional rays of the newest keyframe; at least ``rays`` / keyframes
+    least_newest: int = 100  # additional rays of the newest keyframe; ``rays`` / keyframes if that is more
     ray_share: float = 0.25  # share of a keyframe's pixels that are stored (0.05 of larger images)
     even_samples: int = 32  # samples along a ray
     near_samples: int = 11  # additional samples within the truncation of the measured depth

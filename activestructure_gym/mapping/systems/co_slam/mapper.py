@@ -143,8 +143,8 @@ class CoSLAMMapper(KeyframeMapper):
     def persistent_map(self) -> GaussianMap:
         """Raise `InputError`, since the Gaussians are extracted again after every event."""
         raise InputError(
-            "mapper co_slam has no Gaussians that persist from one event to the next, which a feature of this planner "
-            "follows: choose another mapper or planner"
+            "mapper co_slam creates new Gaussians in every event, but a feature of this planner needs persistent ones: "
+            "choose another mapper or planner"
         )
 
     def _learn(

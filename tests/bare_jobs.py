@@ -8,7 +8,7 @@ import pytest
 
 @contextmanager
 def bare_jobs() -> Iterator[None]:
-    """Draw no pictures of a run, four fifths of a small job, and compile no kernels ahead, which takes 10 s.
+    """Draw no pictures of a run, which are four fifths of a small job, and compile no kernels ahead of a comparison.
 
     Tests of the pictures draw their own. `tests/evaluation/test_end_to_end.py` compiles ahead.
     """

@@ -1,7 +1,6 @@
 """The main job on the smallest scene: compared, resumed, measured again."""
 
 import json
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -131,9 +130,8 @@ def test_another_process_and_engine_give_the_same_bits(runs, tmp_path):
     np.testing.assert_array_equal(first.parameters, second.parameters)
 
 
-def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys, monkeypatch):
+def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys):
     _, out = finished
-    monkeypatch.setattr(comparison, "warming_up", lambda *_: nullcontext())
     stamps = {run.directory: (run.directory / store.DONE).stat().st_mtime_ns for run in runs}
     text = " ".join(COMMAND).replace("third_party:Crashing", "random").split()
     assert main(text) == 2  # not without --resume

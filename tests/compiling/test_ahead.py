@@ -163,6 +163,7 @@ def test_one_helper_per_installation_compiles_and_ends_with_its_parent(started, 
     assert len(started) == 2
 
 
+# Prints the kernels that a run loads or compiles after those of the list.
 RUN = """
 import sys
 from activestructure_gym.compiling import files
@@ -194,10 +195,9 @@ print("\\n".join(called))
 
 
 @pytest.mark.slow
-def test_after_the_listed_kernels_an_episode_compiles_no_other(run, tmp_path) -> None:
+def test_after_the_listed_kernels_an_episode_compiles_no_other(start, tmp_path) -> None:
     """The lines that this test prints belong into the list."""
-    out, _ = run(tmp_path, RUN, str(tmp_path / "run"), cache=tmp_path / "cache")
-    known = {f"{m}:{f}({a})" for m, f, a in listed_kernels(["activestructure_gym.features.unknown_volume"])}
-    known = {line.removeprefix("activestructure_gym.") for line in known}
-    missing = [line for line in out.splitlines() if line not in known]
-    assert not missing, "\n".join(missing)
+    process = start(tmp_path, RUN, str(tmp_path / "run"))
+    out, err = process.communicate(timeout=900)
+    assert process.returncode == 0, err
+    assert not out.strip(), out

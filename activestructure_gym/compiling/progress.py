@@ -39,23 +39,15 @@ def told_to(listener: Callable[[str], None]) -> Iterator[None]:
         PROGRESS.listener = before
 
 
-def begin() -> str:
-    """Return the first line."""
-    return f"{_heading()}: about a minute on two cores"
-
-
 def describe(compiled: int, seconds: float, total: int | None = None) -> str:
     """Return the line of progress: kernels compiled, their total where it is known, and seconds."""
-    return f"{_heading()}: {compiled} {'so far' if total is None else f'of {total}'}, {seconds:.0f} s"
+    often = "in every process" if files.not_kept else "once per installation, about a minute on two cores"
+    return f"compiling kernels: {compiled} {'so far' if total is None else f'of {total}'}, {seconds:.0f} s ({often})"
 
 
 def conclusion(compiled: int, seconds: float) -> str:
     """Return the last line."""
     return f"compiled {compiled} kernel{'' if compiled == 1 else 's'} in {seconds:.0f} s"
-
-
-def _heading() -> str:
-    return f"compiling kernels, once per {'process' if files.not_kept else 'installation'}"
 
 
 class Progress(event.Listener):
@@ -111,7 +103,7 @@ class Progress(event.Listener):
                 return
             if self._stream is None:
                 self._stream = sys.stderr
-                write_line(self._stream, begin())
+                write_line(self._stream, describe(0, 0.0))
                 atexit.register(self.conclude)
         threading.Thread(target=self._go_on, daemon=True, name="progress of compiling").start()
 

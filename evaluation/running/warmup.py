@@ -17,14 +17,14 @@ def warming_up(policies: Sequence[str], notify: Callable[[str], None] = lambda _
     """
     from activestructure_gym.compiling import describe, told_to
     from activestructure_gym.compiling.ahead import listed_kernels, start_helpers
-    from activestructure_gym.compiling.progress import begin, conclusion
+    from activestructure_gym.compiling.progress import conclusion
 
     missing = [each for each in listed_kernels(feature_modules(policies)) if not each.is_kept()]
     if not missing:
         yield
         return
     began = time.monotonic()
-    notify(begin())
+    notify(describe(0, 0.0, len(missing)))
     start_helpers(missing)
     with told_to(lambda name: None):
         yield

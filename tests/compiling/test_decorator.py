@@ -154,8 +154,8 @@ def test_spawned_environments_on_a_fresh_installation(run, tmp_path) -> None:
     )
     assert first.stdout == "True True\n"
     said = first.stderr.splitlines()
-    assert said[0] == progress.begin() and said[-1].startswith("compiled "), first.stderr
-    assert first.stderr.count(progress.begin()) == 1
+    assert said[0] == progress.describe(0, 0.0) and said[-1].startswith("compiled "), first.stderr
+    assert first.stderr.count(progress.describe(0, 0.0)) == 1
     assert all(read(file) is not None for file in cache.rglob("*.kernel"))
     # What two processes wrote at the same time can be read.
     assert run(tmp_path, ONE.replace("SCRIPTS", str(tmp_path)), cache=cache)[0] == ""

@@ -66,7 +66,7 @@ def test_a_process_that_waits_for_a_killed_one_reports_and_goes_on(package, star
         print(tiny.total(numpy.ones(3)))
     """
     waiting = start(package, code, cache=tmp_path / "cache")
-    assert waiting.stderr.readline() == f"{progress.begin()}\n"
+    assert waiting.stderr.readline() == f"{progress.describe(0, 0.0)}\n"
     assert waiting.poll() is None
     holder.send_signal(signal.SIGKILL)  # a killed process keeps no lock
     out, err = waiting.communicate(timeout=120)

@@ -14,9 +14,9 @@ from activestructure_gym.compiling.progress import Progress
 
 
 def test_the_lines() -> None:
-    assert progress.describe(7, 12.3) == "compiling kernels, once per installation: 7 so far, 12 s"
-    assert progress.begin() == "compiling kernels, once per installation: about a minute on two cores"
-    assert progress.describe(7, 12.3, 47) == "compiling kernels, once per installation: 7 of 47, 12 s"
+    often = "(once per installation, about a minute on two cores)"
+    assert progress.describe(7, 12.3) == f"compiling kernels: 7 so far, 12 s {often}"
+    assert progress.describe(7, 12.3, 47) == f"compiling kernels: 7 of 47, 12 s {often}"
     assert progress.conclusion(1, 0.4) == "compiled 1 kernel in 0 s"
     assert progress.conclusion(54, 30) == "compiled 54 kernels in 30 s"
 
@@ -25,7 +25,7 @@ def test_a_process_reports_its_compiling_and_none_when_all_is_compiled(package, 
     code = "import numpy, tiny; tiny.total(numpy.ones(3)); print(tiny.doubled(2))"
     out, err = run(package, code, cache=tmp_path / "cache")
     first, last = err.splitlines()
-    assert out == "4" and first == progress.begin()
+    assert out == "4" and first == progress.describe(0, 0.0)
     assert last.startswith("compiled 2 kernels in ") and last.endswith(" s")
     assert run(package, code, cache=tmp_path / "cache") == ("4", "")
 
@@ -53,13 +53,13 @@ def test_lines_come_now_and_then_and_at_the_end(reporting, monkeypatch) -> None:
             reporting.report()
             time.sleep(0.1)
     lines = lines_of(sys.stderr, "compiled 3 kernels in 0 s")
-    assert lines[0] == progress.begin() and lines[-1] == "compiled 3 kernels in 0 s"
+    assert lines[0] == progress.describe(0, 0.0) and lines[-1] == "compiled 3 kernels in 0 s"
     assert len(lines) > 2 and set(lines[1:-1]) <= {progress.describe(number, 0) for number in (1, 2, 3)}
     reporting.conclude()  # nothing is left to say
     with reporting.around("kernel 4"):  # after a pause
         reporting.report()
     assert lines_of(sys.stderr, "compiled 4 kernels")[-1] == "compiled 4 kernels in 0 s"
-    assert sys.stderr.getvalue().count(progress.begin()) == 1
+    assert sys.stderr.getvalue().count(progress.describe(0, 0.0)) == 1
 
 
 def test_all_lines_go_to_the_first_stream_even_if_it_is_closed(reporting, monkeypatch) -> None:

@@ -33,11 +33,13 @@ def test_missing_kernels_are_compiled_by_helpers_and_after_the_block_with_a_tota
     helped, said = [], []
     monkeypatch.setattr(ahead, "start_helpers", helped.extend)
     with warming_up(["random"], said.append):
-        assert helped == [listed[0], listed[2]] and said == [progress.begin()]
+        assert helped == [listed[0], listed[2]] and said == [progress.describe(0, 0.0, 2)]
         assert not any(each.compiled for each in listed)
     assert [each.compiled for each in listed] == [1, 0, 1]
-    counts = [line.rpartition(": ")[2].rpartition(",")[0] for line in said[1:-1]]
-    assert counts == ["1 of 2", "2 of 2"] and said[-1] == "compiled 2 kernels in 0 s"
+    assert (
+        said[1:-1] == [progress.describe(number, 0.0, 2) for number in (1, 2)]
+        and said[-1] == "compiled 2 kernels in 0 s"
+    )
 
 
 def test_nothing_is_started_or_said_where_all_is_compiled(listed, monkeypatch):

@@ -45,7 +45,7 @@ class Watch:
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """Use the configuration that `asg config PRESET` prints."""
     setup: Setup = "shared"
-    """Use the common candidates and mapper (shared), or the planner's own with preset full (native)."""
+    """Use the common candidates, keyframes and mapper (shared), or the planner's own with preset full (native)."""
     frames: Count = None
     """Stop after this many frames (default: the preset's)."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None

@@ -102,7 +102,7 @@ class Bc(_FromExpert):
     method: ClassVar[Method] = "bc"
 
     temperature: float = 0.04
-    """Divide the expert's scores by this before the softmax; lower values give sharper probabilities, also to ppo."""
+    """Divide the expert's scores by this before the softmax; lower values give sharper start probabilities of ppo."""
 
 
 @dataclass(frozen=True)

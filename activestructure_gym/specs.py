@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from types import UnionType
 from typing import Any, Literal
 from urllib.parse import parse_qsl
@@ -19,21 +18,22 @@ Kind = Literal["registered", "plug-in", "checkpoint", "trajectory", "reference"]
 _PREFIXES: dict[str, Kind] = {"learned": "checkpoint", "trajectory": "trajectory", "reference": "reference"}
 
 
-@dataclass(frozen=True)
-class Spec:
-    """A name and its options: ``naruto?travel=shared``, ``trajectory:FILE?axes=opengl``, ``package.module:Mine``."""
+class Spec(str):
+    """A text of a name and its options: ``naruto?travel=shared``, ``trajectory:FILE?axes=opengl``, ``module:Mine``."""
 
     name: str
-    query: str = ""  # options as given
+    query: str  # options as given
+
+    def __new__(cls, text: str) -> Spec:
+        """Split a text at its first question mark; a value of another type is a name that no registry has."""
+        spec = super().__new__(cls, text)
+        spec.name, _, spec.query = text.partition("?") if isinstance(text, str) else (text, "", "")
+        return spec
 
     @classmethod
-    def of(cls, text: str) -> Spec:
-        """Split a text at its first question mark; a value of another type is a name that no registry has."""
-        name, _, query = text.partition("?") if isinstance(text, str) else (text, "", "")
-        return cls(name, query)
-
-    def __str__(self) -> str:
-        return f"{self.name}?{self.query}" if self.query else self.name
+    def joined(cls, name: str, query: str) -> Spec:
+        """Return the text of a name and its options."""
+        return cls(f"{name}?{query}" if query else name)
 
     @property
     def kind(self) -> Kind:

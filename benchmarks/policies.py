@@ -128,7 +128,7 @@ def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
         np.array([t[key] for t in times]) for key in ("planning", "features", "policy", "cpu")
     )
     decision = offer + features + policy
-    limit = LIMITS_S.get(Spec.of(name).name, LIMIT_S)
+    limit = LIMITS_S.get(Spec(name).name, LIMIT_S)
     median = float(np.median(decision))
     return {
         "policy": name,

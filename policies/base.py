@@ -133,14 +133,14 @@ def make_policy(spec: str) -> Policy:
     >>> make_policy("active_gs?travel=shared").travel
     'shared'
     """
-    kind, options = _class_and_options(spec)
+    _, kind, options = _parsed(spec)
     try:
         return kind(**options)
     except ValueError as error:
         raise InputError(f"policy '{spec}': {error}") from error
 
 
-def canonical_policy(spec: str) -> str:
+def canonical_policy(spec: str) -> Spec:
     """Return the canonical spec of a policy: options sorted by name, default values left out.
 
     The canonical spec of a checkpoint contains its absolute path and a hash of its content.
@@ -152,8 +152,8 @@ def canonical_policy(spec: str) -> str:
 
     Returns
     -------
-    str
-        The canonical spec; equal policies have equal ones.
+    Spec
+        The canonical spec, a text; equal policies have equal ones.
 
     Raises
     ------
@@ -165,21 +165,20 @@ def canonical_policy(spec: str) -> str:
     >>> canonical_policy("active_gs?travel=native"), canonical_policy("active_gs?travel=shared")
     ('active_gs', 'active_gs?travel=shared')
     """
-    kind, options = _class_and_options(spec)
+    parsed, kind, options = _parsed(spec)
     defaults = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
-    parsed = Spec.of(spec)
     name = vars(kind).get("spec", parsed.name)  # only the class's own attribute, not an inherited one
     texts = parsed.options(f"policy '{spec}'")
     kept = [
         f"{key}={texts[key]}" for key in sorted(texts) if options[key] != defaults.get(key, inspect.Parameter.empty)
     ]
-    return str(Spec(name, "&".join(kept)))
+    return Spec.joined(name, "&".join(kept))
 
 
-def _class_and_options(spec: str) -> tuple[type[Policy], dict[str, Any]]:
-    parsed = Spec.of(spec)
+def _parsed(spec: str) -> tuple[Spec, type[Policy], dict[str, Any]]:
+    parsed = Spec(spec)
     kind = POLICIES.get(parsed.name)
-    return kind, typed_options(f"policy '{parsed.name}'", kind, parsed.options(f"policy '{spec}'"))
+    return parsed, kind, typed_options(f"policy '{parsed.name}'", kind, parsed.options(f"policy '{spec}'"))
 
 
 def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.ndarray:  # [K] in (0, 1]

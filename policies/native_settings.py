@@ -33,7 +33,7 @@ class NativeSettings:
             return
         if self.keyframe_every is not None:
             raise InputError(f"give goal_keyframes or keyframe_every, not both (keyframe_every={self.keyframe_every})")
-        if staying := [name for stage in self.stages or () for name in stage if Spec.of(name).name == "stay"]:
+        if staying := [name for stage in self.stages or () for name in stage if Spec(name).name == "stay"]:
             raise InputError(
                 f"a round of '{staying[0]}' costs the frames between two keyframes, and goal_keyframes leave no "
                 "such number: set keyframe_every instead"

@@ -72,6 +72,6 @@ def test_what_was_expected_and_what_came(kind, query, message):
     ],
 )
 def test_a_spec_says_of_what_kind_it_is_and_is_its_text_again(text, kind, place, query):
-    spec = Spec.of(text)
+    spec = Spec(text)
     assert (spec.kind, spec.place, spec.query, str(spec)) == (kind, place, query, text)
     assert spec.options("it") == parse_options(query, "it")

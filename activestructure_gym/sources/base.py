@@ -111,7 +111,7 @@ def make_source(spec: str) -> Source:
     InputError
         The name or an option is unknown, or the source refuses a value.
     """
-    parsed = Spec.of(spec)
+    parsed = Spec(spec)
     kind = SOURCES.get(parsed.name)
     source = kind(**typed_options(f"source '{parsed.name}'", kind, parsed.options(f"source '{spec}'")))
     if isinstance(source.rows, bool) or not isinstance(source.rows, int) or not 1 <= source.rows <= MAX_ROWS:
@@ -140,4 +140,4 @@ def sources_in(overrides: Mapping[str, Any]) -> Iterator[str]:
         for stage in stages if isinstance(stages, list | tuple) else ():
             for name in stage if isinstance(stage, list | tuple) else ():
                 if isinstance(name, str):
-                    yield Spec.of(name).name
+                    yield Spec(name).name

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
+from activestructure_gym.evaluation.archive.jobs import REFERENCE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts.convergence import curve_of
 from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, panel_chart, standalone, value_range
@@ -41,7 +41,7 @@ def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str
     runs: dict[tuple[str, str, int], Run] = {}
     for directory in directories:
         for run in gather([directory]).runs:
-            name = run.job.policy if is_reference(run.job.policy) else run.policy
+            name = run.job.policy if run.job.policy.kind == "reference" else run.policy
             runs.setdefault((name, run.scene.partition("?up")[0], run.job.seed), run)
     every = {(scene, seed) for _, scene, seed in runs}
     policies: Curves = {}
@@ -52,7 +52,7 @@ def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str
             print(f"left out {name}: {len(mine)} of {len(every)} runs")
             continue
         curves = {measure: _mean(runs, name, sorted(every), measure) for measure in MEASURES}
-        (references if is_reference(name) else policies)[name.removeprefix(REFERENCE)] = curves
+        (references if name.startswith(REFERENCE) else policies)[name.removeprefix(REFERENCE)] = curves
     return policies, references, every
 
 

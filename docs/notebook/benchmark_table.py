@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
+from activestructure_gym.evaluation.archive.jobs import REFERENCE
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics.aggregates import mean
@@ -81,7 +81,7 @@ def added(place: Path, directories: Sequence[Path]) -> None:
     rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
     for run in gather(directories).runs:
         values = {key: value_of(run, key) for key in KEPT}
-        policy = run.job.policy if is_reference(run.job.policy) else run.policy
+        policy = run.job.policy if run.job.policy.kind == "reference" else run.policy
         row = {"policy": policy, "scene": run.scene, "seed": str(run.job.seed)}
         rows[row["policy"], row["scene"], row["seed"]] = row | {
             key: "" if value is None else f"{value:.6g}" for key, value in values.items()
@@ -116,14 +116,18 @@ def markdown(table: Table) -> str:
         for policy, runs in table.items()
     }
     best = {
-        key: choose(round(numbers[key], digits) for policy, numbers in means.items() if not is_reference(policy))
+        key: choose(
+            round(numbers[key], digits) for policy, numbers in means.items() if not policy.startswith(REFERENCE)
+        )
         for key, (_, digits, choose) in shown.items()
     }
     heads = [heading for heading, _, _ in shown.values()]
     heads += [f"{name} minus `{baseline}`" for name, _ in DIFFERENCES.values()]
     lines = ["| policy | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
-    for policy in sorted(means, key=lambda name: (not is_reference(name), -means[name]["completion_ratio"], name)):
-        reference = is_reference(policy)
+    for policy in sorted(
+        means, key=lambda name: (not name.startswith(REFERENCE), -means[name]["completion_ratio"], name)
+    ):
+        reference = policy.startswith(REFERENCE)
         cells = [f"`{policy.removeprefix(REFERENCE)}`, a reference" if reference else f"`{policy}`"]
         for key, (_, digits, _) in shown.items():
             text = f"{means[policy][key]:.{digits}f}"

@@ -42,9 +42,10 @@ class Job:
     Parameters
     ----------
     scene
-        Scene spec as `load_scene` takes it.
+        Scene spec as `load_scene` takes it. A text is parsed.
     policy
-        Name or ``"module:Class"`` with options, for example ``"naruto?travel=shared"``; or a reference or trajectory.
+        Policy spec, as ``"naruto?travel=shared"`` or ``"module:Class"``; or a reference or a trajectory. A text is
+        parsed.
     seed
         Seed of the start pose, the sensor noise, the path planner and the policy.
     scene_hash
@@ -53,22 +54,18 @@ class Job:
         Conditions that all jobs of a comparison share.
     """
 
-    scene: str
-    policy: str
+    scene: Spec
+    policy: Spec
     seed: int
     scene_hash: str = ""
     conditions: Conditions = field(default_factory=Conditions)
 
     def __post_init__(self) -> None:
-        for kind, name in (("scene", self.scene), ("policy", self.policy)):
-            check_in_one_line(kind, name)
+        for kind, text in (("scene", self.scene), ("policy", self.policy)):
+            check_in_one_line(kind, text)
+            object.__setattr__(self, kind, Spec(text))
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {short_repr(self.seed)}")
-
-    @cached_property
-    def spec(self) -> Spec:
-        """Return the policy's name and options."""
-        return Spec.of(self.policy)
 
     @cached_property
     def hash(self) -> str:
@@ -131,22 +128,22 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
     if imports_code(job.scene):
         yield "scene", job.scene
     for registry, name in named_in(job):
-        if registry.imports(Spec.of(name).name):
+        if registry.imports(name.name):
             yield registry.kind, name
 
 
-def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
+def named_in(job: Job) -> Iterator[tuple[Registry[Any], Spec]]:
     """Yield the parts that a job names, each with its registry: policy, protocols, metrics, parts in the overrides."""
     from activestructure_gym.policies import POLICIES
 
-    if not (is_reference(job.policy) or is_trajectory(job.policy)):
+    if job.policy.kind not in ("reference", "trajectory"):
         yield POLICIES, job.policy
-    yield from ((PROTOCOLS, name) for name in job.conditions.also)
-    yield from ((METRICS, name) for name in job.conditions.metrics)
+    yield from ((PROTOCOLS, Spec(name)) for name in job.conditions.also)
+    yield from ((METRICS, Spec(name)) for name in job.conditions.metrics)
     yield from named_in_overrides(job.conditions.overrides)
 
 
-def named_in_overrides(overrides: Mapping[str, Any]) -> Iterator[tuple[Registry[Any], str]]:
+def named_in_overrides(overrides: Mapping[str, Any]) -> Iterator[tuple[Registry[Any], Spec]]:
     """Yield features, candidate sources, mapper and backends in overrides of a configuration, nested or with dots."""
     from activestructure_gym.features import FEATURES
     from activestructure_gym.mapping import MAPPERS
@@ -164,7 +161,7 @@ def named_in_overrides(overrides: Mapping[str, Any]) -> Iterator[tuple[Registry[
         nested = overrides.get(room)
         found.append((registry, overrides.get(f"{room}.{key}")))
         found.append((registry, nested.get(key) if isinstance(nested, Mapping) else None))
-    yield from ((registry, name) for registry, name in found if isinstance(name, str))
+    yield from ((registry, Spec(name)) for registry, name in found if isinstance(name, str))
 
 
 def scene_label(spec: str, parts: int = 1) -> str:
@@ -216,26 +213,16 @@ def _scene_of(job: Job) -> tuple[str, str]:
     return scene_label(job.scene) if job.scene_hash else job.scene, job.scene_hash
 
 
-def is_reference(policy: str) -> bool:
-    """Return whether a job's ``policy`` is a reference, which uses the ground truth."""
-    return Spec.of(policy).kind == "reference"
-
-
-def is_trajectory(policy: str) -> bool:
-    """Return whether a job's ``policy`` is a given trajectory."""
-    return Spec.of(policy).kind == "trajectory"
-
-
-def ranked_among(policies: Collection[str]) -> set[str]:
+def ranked_among(policies: Collection[Spec]) -> set[Spec]:
     """Return which of the jobs' ``policies`` are ranked in tables: the planners, or the trajectories without planners.
 
     References are never ranked, because they use the ground truth. A given trajectory is not planned.
     """
-    planners = {policy for policy in policies if not is_reference(policy) and not is_trajectory(policy)}
-    return planners or {policy for policy in policies if not is_reference(policy)}
+    planners = {policy for policy in policies if policy.kind not in ("reference", "trajectory")}
+    return planners or {policy for policy in policies if policy.kind != "reference"}
 
 
-def policy_label(spec: str) -> str:
+def policy_label(spec: Spec) -> str:
     """Return a short name for a policy, without the folders of a checkpoint or a trajectory.
 
     - A checkpoint has the name of its file and the digits of its content: ``learned:bc@01234567``. A file named
@@ -243,16 +230,15 @@ def policy_label(spec: str) -> str:
     - A trajectory has the name of its file and the digits of its content: ``trajectory:room0@01234567``. A file with a
       generic name gets that of its folder; the trajectory of a run gets the run's policy and seed.
     """
-    if is_reference(spec):
+    if spec.kind == "reference":
         return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
-    parsed = Spec.of(spec)
-    path, at, digits = parsed.place.rpartition("@")
-    if parsed.kind == "trajectory" and at:
+    path, at, digits = spec.place.rpartition("@")
+    if spec.kind == "trajectory" and at:
         file = PurePath(path)
         name = file.parent.name if file.stem in _USUAL_STEMS and file.parent.name else file.stem
         name = "--".join(name.split("--")[1:3]) if _RUN.search(name) else name
-        return str(Spec(f"{TRAJECTORY}{name}@{digits}", parsed.query))
-    if parsed.kind != "checkpoint" or not at:
+        return Spec.joined(f"{TRAJECTORY}{name}@{digits}", spec.query)
+    if spec.kind != "checkpoint" or not at:
         return spec
     file = PurePath(path)
     return f"learned:{file.parent.name if file.stem == 'best' and file.parent.name else file.stem}@{digits}"
@@ -284,7 +270,7 @@ def split_spec(spec: str) -> tuple[str, str, str]:
     """Split ``kind:path?options``; missing parts are empty."""
     if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
-    parsed = Spec.of(spec)
+    parsed = Spec(spec)
     kind, colon, rest = parsed.name.partition(":")
     return (
         (kind, rest, parsed.query) if colon and len(kind) > 1 else ("", parsed.name, parsed.query)

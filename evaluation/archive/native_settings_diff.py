@@ -32,7 +32,7 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.native_settings import native_settings_of
 
-    name = job.spec.name
+    name = job.policy.name
     if job.conditions.setup == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
     settings = native_settings_of(POLICIES.get(name), job.conditions.setup)

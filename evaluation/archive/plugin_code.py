@@ -17,7 +17,6 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema, store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
-from activestructure_gym.specs import Spec
 
 KEY = "own_code"  # entry of a run's `store.CONFIG`; absent without plug-in code
 _CHECK = schema.table({}, {KEY: schema.table(others=schema.text)}, others=schema.anything)
@@ -51,7 +50,7 @@ def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str
     """Return the checksums of a job's plug-in code by kind and name ("policy mine:Mine"), without missing modules."""
     found = {}
     for registry, name in named_in(job):
-        module = registry.module_of(Spec.of(name).name)
+        module = registry.module_of(name.name)
         total = None if module is None else checksums(module.partition(".")[0])
         if total is not None:
             found[f"{registry.kind} {name}"] = total

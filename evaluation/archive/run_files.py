@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive.jobs import is_trajectory
 from activestructure_gym.evaluation.archive.schema import (
     Array,
     Check,
@@ -25,6 +24,7 @@ from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE
 from activestructure_gym.evaluation.protocols.metrics import Metric
 from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD, SURFACE
 from activestructure_gym.ranges import MAX_ASPECT_RATIO, MAX_COORDINATE_M, MAX_FRAMES
+from activestructure_gym.specs import Spec
 
 _MAX_IMAGE_SIDE = 16384  # pixels
 _MAX_PICTURES = 64
@@ -259,7 +259,7 @@ def check_config(content: Any, place: str) -> None:
     CONFIG(content, place)
     job, configuration = content["job"], content["configuration"]
     wanted: tuple[str, ...] = _NATIVE if job.get("setup") == "native" else ()
-    wanted += _FOLLOWING if is_trajectory(job["policy"]) else ()
+    wanted += _FOLLOWING if Spec(job["policy"]).kind == "trajectory" else ()
     for field in wanted:
         room, _, name = field.rpartition(".")
         if name not in (configuration.get(room, {}) if room else configuration):

@@ -29,6 +29,7 @@ from activestructure_gym.evaluation.cli.options import (
 )
 from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.policies.native_settings import Setup
+from activestructure_gym.specs import Spec
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
                 from activestructure_gym.evaluation.cli.replay import add_replays
 
                 add_replays(console, result.runs)
-            baseline = None if options.baseline is None else policy_label(options.baseline)
+            baseline = None if options.baseline is None else policy_label(Spec(options.baseline))
             return print_end(console, result, directory, seconds, baseline, wide=options.wide)
     except (KeyboardInterrupt, OSError) as error:  # the caller prints the message of an OSError
         if (directory / COMPARISON).is_file():
@@ -225,7 +226,6 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
 
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
     """Return the options with the baseline's canonical name; raise `InputError` if it is not in the comparison."""
-    from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.references.trajectory import named_trajectory
     from activestructure_gym.policies import canonical_policy
 
@@ -233,7 +233,7 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
     if given is None or given in known:
         return options
     with suppress(InputError):
-        called = named_trajectory(given) if is_trajectory(given) else canonical_policy(given)
+        called = named_trajectory(given) if Spec(given).kind == "trajectory" else canonical_policy(given)
         if called in known:
             return dataclasses.replace(options, baseline=called)
     raise InputError(f"--baseline is one of the policies, {listed(known)}; got '{given}'")
@@ -262,7 +262,6 @@ def comparison_of(options: Compare) -> Comparison:
 
 def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
     """Return the given options as fields of a comparison, to replace those of ``begun``."""
-    from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.references.trajectory import with_mappers
 
     changes = options.typed(begun.conditions)
@@ -272,7 +271,8 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
     if options.policies is not None:
         typed["policies"] = with_mappers(split_policies(options.policies), split_list(options.mappers))
     elif options.mappers:
-        typed["policies"] = with_mappers(list(filter(is_trajectory, begun.policies)), split_list(options.mappers))
+        given = [spec for spec in begun.policies if spec.kind == "trajectory"]
+        typed["policies"] = with_mappers(given, split_list(options.mappers))
     if options.references:
         typed["references"] = split_list(options.references)
     if options.seeds is not None:

@@ -54,25 +54,25 @@ def _is_there(word: str) -> bool:
     return any(os.path.exists(os.path.expanduser(name)) for name in (word, word.partition(":")[2]) if name)
 
 
-def split_policies(words: Sequence[str]) -> tuple[str, ...]:
+def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
     """Split words into names of policies.
 
     ``ladder`` is replaced by the rungs A to E of the paper's Table 3, ``all`` by all registered policies.
 
     Raises `InputError` for an unknown name that is not ``package.module:Class``, and for a reference.
     """
-    from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.activestructure import LADDER
 
     groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
     for word in split_list(words):
-        name = Spec.of(word).name
-        if is_reference(name):
-            raise InputError(f"'{word}' is no policy: ask for it by --references {name.removeprefix(REFERENCE)}")
+        spec = Spec(word)
+        name = spec.name
+        if spec.kind == "reference":
+            raise InputError(f"'{word}' is no policy: ask for it by --references {spec.place}")
         if name not in groups and name not in POLICIES and ":" not in name:
             raise unknown_name("policy", name, (*POLICIES, *groups))
-    return tuple(name for word in split_list(words) for name in groups.get(word, (word,)))
+    return tuple(Spec(name) for word in split_list(words) for name in groups.get(word, (word,)))
 
 
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:

@@ -92,7 +92,7 @@ def features_asked(name: str) -> tuple[str, ...]:
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import features_of
 
-    kind: Any = POLICIES.get(Spec.of(name).name)
+    kind: Any = POLICIES.get(Spec(name).name)
     # Options may change the features; a policy with required options cannot be made from its bare name.
     return features_of(kind if _required(kind) and "?" not in name else make_policy(name))
 
@@ -105,7 +105,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.native_settings import native_settings_of
 
-    kind: Any = POLICIES.get(Spec.of(name).name)
+    kind: Any = POLICIES.get(Spec(name).name)
     parameters = inspect.signature(kind).parameters.values()
     about = _docstring(kind)
     return {

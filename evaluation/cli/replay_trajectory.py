@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.cli.compare import Compare, compare_with, co
 from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunOptions
 from activestructure_gym.evaluation.cli.fields import NoNames, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_start, split_list, use_trust
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
@@ -99,19 +100,19 @@ def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Compari
 
 def _changes_of(run: Run) -> dict[str, Any]:
     """Return the changes of a run's configuration from its preset, without features and frame budget."""
-    from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
+    from activestructure_gym.evaluation.archive.jobs import refuse_code
     from activestructure_gym.evaluation.archive.store import CONFIG
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
     from activestructure_gym.policies import make_policy
 
     job = run.job
     if job.conditions.setup == "shared":
-        refuse_code([replace(job, policy="random")], run.directory / CONFIG)
+        refuse_code([replace(job, policy=Spec("random"))], run.directory / CONFIG)
         changes = dict(job.conditions.overrides)
     else:
         refuse_code([job], run.directory / CONFIG)
-        alone = is_reference(job.policy) or is_trajectory(job.policy)
+        alone = job.policy.kind in ("reference", "trajectory")
         changes = job.conditions.changes(None if alone else make_policy(job.policy))
-    if is_trajectory(job.policy) and (mapper := TrajectorySpec.of(job.policy).mapper):
+    if job.policy.kind == "trajectory" and (mapper := TrajectorySpec.of(job.policy).mapper):
         changes["mapper.name"] = mapper
     return {name: value for name, value in changes.items() if name not in ("features", "frame_budget")}

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.errors import unknown_name
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
+from activestructure_gym.evaluation.archive.jobs import REFERENCE
 from activestructure_gym.evaluation.references.oracle_gains import TrueQuality, TrueSurface
 from activestructure_gym.motion import PlannedPath
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -130,16 +131,16 @@ class OracleQuality(Oracle):
 REFERENCES: dict[str, type[Oracle]] = {"oracle": Oracle, "oracle-quality": OracleQuality}
 
 
-def reference_job(name: str) -> str:
+def reference_job(name: str) -> Spec:
     """Return the ``policy`` of a reference's job; raise `InputError` for an unknown name."""
     if name not in REFERENCES:
         raise unknown_name("reference", name, REFERENCES)
-    return REFERENCE + name
+    return Spec(REFERENCE + name)
 
 
 def make_reference(job_policy: str, env: ReconstructionEnv, truth: GroundTruth, protocol: StandardProtocol) -> Oracle:
     """Return the reference of a job, whose map is measured by ``protocol``; raise `InputError` for an unknown name."""
     name = job_policy.removeprefix(REFERENCE)
-    if not is_reference(job_policy) or name not in REFERENCES:
+    if name == job_policy or name not in REFERENCES:
         raise unknown_name("reference", name, REFERENCES)
     return REFERENCES[name](env, truth, protocol)

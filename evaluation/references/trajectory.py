@@ -18,7 +18,7 @@ import numpy as np
 
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError, unknown_name
-from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, is_trajectory
+from activestructure_gym.evaluation.archive.jobs import TRAJECTORY
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
 from activestructure_gym.evaluation.trajectories.formats import (
@@ -54,14 +54,13 @@ class TrajectorySpec:
     mapper: str = ""  # name of the mapper; default: that of the configuration
 
     @classmethod
-    def of(cls, spec: str) -> TrajectorySpec:
+    def of(cls, spec: Spec) -> TrajectorySpec:
         """Parse a spec such as ``trajectory:FILE?axes=opengl&mapper=splatam``; raise `InputError` for a wrong one."""
-        parsed = Spec.of(spec)
-        name = parsed.place
+        name = spec.place
         place, at, digits = name.rpartition("@")
         if not at or len(digits) != _DIGITS or Path(os.path.expanduser(name)).exists():
             place, digits = name, ""
-        texts = parsed.options(f"'{spec}'")
+        texts = spec.options(f"'{spec}'")
         options = typed_options("a trajectory", _options, texts)
         given = cls(place, digits, **{"kind" if key == "format" else key: value for key, value in options.items()})
         if given.mapper and given.mapper not in MAPPERS:
@@ -85,13 +84,13 @@ class TrajectorySpec:
         return ResolvedTrajectory(poses, _legs(file, kind, poses, 1)).frames
 
     @property
-    def spec(self) -> str:
+    def spec(self) -> Spec:
         """Return the canonical spec: absolute path, the first digits of the content, and options that are not default.
 
         Raise `InputError` if the file is missing or has changed.
         """
         if not self.of_file:
-            return str(Spec(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else ""))
+            return Spec.joined(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else "")
         file, kind = self.file()
         usual = USUAL.get(kind, "opencv")
         options = {
@@ -102,7 +101,7 @@ class TrajectorySpec:
             "start": ",".join(map(number_text, self.start or ())),
         }
         query = "&".join(f"{key}={value}" for key, value in options.items() if value)
-        return str(Spec(f"{TRAJECTORY}{file}@{_digits(file)}", query))
+        return Spec.joined(f"{TRAJECTORY}{file}@{_digits(file)}", query)
 
     def file(self) -> tuple[Path, str]:
         """Return the file and its format; raise `InputError` if the content differs from the expected digits."""
@@ -160,16 +159,16 @@ class ResolvedTrajectory:
         return 1 + sum(len(segment.poses) + segment.lost + segment.stays for segment in self.segments)
 
 
-def named_trajectory(spec: str) -> str:
+def named_trajectory(spec: str) -> Spec:
     """Return the canonical spec of ``trajectory:FILE?options``; raise `InputError` for a wrong one."""
-    return TrajectorySpec.of(spec).spec
+    return TrajectorySpec.of(Spec(spec)).spec
 
 
-def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
+def with_mappers(policies: Sequence[Spec], mappers: Sequence[str]) -> list[Spec]:
     """Return the policies with every trajectory repeated for each mapper; raise `InputError` without a trajectory."""
     if not mappers:
         return list(policies)
-    if not any(map(is_trajectory, policies)):
+    if not any(policy.kind == "trajectory" for policy in policies):
         raise InputError(
             "--mappers is for trajectories among the policies, such as trajectory:passive; planners map by --set "
             "mapper.name=..."
@@ -179,7 +178,7 @@ def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
         for policy in policies
         for spec in (
             [replace(TrajectorySpec.of(policy), mapper=name).spec for name in mappers]
-            if is_trajectory(policy)
+            if policy.kind == "trajectory"
             else [policy]
         )
     ]

@@ -12,8 +12,9 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
+from activestructure_gym.evaluation.archive.jobs import refuse_code
 from activestructure_gym.evaluation.archive.store import CONFIG, STEPS, Run
+from activestructure_gym.specs import Spec
 from activestructure_gym.viewer import Film, Recorder
 
 if TYPE_CHECKING:
@@ -88,16 +89,16 @@ def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv
         raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates, which a replay needs")
     if not trusted:  # the policy's code is executed in the native setup only, to read its settings
         refuse_code(
-            [job if job.conditions.setup == "native" else replace(job, policy="random")], run.directory / CONFIG
+            [job if job.conditions.setup == "native" else replace(job, policy=Spec("random"))], run.directory / CONFIG
         )
     truth = ground_truth_of(load_job_scene(job))
     env: ReconstructionEnv
-    if is_trajectory(job.policy):
+    if job.policy.kind == "trajectory":
         env = trajectory_policy_and_env(job, truth)[1]
     else:
         changes = {**_overrides(run), "views.max_candidates": stored["views"]["max_candidates"]}
         options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
-        features = () if is_reference(job.policy) else _first_known_feature(stored["features"])
+        features = () if job.policy.kind == "reference" else _first_known_feature(stored["features"])
         env = ReconstructionEnv(scene=truth, features=features, **options)
     try:
         env.reset(seed=job.seed)

@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.archive.store import CONFIG, Run, plain
 from activestructure_gym.evaluation.protocols import CameraPath, EvaluationProtocol, get_protocol, protocol_from
 from activestructure_gym.npz import read_npz
+from activestructure_gym.specs import Spec
 
 
 def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationProtocol, dict[str, Any] | None]]:
@@ -43,7 +44,7 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     from activestructure_gym.ground_truth import ground_truth_of
 
     # No policy acts here: only the scene of the job is loaded.
-    refuse_code([replace(run.job, policy="random", conditions=Conditions())], run.directory / CONFIG)
+    refuse_code([replace(run.job, policy=Spec("random"), conditions=Conditions())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 

@@ -15,8 +15,6 @@ from activestructure_gym.evaluation.archive.jobs import (
     REFERENCE,
     Job,
     absolute_spec,
-    is_reference,
-    is_trajectory,
     refuse_code,
 )
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
@@ -33,6 +31,7 @@ from activestructure_gym.evaluation.running.resuming import merged, recorded_job
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
@@ -45,9 +44,9 @@ class Comparison:
     Parameters
     ----------
     scenes
-        Scene specs as `load_scene` takes them.
+        Scene specs as `load_scene` takes them. Texts are parsed.
     policies
-        Names with options.
+        Names with options. Texts are parsed.
     seeds
         Seeds from 0; runs with equal seeds share start and noise.
     references
@@ -58,8 +57,8 @@ class Comparison:
         Content hash by scene, for scenes of a comparison that is resumed.
     """
 
-    scenes: Sequence[str]
-    policies: Sequence[str]
+    scenes: Sequence[Spec]
+    policies: Sequence[Spec]
     seeds: Sequence[int] = (0,)
     references: Sequence[str] = ()
     conditions: Conditions = field(default_factory=Conditions)
@@ -71,15 +70,16 @@ class Comparison:
             if not given and name != "references" and not (name == "policies" and self.references):
                 raise InputError(f"a comparison needs at least one of {name}, got none")
             object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
-        object.__setattr__(self, "scenes", tuple(dict.fromkeys(absolute_spec(spec) for spec in self.scenes)))
+        object.__setattr__(self, "policies", tuple(map(Spec, self.policies)))
+        object.__setattr__(self, "scenes", tuple(dict.fromkeys(Spec(absolute_spec(spec)) for spec in self.scenes)))
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
         """Return the smallest comparison that contains all of these jobs, which share their conditions."""
         return cls(
             scenes=[job.scene for job in jobs],
-            policies=[job.policy for job in jobs if not is_reference(job.policy)],
-            references=[job.policy.removeprefix(REFERENCE) for job in jobs if is_reference(job.policy)],
+            policies=[job.policy for job in jobs if job.policy.kind != "reference"],
+            references=[job.policy.removeprefix(REFERENCE) for job in jobs if job.policy.kind == "reference"],
             seeds=[job.seed for job in jobs],
             conditions=jobs[0].conditions,
             recorded={job.scene: job.scene_hash for job in jobs},
@@ -94,7 +94,7 @@ class Comparison:
         check_compiling()
         rasterizer(configure(self.conditions.preset, self.conditions.overrides).mapper.backend)
 
-    def participants(self, policies: Sequence[str] = ()) -> list[str]:
+    def participants(self, policies: Sequence[Spec] = ()) -> list[Spec]:
         """Return the ``policy`` of all jobs: the policies, then the references.
 
         ``policies`` are the canonical names, if they are already known.
@@ -122,7 +122,7 @@ class Comparison:
         participants = self.participants(policies)
         self.check_scene_names()
         hashes = {}
-        planners = [policy for policy in policies if not is_trajectory(policy)]
+        planners = [policy for policy in policies if policy.kind != "trajectory"]
         with warming_up(planners or ["random"], notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
@@ -137,13 +137,13 @@ class Comparison:
         _refuse_twins(jobs)
         return jobs
 
-    def _check_policies(self) -> list[str]:
+    def _check_policies(self) -> list[Spec]:
         """Return the canonical policies without duplicates; raise `InputError` for an invalid policy or override."""
         from activestructure_gym.config import configure
         from activestructure_gym.policies import canonical_policy, make_policy
 
         for spec in self.policies:  # before anything is imported
-            plugin_code_of(Job("", spec, 0, conditions=self.conditions), first_checksum_of)
+            plugin_code_of(Job(Spec(""), spec, 0, conditions=self.conditions), first_checksum_of)
         list(map(get_protocol, self.conditions.also))
         list(map(get_metric, self.conditions.metrics))
         configure(self.conditions.preset, self.conditions.overrides)  # must be valid even where policies replace them
@@ -152,7 +152,7 @@ class Comparison:
             changes["frame_budget"] = self.conditions.frame_budget
         named = []
         for spec in self.policies:
-            if is_trajectory(spec):
+            if spec.kind == "trajectory":
                 given = TrajectorySpec.of(spec)
                 configure(self.conditions.preset, given.changes(changes))
                 named.append(given.spec)
@@ -162,10 +162,10 @@ class Comparison:
             brought = native_settings_of(policy, self.conditions.setup).overrides()
             configure(self.conditions.preset, brought | changes | {"features": tuple(policy.required_features)})
         for seed in self.seeds:
-            Job(scene="", policy="", seed=seed)
+            Job(Spec(""), Spec(""), seed)
         return list(dict.fromkeys(named))
 
-    def _check_scene(self, spec: str, policies: Sequence[str]) -> Scene:
+    def _check_scene(self, spec: str, policies: Sequence[Spec]) -> Scene:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
@@ -179,7 +179,7 @@ class Comparison:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.conditions.start_pose is not None:
             check_start_pose(known, as_pose(self.conditions.start_pose), config.motion.body_radius)
-        for policy in filter(is_trajectory, policies):
+        for policy in (policy for policy in policies if policy.kind == "trajectory"):
             given = TrajectorySpec.of(policy)
             given.resolve(known, config.keyframe_every)
             if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":

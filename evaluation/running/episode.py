@@ -13,7 +13,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive import played, store
-from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
+from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
@@ -129,13 +129,13 @@ def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
 
-    if is_reference(job.policy):
+    if job.policy.kind == "reference":
         from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
 
         changes = dict(job.conditions.overrides) | {"views.max_candidates": WHOLE_POOL}
         env = ReconstructionEnv(scene=known, features=(), **job.conditions.env_options(changes))
         return make_reference(job.policy, env, known, job.conditions.protocol), env
-    if is_trajectory(job.policy):
+    if job.policy.kind == "trajectory":
         from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
 
         return trajectory_policy_and_env(job, known)
@@ -200,7 +200,7 @@ class _Episode:
         observation, info = env.reset(seed=self.job.seed)
         policy.reset(self.job.seed)
         self._checkpoint()
-        given = is_trajectory(self.job.policy)
+        given = self.job.policy.kind == "trajectory"
         ended = not given and not np.any(observation["action_mask"])
         truncated = False
         while not (ended or truncated):
@@ -247,7 +247,7 @@ class _Episode:
 
         mask = observation["action_mask"]
         step: dict[str, Any] = {"decision": len(self.steps), "action": action, "candidates": int(np.sum(mask))}
-        if is_trajectory(self.job.policy):
+        if self.job.policy.kind == "trajectory":
             return step | {"action": -1}
         if 0 <= action < len(mask):
             step["view"] = dict(zip(CANDIDATE_COLUMNS, observation["candidates"][action]))

@@ -24,6 +24,7 @@ from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.protocols.metrics import MetricContext, measure_metrics
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
 from activestructure_gym.npz import write_npz
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import Truth
@@ -78,7 +79,7 @@ def measure_played(directory: Path) -> store.Run | None:
     job = played.job_of(place)
     # No policy acts here: only the scene, the protocols and the metrics of the job are loaded.
     measured = Conditions(also=job.conditions.also, metrics=job.conditions.metrics)
-    refuse_code([replace(job, policy="random", conditions=measured)], place / store.CONFIG)
+    refuse_code([replace(job, policy=Spec("random"), conditions=measured)], place / store.CONFIG)
     known = ground_truth_of(load_job_scene(job))
     return measure(job, place, directory, known, job.conditions.protocol.truth(known))
 

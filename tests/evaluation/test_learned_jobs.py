@@ -20,6 +20,7 @@ from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork
+from activestructure_gym.specs import Spec
 from tests.evaluation.written_runs import write_run
 
 
@@ -53,9 +54,9 @@ def test_tables_show_a_short_name_that_tells_contents_apart(run: Path) -> None:
     spec = canonical_policy("learned:run")
     digits = spec[-8:]
     assert policy_label(spec) == f"learned:run@{digits}"
-    assert policy_label(spec.replace("best.", "last.")) == f"learned:last@{digits}"
+    assert policy_label(Spec(spec.replace("best.", "last."))) == f"learned:last@{digits}"
     for name in ("pixel_only", "learned", "active_gs?travel=shared", "module:Class"):
-        assert policy_label(name) == name
+        assert policy_label(Spec(name)) == name
     job = Job(scene="box", policy=spec, seed=0)
     assert job.title == f"box · learned:run@{digits} · seed 0"
 

@@ -105,8 +105,9 @@ def _check(folder: Path, command: str, run: str, damaged: list[str], mark: Path)
 def _score(run: str) -> None:
     """Follow the run's path, as far as it is checked; the run that would be made of it is not."""
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
+    from activestructure_gym.specs import Spec
 
-    given = TrajectorySpec.of(f"trajectory:all/{run}/trajectory.npz")
+    given = TrajectorySpec.of(Spec(f"trajectory:all/{run}/trajectory.npz"))
     _ = given.spec, given.frames
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from activestructure_gym.evaluation.archive.jobs import is_trajectory
 from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import (
@@ -146,7 +145,7 @@ def _budget_text(name: str) -> str:
     """Return the budget in the paper of a built-in policy, in brackets; empty if unknown."""
     from activestructure_gym.policies import POLICIES
 
-    plain = Spec.of(name).name
+    plain = Spec(name).name
     noted = POLICIES.get(plain).native_settings.budget if plain in POLICIES else ""
     return f" ({noted})" if noted else ""
 
@@ -155,7 +154,7 @@ def trajectories_text(results: Results) -> list[str]:
     """Return a sentence on given trajectories: collisions, and poses and steps outside the planners' limits."""
     texts = []
     for name in results.policies:
-        runs = [run for run in results.runs if run.policy == name and is_trajectory(run.job.policy)]
+        runs = [run for run in results.runs if run.policy == name and run.job.policy.kind == "trajectory"]
         if not runs:
             continue
         motion = runs[0].config["configuration"].get("motion", {})

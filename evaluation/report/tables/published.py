@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import QUALITY, Aspect, Column, aspects, value_of
@@ -199,7 +198,7 @@ def averages_table(published: Published, results: Results) -> Table:
     blocks: list[int] = []
 
     def here(system: str, kind: str, name: str) -> None:
-        mine = [run for run in runs if _name_here(run) == name and (kind == "passive") == is_trajectory(run.job.policy)]
+        mine = [run for run in runs if _name_here(run) == name and _is_passive(run) == (kind == "passive")]
         for policy in dict.fromkeys(run.policy for run in mine):
             group = [run for run in mine if run.policy == policy]
             where = _where(group, None if other else published.dataset)
@@ -215,12 +214,12 @@ def averages_table(published: Published, results: Results) -> Table:
         rows.append([Cell(system), Cell(kind), Cell("published"), Cell(where), *cells])
         here(system, kind, (_PASSIVE if kind == "passive" else _ACTIVE)[system])
     known = {(system in _PASSIVE, {**_ACTIVE, **_PASSIVE}[system]) for system in published.values}  # in this table
-    others = [run for run in runs if (is_trajectory(run.job.policy), _name_here(run)) not in known]
+    others = [run for run in runs if (_is_passive(run), _name_here(run)) not in known]
     for policy in dict.fromkeys(run.policy for run in others):
         blocks.append(len(rows))
         group = [run for run in others if run.policy == policy]
-        kind = "passive" if is_trajectory(group[0].job.policy) else "active"
-        kind = "reference" if is_reference(group[0].job.policy) else kind
+        kind = "passive" if _is_passive(group[0]) else "active"
+        kind = "reference" if group[0].job.policy.kind == "reference" else kind
         where = _where(group, None if other else published.dataset)
         rows.append([Cell(policy), Cell(kind), Cell("here"), Cell(where), *_means(group, columns)])
     headings = [Heading(text, numeric=False) for text in ("System", "Kind", "Values", "Scenes")]
@@ -294,17 +293,21 @@ def _columns(aspect: Aspect) -> dict[str, Column]:
     return {name: replace(column, key=f"{prefix}{column.key}") for name, column in _COLUMNS.items()}
 
 
+def _is_passive(run: Run) -> bool:
+    return run.job.policy.kind == "trajectory"
+
+
 def _name_here(run: Run) -> str:
     """Return the mapper's name for a given trajectory, else the policy's name."""
-    if is_trajectory(run.job.policy):
+    if _is_passive(run):
         return str(run.config["configuration"]["mapper"]["name"])
-    return run.job.spec.name
+    return run.job.policy.name
 
 
 def _folder(run: Run, dataset: Dataset) -> str | None:
     """Return the folder of the run's scene in the dataset; None if the scene is not part of it."""
     kind, colon, place = run.job.scene.partition(":")
-    name = Spec.of(place if colon and kind == dataset.kind else run.job.scene).name.rstrip("/")
+    name = (Spec(place) if colon and kind == dataset.kind else run.job.scene).name.rstrip("/")
     parts = [part for part in re.split(r"[/\\]", name) if part not in ("habitat", "mesh.ply", "mesh_semantic.ply")]
     last = parts[-1].removesuffix(".glb") if parts else ""
     return dataset.folder_of(last) if colon and kind == dataset.kind or last in dataset.scenes.values() else None

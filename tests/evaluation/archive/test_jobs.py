@@ -16,6 +16,7 @@ from activestructure_gym.evaluation.archive.jobs import (
     slug,
 )
 from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.specs import Spec
 
 JOB = Job(
     "room",
@@ -141,8 +142,8 @@ def test_a_registered_scene_stays_one_beside_a_folder_of_its_name(spec, tmp_path
 
 
 def test_planners_have_ranks_and_trajectories_where_nobody_plans():
-    given, seeing = "trajectory:sweep", "reference:oracle"
-    assert ranked_among(["random", given, seeing, "hole_area"]) == {"random", "hole_area"}
+    given, seeing = map(Spec, ("trajectory:sweep", "reference:oracle"))
+    assert ranked_among([Spec("random"), given, seeing, Spec("hole_area")]) == {"random", "hole_area"}
     assert ranked_among([given, seeing]) == {given}
     assert ranked_among([seeing]) == set()
 

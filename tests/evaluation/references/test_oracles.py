@@ -7,7 +7,7 @@ import pytest
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_reference, policy_label, refuse_code
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, policy_label, refuse_code
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.protocols.held_out_views import posed_views
@@ -19,6 +19,7 @@ from activestructure_gym.geometry import PinholeCamera, transform_points
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 from activestructure_gym.scenes import load_scene
+from activestructure_gym.specs import Spec
 
 SMALL = StandardProtocol(views=1, surface_samples=2000, points_source="means", view_width=64, view_height=36)
 
@@ -30,7 +31,7 @@ def test_a_reference_is_no_policy_and_no_list_of_policies_has_it(name):
     for spec in (name, reference_job(name)):
         with pytest.raises(InputError):
             make_policy(spec)
-    assert not any(is_reference(policy) for policy in POLICIES)
+    assert not any(Spec(policy).kind == "reference" for policy in POLICIES)
     assert "reference, sees the ground truth" in policy_label(reference_job(name))
 
 

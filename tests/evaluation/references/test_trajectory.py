@@ -13,7 +13,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.conditions import Conditions
-from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
+from activestructure_gym.evaluation.archive.jobs import Job, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.references.trajectory import TrajectorySpec, named_trajectory, with_mappers
 from activestructure_gym.evaluation.report.page.method_text import trajectories_text
@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.evaluation.trajectories.formats import read_poses
 from activestructure_gym.geometry import look_along
+from activestructure_gym.specs import Spec
 
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
 CONFIG = {"mapper.iterations": 2, "keyframe_every": 5, "views.max_revisits": 4}
@@ -41,7 +42,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_path: Path) -> None:
     spec = f"trajectory:{played.directory / 'trajectory.npz'}"
     result = compare(["box"], [spec, "random"], tmp_path / "runs", **USUAL)
-    again = next(run for run in result.runs if is_trajectory(run.job.policy))
+    again = next(run for run in result.runs if run.job.policy.kind == "trajectory")
     assert again.policy.startswith("trajectory:random--seed0@")
     for file in ("map.npz", "map.ply", "graph.npz", "trajectory.npz"):
         assert (again.directory / file).read_bytes() == (played.directory / file).read_bytes(), file
@@ -146,7 +147,7 @@ def test_the_poses_of_a_scan_are_known_by_what_turns_them_too(tmp_path: Path, el
 
 
 def test_a_sweep_is_the_same_for_every_mapper_and_starts_where_planners_do(played: Run, tmp_path: Path) -> None:
-    policies = with_mappers(["random", "trajectory:sweep"], ["default", "splatam"])
+    policies = with_mappers([Spec("random"), Spec("trajectory:sweep")], ["default", "splatam"])
     assert policies == ["random", "trajectory:sweep?mapper=default", "trajectory:sweep?mapper=splatam"]
     result = compare(["box"], policies, tmp_path / "runs", **USUAL)
     random, ours, splatam = result.runs
@@ -158,9 +159,9 @@ def test_a_sweep_is_the_same_for_every_mapper_and_starts_where_planners_do(playe
 
 
 def test_mappers_are_for_trajectories() -> None:
-    assert with_mappers(["random"], []) == ["random"]
+    assert with_mappers([Spec("random")], []) == ["random"]
     with pytest.raises(InputError, match="--mappers is for trajectories"):
-        with_mappers(["random"], ["splatam"])
+        with_mappers([Spec("random")], ["splatam"])
     with pytest.raises(InputError, match="takes the option mapper alone"):
         named_trajectory("trajectory:sweep?axes=ros")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 
@@ -69,7 +68,7 @@ def rasterize(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,
     median_depth: bool = False,
-    backend: Literal["auto", "cpu", "gsplat", "reference"] = "auto",
+    backend: str = "auto",
     max_alpha: float = 0.999,
     threads: int | None = None,
 ) -> Rasterization:

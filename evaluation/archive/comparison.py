@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import run_files, store
+from activestructure_gym.evaluation.archive import completion, json_files, run_files, store
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 
@@ -21,7 +21,7 @@ _REMEDY = (
 
 def run_directory(directory: Path, job: Job) -> Path:
     """Return the directory of a job's run within a comparison's directory."""
-    return directory / store.JOBS / job.name
+    return directory / completion.JOBS / job.name
 
 
 def read_record(directory: Path) -> dict[str, Any] | None:
@@ -29,7 +29,7 @@ def read_record(directory: Path) -> dict[str, Any] | None:
     file = directory / store.COMPARISON
     if not file.exists():
         return None
-    record: dict[str, Any] = store.read_json(file, run_files.COMPARISON, remedy=_REMEDY)
+    record: dict[str, Any] = json_files.read_json(file, run_files.COMPARISON, remedy=_REMEDY)
     return record
 
 
@@ -70,8 +70,8 @@ def verified_runs(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str
     """
     runs, refused = list[Run](), dict[str, str]()
     for directory in directories:
-        markers = store.completion_markers(directory)
-        if not markers and not (directory / store.DONE).is_file():
+        markers = completion.completion_markers(directory)
+        if not markers and not (directory / completion.DONE).is_file():
             raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
         for place in [marker.parent for marker in markers] or [directory]:
             try:

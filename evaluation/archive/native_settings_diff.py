@@ -12,7 +12,7 @@ from typing import Any
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import schema, store
+from activestructure_gym.evaluation.archive import json_files, schema, store
 from activestructure_gym.evaluation.archive.jobs import Job
 
 # Fields that native settings change, in addition to those in `NativeSettings.changes`.
@@ -37,9 +37,9 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
         return []
     settings = native_settings_of(POLICIES.get(name), job.conditions.setup)
     config = configure(job.conditions.preset, settings.overrides() | dict(job.conditions.overrides))
-    now = json.loads(json.dumps(store.plain(dataclasses.asdict(config))))
+    now = json.loads(json.dumps(json_files.plain(dataclasses.asdict(config))))
     try:
-        then = store.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
+        then = json_files.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
     except InputError:
         return []
     fields = dict.fromkeys((*_FIELDS, *settings.changes))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import run_files, schema, store
+from activestructure_gym.evaluation.archive import completion, json_files, run_files, schema, store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
 from activestructure_gym.evaluation.archive.plugin_code import changed_code
@@ -43,9 +43,9 @@ _CHECK: schema.Check = schema.table(
 @contextmanager
 def written_episode(directory: Path, job: Job) -> Iterator[Path]:
     """Yield a temporary folder for a played episode; it replaces the run's directory when the block ends."""
-    with store.atomic_directory(directory) as part:
+    with completion.atomic_directory(directory) as part:
         yield part
-        store.write_marker(part, store.PLAYED, job, _READ)
+        completion.write_marker(part, completion.PLAYED, job, _READ)
 
 
 def played_episode(
@@ -56,12 +56,12 @@ def played_episode(
     If ``job`` is given, the episode must be of this job. If ``checksums`` is given too, the job's plug-in code and
     native settings must be unchanged.
     """
-    for place in (directory, store.aside_of(directory)):
-        marker, digests = store.marker_and_checksums(place, store.PLAYED)
+    for place in (directory, completion.aside_of(directory)):
+        marker, digests = completion.marker_and_checksums(place, completion.PLAYED)
         if not marker or (job is not None and marker != job.hash) or set(digests) != set(_READ):
             continue
         with suppress(InputError, OSError, ValueError):
-            if any(store.checksum_of(place / name) != digest for name, digest in digests.items()):
+            if any(completion.checksum_of(place / name) != digest for name, digest in digests.items()):
                 continue
             if job is not None and checksums is not None:
                 if changed_code(place, job, checksums) or changed_native_settings(place, job):
@@ -72,19 +72,19 @@ def played_episode(
 
 def is_played(directory: Path) -> bool:
     """Return whether a run's directory holds a played episode and no finished run."""
-    places = (directory, store.aside_of(directory))
-    return not (directory / store.DONE).exists() and any((place / store.PLAYED).is_file() for place in places)
+    places = (directory, completion.aside_of(directory))
+    return not (directory / completion.DONE).exists() and any((place / completion.PLAYED).is_file() for place in places)
 
 
 def job_of(place: Path) -> Job:
     """Return the job of a played episode."""
-    config = store.read_json(place / store.CONFIG, run_files.check_config)
+    config = json_files.read_json(place / store.CONFIG, run_files.check_config)
     return Job.from_dict(config["job"])
 
 
 def read_episode(place: Path) -> dict[str, Any]:
     """Return the content of `EPISODE`."""
-    content: dict[str, Any] = store.read_json(place / EPISODE, _CHECK)
+    content: dict[str, Any] = json_files.read_json(place / EPISODE, _CHECK)
     return content
 
 

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import schema, store
+from activestructure_gym.evaluation.archive import json_files, schema, store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
 
 KEY = "own_code"  # entry of a run's `store.CONFIG`; absent without plug-in code
@@ -74,7 +74,7 @@ def is_unchanged(directory: Path, job: Job, checksums: Callable[[str], str | Non
 
 def _checksums_then(directory: Path) -> dict[str, str] | None:
     try:
-        return dict(store.read_json(directory / store.CONFIG, _CHECK).get(KEY, {}))
+        return dict(json_files.read_json(directory / store.CONFIG, _CHECK).get(KEY, {}))
     except InputError:
         return None
 

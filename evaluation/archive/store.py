@@ -25,14 +25,9 @@ A comparison's directory::
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 import os
 import shlex
-import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -42,9 +37,18 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
+from activestructure_gym.evaluation.archive.completion import (
+    DONE,
+    JOBS,
+    PLAYED,
+    checksum_of,
+    completion_markers,
+    marker_and_checksums,
+    write_marker,
+)
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label, slug
-from activestructure_gym.evaluation.archive.temporary import refuse_links, temporary_suffix, writing
-from activestructure_gym.files import replaced
+from activestructure_gym.evaluation.archive.json_files import read_json, unreadable, write_json
+from activestructure_gym.evaluation.archive.temporary import refuse_links, writing
 from activestructure_gym.npz import read_npz
 from activestructure_gym.ranges import MAX_FRAMES
 
@@ -54,13 +58,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FORMAT_VERSION = 3
-DONE = ".done"
-PLAYED = ".played"  # used instead of `DONE` until the episode is measured, see `played`
-WITHDRAWN = ".withdrawn"  # the former `DONE` of a run whose plug-in code or native settings have changed
 CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
-JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 TABLES = "tables"  # sub-directory of a comparison: the report's tables, each as Markdown, CSV and LaTeX
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
 PLY = "map.ply"
@@ -165,11 +165,6 @@ class Run:
         return _read(self.directory, MAP, self.checksums, GaussianMap.load_npz)
 
 
-def is_done(directory: Path, job: Job) -> bool:
-    """Return whether the completion marker in ``directory`` is of this job. `damage_of` also checks the files."""
-    return marker_and_checksums(directory)[0] == job.hash
-
-
 def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
     """Return the finished run of this job, None if there is none; raise `InputError` if it is damaged."""
     marker = marker_and_checksums(directory)[0]
@@ -220,51 +215,9 @@ def without_checksum(run: Run) -> list[str]:
     return [name for name in _READ_AGAIN if name not in run.checksums and (run.directory / name).is_file()]
 
 
-def set_aside(directory: Path) -> None:
-    """Remove the completion marker of a damaged run. Its files are kept until a new run replaces them.
-
-    If the run's directory is a symbolic link, only the link is removed.
-    """
-    if not _remove_link(directory):
-        (directory / DONE).unlink(missing_ok=True)
-
-
-def withdraw(directory: Path) -> None:
-    """Hide the run's completion marker; `reinstate` restores it."""
-    if not _remove_link(directory):
-        with suppress(FileNotFoundError):  # another process was faster
-            os.replace(directory / DONE, directory / WITHDRAWN)
-
-
-def _remove_link(directory: Path) -> bool:
-    """Remove a run's directory if it is a symbolic link, not its target; return whether it was one."""
-    if not directory.is_symlink():
-        return False
-    directory.unlink(missing_ok=True)
-    return True
-
-
-def reinstate(directory: Path) -> None:
-    """Restore the completion marker of a withdrawn run."""
-    with suppress(FileNotFoundError):
-        os.replace(directory / WITHDRAWN, directory / DONE)
-
-
-def is_withdrawn(directory: Path) -> bool:
-    """Return whether the directory holds a withdrawn run."""
-    return (directory / WITHDRAWN).is_file() and not (directory / DONE).exists()
-
-
 def finish(directory: Path, job: Job) -> None:
     """Write the completion marker, the last file of a run, with the checksums of the other files."""
     write_marker(directory, DONE, job, _READ_AGAIN)
-
-
-def write_marker(directory: Path, marker: str, job: Job, names: Iterable[str]) -> None:
-    """Write a file with the job's hash and the checksums of the named files that exist."""
-    lines = [job.hash]
-    lines += [f"{checksum_of(directory / name)}  {name}" for name in names if (directory / name).is_file()]
-    (directory / marker).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run:
@@ -313,50 +266,6 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
     return Run(directory, scene or scene_label(job.scene), job, **found, checksums=checksums)
 
 
-@contextmanager
-def atomic_directory(directory: Path) -> Iterator[Path]:
-    """Yield a temporary directory; it is renamed to ``directory`` when the block ends without an error.
-
-    An existing ``directory`` is replaced, unless it holds the finished run of the same job: another process was faster,
-    and equal jobs give equal results. A symbolic link is replaced itself, not its target. All content is flushed to the
-    disk before the rename. After an error or Ctrl-C the temporary directory is removed.
-    """
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    part = directory.with_name(f".{directory.name}{temporary_suffix()}")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir()
-    try:
-        yield part
-        if _same_result(part, directory):
-            return
-        _flush(part)
-        aside = aside_of(directory)
-        if directory.exists() or directory.is_symlink():  # a dangling link does not exist, but is replaced
-            _remove(aside)
-            with suppress(FileNotFoundError):  # another process was faster
-                os.replace(directory, aside)
-        try:
-            os.replace(part, directory)
-        except OSError:
-            if not _same_result(part, directory):
-                raise
-        _remove(aside)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _remove(place: Path) -> None:
-    """Remove a directory, a file, or a symbolic link without its target; ignore errors."""
-    with suppress(OSError):
-        place.unlink() if place.is_symlink() or not place.is_dir() else shutil.rmtree(place)
-
-
-def aside_of(directory: Path) -> Path:
-    """Return the path to which a run's directory is moved while a new one replaces it."""
-    directory = directory.absolute()  # the name of "." is empty
-    return directory.with_name(f".{directory.name}.aside")
-
-
 def _why_not_a_run(directory: Path) -> str:
     """Return the reason why a directory is not a finished run, for an error message."""
     if not directory.exists():
@@ -372,12 +281,6 @@ def _why_not_a_run(directory: Path) -> str:
     return f"it has no {DONE} file, which is written last"
 
 
-def completion_markers(directory: Path) -> list[Path]:
-    """Return the completion markers of a comparison's runs; runs in temporary folders are left out."""
-    markers = (directory / JOBS).glob(f"*/{DONE}")  # also matches hidden folders
-    return sorted(marker for marker in markers if not marker.parent.name.startswith("."))
-
-
 def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
     """Write a protocol's metrics into a run's directory and return the file; replace those of the same protocol.
 
@@ -390,25 +293,6 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
         path.parent.mkdir(exist_ok=True)
         write_json(path, content)
     return path
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Replace a JSON file atomically: readers see either the old or the new content."""
-    with replaced(path) as file:
-        file.write(json_text(content).encode("utf-8"))
-
-
-def json_text(content: Any) -> str:
-    """Return the text of a JSON file with this content."""
-    return json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
-
-
-def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str = "") -> Any:
-    """Return the content of a JSON file; raise `InputError` with the ``remedy`` if it cannot be read or checked."""
-    try:
-        return schema.read_checked_json(path, check)
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, error, remedy) from error
 
 
 def _read(directory: Path, name: str, checksums: Mapping[str, str], read: Callable[[Path], T]) -> T:
@@ -428,37 +312,7 @@ def _damaged(path: Path, reason: Exception | str) -> InputError:
     remedy = "make the run again"
     if path.parent.parent.name == JOBS and (comparison / COMPARISON).is_file():
         remedy = f"`asg compare --out {shlex.quote(str(comparison))} --resume` repeats the run"
-    return _unreadable(path, reason, remedy)
-
-
-def _unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
-    remedy = f"; {remedy}" if remedy else ""
-    if isinstance(reason, FileNotFoundError):
-        return InputError(f"'{path}' is missing{remedy}")
-    if isinstance(reason, OSError):
-        return InputError(f"'{path}' cannot be read: {reason.strerror or reason}{remedy}")
-    if isinstance(reason, InputError) and str(path) in str(reason):  # the reason already names the file
-        return InputError(f"{reason}{remedy}")
-    return InputError(f"'{path}' is damaged: {reason}{remedy}")
-
-
-def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict[str, str]]:
-    """Return the job's hash and the checksums by file name from a marker file; both empty if it does not exist."""
-    try:
-        with open(directory / marker, "rb") as file:
-            first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
-    except OSError:
-        return "", {}
-    pairs = (line.split("  ", 1) for line in lines if "  " in line)
-    return first.strip(), {name: digest for digest, name in pairs}
-
-
-def checksum_of(path: Path) -> str:
-    """Return the SHA-256 of a file; raise `Mismatch` if it is not a regular file."""
-    if path.exists() and not path.is_file():
-        raise schema.Mismatch("it is not a regular file")
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return unreadable(path, reason, remedy)
 
 
 def _read_steps(path: Path) -> list[dict[str, Any]]:
@@ -482,50 +336,6 @@ def _arrays_that(pass_check: Callable[[Mapping[str, np.ndarray]], None]) -> Call
         return arrays
 
     return read
-
-
-def json_line(content: Any) -> str:
-    """Return one line of a JSON lines file."""
-    return json.dumps(plain(content), allow_nan=False, separators=(",", ":")) + "\n"
-
-
-def plain(value: Any) -> Any:
-    """Convert ``value`` to JSON's types; NaN and infinity become null."""
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
-
-
-def _same_result(part: Path, directory: Path) -> bool:
-    """Return whether ``directory`` holds the finished run of the job that ``part`` was played or measured for."""
-    marker = marker_and_checksums(directory)[0]
-    return bool(marker) and marker in (marker_and_checksums(part)[0], marker_and_checksums(part, PLAYED)[0])
-
-
-def _flush(directory: Path) -> None:
-    """Flush all files of ``directory`` to the disk, so that a power failure cannot leave empty files."""
-    if os.name != "posix":
-        return
-    for path in (*directory.rglob("*"), directory):
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        except OSError:
-            pass  # not supported by the file system
-        finally:
-            os.close(descriptor)
 
 
 def _completed(own: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:

@@ -296,8 +296,8 @@ def _print_plan(
     demo: bool,
 ) -> int:
     """Print the runs of a comparison, or those of a shard, without loading a scene; return 0."""
+    from activestructure_gym.evaluation.archive.completion import completion_markers
     from activestructure_gym.evaluation.archive.jobs import Job
-    from activestructure_gym.evaluation.archive.store import completion_markers
 
     policies = comparison.participants()
     comparison.check_scene_names()

@@ -102,7 +102,7 @@ class Evaluate:
 
 def _evaluate_map(options: Evaluate) -> int:
     """Measure a map file of any origin on a scene."""
-    from activestructure_gym.evaluation.archive.store import write_json
+    from activestructure_gym.evaluation.archive.json_files import write_json
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.protocols import get_protocol
     from activestructure_gym.evaluation.reproduction.remeasure import measure_file

@@ -129,7 +129,8 @@ def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]
 
 def _runs_of(directory: Path) -> list[Path]:
     """Return the directory of a finished run, or the directories of a comparison's finished runs."""
-    from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, completion_markers
+    from activestructure_gym.evaluation.archive.completion import DONE, completion_markers
+    from activestructure_gym.evaluation.archive.store import COMPARISON
 
     if (directory / DONE).is_file():
         return [directory]

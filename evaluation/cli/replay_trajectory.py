@@ -62,7 +62,8 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
 
 def _run_of(place: str) -> Run | None:
     """Return the finished run that a trajectory belongs to, or None."""
-    from activestructure_gym.evaluation.archive.store import DONE, read_run
+    from activestructure_gym.evaluation.archive.completion import DONE
+    from activestructure_gym.evaluation.archive.store import read_run
 
     directory = Path(place) if Path(place).is_dir() else Path(place).parent
     return read_run(directory) if (directory / DONE).is_file() else None

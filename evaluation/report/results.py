@@ -16,7 +16,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 import numpy as np
 
 from activestructure_gym.errors import InputError, listed, pluralised
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
 from activestructure_gym.evaluation.archive.played import is_played
@@ -236,7 +236,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             record = read_record(directory) or {"jobs": {}}
             found, damaged = readable_runs(directory, jobs_of(record, directory))
             sources.append(source_of(directory, record, found, damaged))
-        elif (directory / store.DONE).is_file():
+        elif (directory / completion.DONE).is_file():
             found, damaged = [], {}
             try:
                 run = store.read_run(directory)

@@ -15,8 +15,9 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import refuse_code
+from activestructure_gym.evaluation.archive.json_files import plain
 from activestructure_gym.evaluation.archive.schema import Mismatch
-from activestructure_gym.evaluation.archive.store import CONFIG, Run, plain
+from activestructure_gym.evaluation.archive.store import CONFIG, Run
 from activestructure_gym.evaluation.protocols import CameraPath, EvaluationProtocol, get_protocol, protocol_from
 from activestructure_gym.npz import read_npz
 from activestructure_gym.specs import Spec

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.jobs import policy_label, refuse_code
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
@@ -59,7 +59,7 @@ def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None)
         run = store.open_run(run.directory, run.scene)
         store.read_all(run)
         if loose := store.without_checksum(run):
-            raise InputError(f"{store.DONE} has no checksum of {', '.join(loose)}: a change would not be detected")
+            raise InputError(f"{completion.DONE} has no checksum of {', '.join(loose)}: a change would not be detected")
         if untrue := altered_evaluations(run):
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
@@ -120,7 +120,7 @@ def contradictions(run: Run) -> list[str]:
 
 def altered_evaluations(run: Run) -> list[str]:
     """Describe evaluations by the job's protocol that differ from the run's metrics in more than LPIPS."""
-    own, parameters = run.metrics["metrics"], store.plain(run.job.conditions.protocol.parameters())
+    own, parameters = run.metrics["metrics"], json_files.plain(run.job.conditions.protocol.parameters())
     wrong = []
     for name, content in run.evaluations.items():
         if content["protocol"]["name"] != run.job.conditions.protocol.name:
@@ -220,8 +220,8 @@ def _lpips_of(numbers: dict[str, Any]) -> list[Any] | None:
 
 
 def _is_as_written(file: Path, content: Any) -> bool:
-    """Return whether a file's bytes are those that `store.json_text` gives: no repeated keys, no other layout."""
-    return file.read_bytes() == store.json_text(content).encode("utf-8")
+    """Return whether a file's bytes are those that `json_files.json_text` gives: no repeated keys, no other layout."""
+    return file.read_bytes() == json_files.json_text(content).encode("utf-8")
 
 
 def _text(content: Any) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store, temporary
+from activestructure_gym.evaluation.archive import completion, json_files, store, temporary
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import (
@@ -293,25 +293,27 @@ def run_comparison(
         raise already_begun(directory)
     everything = merged(recorded, jobs, directory)
     if shard is None:
-        temporary.remove_leftovers(directory / store.JOBS)
+        temporary.remove_leftovers(directory / completion.JOBS)
         for path in directory.glob(f".{store.COMPARISON}.*"):
             path.unlink(missing_ok=True)
     else:
         jobs = shard.part(jobs)
     asked = {job.name for job in jobs}
     review_finished(everything if shard is None else jobs, asked, directory, notify)
-    todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
+    todo = [job for job in jobs if not completion.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     before = read_record(directory)
     record = _new_record(everything, before, engine=engine, slots=slots, command=command)
     if shard is None or before is None or len(before["jobs"]) < len(everything):
-        store.write_json(directory / store.COMPARISON, record)
+        json_files.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))
     watch = _Recording(listener, directory, record)
     if todo:
         chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
     missing = [
-        job for job in everything if job.name not in asked and not store.is_done(run_directory(directory, job), job)
+        job
+        for job in everything
+        if job.name not in asked and not completion.is_done(run_directory(directory, job), job)
     ]
     return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
 
@@ -363,7 +365,7 @@ class _Recording:
                 record.setdefault("failed", {})[outcome.job.title] = outcome.error
             if outcome.attempts > 1:
                 record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
-            store.write_json(self._directory / store.COMPARISON, record)
+            json_files.write_json(self._directory / store.COMPARISON, record)
         self._listener.ended(outcome)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
-from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive import completion, json_files, played, store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
@@ -86,7 +86,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     place = played.played_episode(directory, job, first_checksum_of)
     if place is None:
         _play(job, directory, known, truth, own, time.perf_counter() - began, notify)
-        if store.is_done(directory, job):  # another process was faster
+        if completion.is_done(directory, job):  # another process was faster
             return store.read_run(directory)
         place = directory
     episode = played.read_episode(place)
@@ -329,10 +329,10 @@ def _write_episode(
             "hardware": machine.hardware(),
         },
     }
-    store.write_json(part / store.CONFIG, config)
-    store.write_json(part / played.EPISODE, content)
+    json_files.write_json(part / store.CONFIG, config)
+    json_files.write_json(part / played.EPISODE, content)
     with open(part / store.STEPS, "w", encoding="utf-8") as file:
-        file.writelines(store.json_line(step) for step in episode.steps)
+        file.writelines(json_files.json_line(step) for step in episode.steps)
 
 
 def _write_files(part: Path, reconstruction: Reconstruction) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputWarning
-from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive import completion, json_files, played, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
@@ -48,7 +48,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     context = MetricContext(gaussians, truth, known, job.conditions.protocol, path, poses, dict(metrics))
     values, described = measure_metrics(job.conditions.metrics, context)
     metrics |= {name: value for name, value in values.items() if name not in metrics}
-    with store.atomic_directory(directory) as part:
+    with completion.atomic_directory(directory) as part:
         played.link_files(place, part)
         _write_numbers(part, job, known, metrics, episode["curve"], described)
         _write_steps(place / store.STEPS, part / store.STEPS, last)
@@ -100,7 +100,7 @@ def _write_numbers(
         "curve": curve,
         **({"own_metrics": described} if described else {}),
     }
-    store.write_json(part / store.METRICS, results)
+    json_files.write_json(part / store.METRICS, results)
 
 
 def _write_steps(source: Path, target: Path, last: Mapping[str, Any]) -> None:
@@ -116,7 +116,7 @@ def _write_steps(source: Path, target: Path, last: Mapping[str, Any]) -> None:
                 step["checkpoint"] |= last
             except (ValueError, TypeError, KeyError) as error:
                 raise played.damaged(source, error) from error
-            file.write(store.json_line(step))
+            file.write(json_files.json_line(step))
 
 
 def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
@@ -126,7 +126,7 @@ def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
         "decisions": clock["decisions"],
         "hardware": clock["hardware"],
     }
-    store.write_json(part / "timing.json", timing)
+    json_files.write_json(part / "timing.json", timing)
 
 
 def draw_missing_pictures(run: store.Run) -> None:

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store, temporary
+from activestructure_gym.evaluation.archive import completion, store, temporary
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.running.engines.base import LOGS
 
@@ -23,13 +23,15 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
     if directory.is_dir():
         temporary.refuse_links(directory, LOCK, LOGS, store.TABLES)
-        if (directory / store.JOBS).is_symlink() and not (directory / store.JOBS).is_dir():
-            raise InputError(f"'{directory / store.JOBS}' is a link that leads to no folder: mend it, or remove it")
+        if (directory / completion.JOBS).is_symlink() and not (directory / completion.JOBS).is_dir():
+            raise InputError(
+                f"'{directory / completion.JOBS}' is a link that leads to no folder: mend it, or remove it"
+            )
         check_free(directory, shared=shared)
         if (directory / store.COMPARISON).is_file():
             if not (resume or shared):
                 raise already_begun(directory)
-        elif resume and (directory / store.JOBS).is_dir():
+        elif resume and (directory / completion.JOBS).is_dir():
             pass  # the record is lost, but the runs still exist
         elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")

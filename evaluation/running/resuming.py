@@ -15,7 +15,7 @@ from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import plugin_code, store
+from activestructure_gym.evaluation.archive import completion, json_files, plugin_code, store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
@@ -50,16 +50,16 @@ def review_finished(
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
-        if store.is_withdrawn(place) and _is_unchanged(place, job, checksums):
-            store.reinstate(place)
-        if not store.is_done(place, job):
+        if completion.is_withdrawn(place) and _is_unchanged(place, job, checksums):
+            completion.reinstate(place)
+        if not completion.is_done(place, job):
             continue
         if damage := store.damage_of(place, job):
-            store.set_aside(place)
+            completion.set_aside(place)
             notify(f"{job.title} counts as not finished: {damage}")
         elif changed := [*plugin_code.changed_code(place, job, checksums), *_changed_settings(place, job)]:
             if job.name in asked:
-                store.withdraw(place)
+                completion.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
     for names, count in again.items():
         notify(f"{_runs(count, names)} {'is' if count == 1 else 'are'} played again: its code has changed since")
@@ -101,7 +101,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 
 def _check_conditions(before: Conditions, asked: Conditions, directory: Path) -> None:
     old, new = (
-        _flat(json.loads(json.dumps(store.plain({"setup": one.setup} | one.as_dict())))) for one in (before, asked)
+        _flat(json.loads(json.dumps(json_files.plain({"setup": one.setup} | one.as_dict())))) for one in (before, asked)
     )
     different = [
         f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"

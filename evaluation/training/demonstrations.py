@@ -16,8 +16,8 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.json_files import plain, read_json, write_json
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
-from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import WITH_TRUTH, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import named_in_overrides
+from activestructure_gym.evaluation.archive.json_files import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
-from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.archive.temporary import refuse_links, unlinked
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig

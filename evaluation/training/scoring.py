@@ -19,7 +19,7 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
-from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
+from activestructure_gym.evaluation.archive.json_files import plain, read_json, write_json
 from activestructure_gym.evaluation.archive.temporary import refuse_links
 from activestructure_gym.evaluation.report.tables.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws

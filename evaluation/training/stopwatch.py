@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.json_files import read_json, write_json
 from activestructure_gym.evaluation.archive.schema import number, table
-from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.machine.processes import processor_seconds
 

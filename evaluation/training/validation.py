@@ -11,7 +11,7 @@ import torch
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.archive import schema
-from activestructure_gym.evaluation.archive.store import read_json, write_json
+from activestructure_gym.evaluation.archive.json_files import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.rollout import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES
@@ -132,14 +132,14 @@ def test_another_process_and_engine_give_the_same_bits(runs, tmp_path):
 
 def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys):
     _, out = finished
-    stamps = {run.directory: (run.directory / store.DONE).stat().st_mtime_ns for run in runs}
+    stamps = {run.directory: (run.directory / completion.DONE).stat().st_mtime_ns for run in runs}
     text = " ".join(COMMAND).replace("third_party:Crashing", "random").split()
     assert main(text) == 2  # not without --resume
     assert "--resume" in capsys.readouterr().err
     assert main([*text, "--resume"]) == 0
     assert "2 runs finished before and kept" in capsys.readouterr().out
     for directory, stamp in stamps.items():
-        assert (directory / store.DONE).stat().st_mtime_ns == stamp
+        assert (directory / completion.DONE).stat().st_mtime_ns == stamp
 
 
 def test_measuring_again_gives_the_same_bits_and_a_wrong_number_is_found(runs, capsys, tmp_path):
@@ -153,7 +153,7 @@ def test_measuring_again_gives_the_same_bits_and_a_wrong_number_is_found(runs, c
     (forged / "metrics.json").write_text(json.dumps(metrics))
     assert main(["evaluate", str(forged)]) == 2
     assert "its content does not match its checksum in .done" in capsys.readouterr().err
-    mark = forged / store.DONE
+    mark = forged / completion.DONE
     mark.write_text(mark.read_text().splitlines()[0])  # a run of a version that kept no checksums
     assert main(["evaluate", str(forged)]) == 1
     assert "1 of 1 differ" in capsys.readouterr().out

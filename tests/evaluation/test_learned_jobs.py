@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.completion import is_done
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label
-from activestructure_gym.evaluation.archive.store import is_done, read_run
+from activestructure_gym.evaluation.archive.store import read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build

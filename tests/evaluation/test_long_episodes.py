@@ -75,7 +75,8 @@ def test_an_episode_of_70_000_frames_is_kept_reported_replayed_exported_and_veri
 
 @pytest.mark.slow
 def test_a_log_of_70_000_decisions_is_read(tmp_path: Path) -> None:
-    from activestructure_gym.evaluation.archive.store import json_line, read_run
+    from activestructure_gym.evaluation.archive.json_files import json_line
+    from activestructure_gym.evaluation.archive.store import read_run
     from tests.evaluation.written_runs import JOB, write_run
 
     directory = write_run(tmp_path / "run", JOB)

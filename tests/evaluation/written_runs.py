@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.mapping import GaussianMap
 from tests.evaluation.report import conftest as made_up
@@ -36,10 +36,12 @@ def write_run(directory: Path, job: Job = JOB, *, checksums: bool = True, **numb
          "checkpoint": {name: point[name] for name in ("completion_ratio", "psnr")}}
         for step, point in zip(run.steps, points)
     ]  # fmt: skip
-    store.write_json(directory / "config.json", config)
-    store.write_json(directory / "metrics.json", {"format": store.FORMAT_VERSION, **run.metrics, "metrics": metrics})
-    store.write_json(directory / "timing.json", run.timing)
-    (directory / store.STEPS).write_text("".join(store.json_line(step) for step in steps))
+    json_files.write_json(directory / "config.json", config)
+    json_files.write_json(
+        directory / "metrics.json", {"format": store.FORMAT_VERSION, **run.metrics, "metrics": metrics}
+    )
+    json_files.write_json(directory / "timing.json", run.timing)
+    (directory / store.STEPS).write_text("".join(json_files.json_line(step) for step in steps))
     camera = {"intrinsics": np.array([48.0, 48, 48, 27]), "image_size": np.array([96, 54])}
     legs = np.array([[8, points[0]["frames"], 0], [14, points[1]["frames"], 0], [20, points[2]["frames"], 0]])
     mapped = {"keyframe_rounds": np.ones(4, np.int64), "legs": legs, "max_range": np.array(10.0)}
@@ -51,14 +53,14 @@ def write_run(directory: Path, job: Job = JOB, *, checksums: bool = True, **numb
     GaussianMap(8).save_npz(directory / store.MAP)
     store.finish(directory, job)
     if not checksums:
-        (directory / store.DONE).write_text(job.hash + "\n")
+        (directory / completion.DONE).write_text(job.hash + "\n")
     return directory
 
 
 def write_comparison(directory: Path, jobs: list[Job], *, checksums: bool = True) -> Path:
     """A finished comparison of such runs."""
     for job in jobs:
-        write_run(directory / store.JOBS / job.name, job, checksums=checksums)
+        write_run(directory / completion.JOBS / job.name, job, checksums=checksums)
     record = {"format": store.FORMAT_VERSION, "command": "asg compare", "jobs": {j.name: j.as_dict() for j in jobs}}
     (directory / store.COMPARISON).write_text(json.dumps(record))
     return directory

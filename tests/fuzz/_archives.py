@@ -85,7 +85,7 @@ def training_run() -> Files:
     """A run of behaviour cloning that was stopped after its first epoch, with the demonstrations it learns from."""
     import torch
 
-    from activestructure_gym.evaluation.archive.store import write_json
+    from activestructure_gym.evaluation.archive.json_files import write_json
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
     from activestructure_gym.evaluation.training.layouts import layout_specs

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.completion import JOBS, is_done
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.archive.temporary import remove_leftovers, unlinked
 from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.running.engines.base import LOGS

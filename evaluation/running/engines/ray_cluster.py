@@ -21,8 +21,8 @@ from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.completion import is_done
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import is_done
 from activestructure_gym.evaluation.machine.threads import capped_environment
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.engines.process import (

@@ -14,7 +14,7 @@ import pytest
 
 from activestructure_gym.config import ReconstructionConfig
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import run_files, store
+from activestructure_gym.evaluation.archive import completion, json_files, run_files, store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.report.results import gather
@@ -73,7 +73,7 @@ def copied(written: Path, place: Path) -> Path:
     place.mkdir(parents=True)
     for file in written.iterdir():
         (place / file.name).symlink_to(file)
-    (place / store.DONE).unlink()
+    (place / completion.DONE).unlink()
     return place
 
 
@@ -183,7 +183,7 @@ def test_what_a_report_reads_of_a_configuration_must_be_in_it(written: Path, cha
     run_files.check_config(content, "")
     with pytest.raises(Mismatch, match="configuration lacks "):
         run_files.check_config({**content, "job": content["job"] | changes}, "")
-    whole = json.loads(json.dumps(store.plain(dataclasses.asdict(ReconstructionConfig()))))
+    whole = json.loads(json.dumps(json_files.plain(dataclasses.asdict(ReconstructionConfig()))))
     run_files.check_config({**content, "job": content["job"] | changes, "configuration": whole}, "")
 
 
@@ -191,17 +191,17 @@ def test_what_a_report_reads_of_a_configuration_must_be_in_it(written: Path, cha
 def test_one_damaged_run_is_left_out_of_a_report_and_named(tmp_path: Path, name: str) -> None:
     jobs = [Job("room", policy, 0, scene_hash="ab" * 32) for policy in ("random", "pixel_only")]
     directory = write_comparison(tmp_path / "all", jobs)
-    damaged = directory / store.JOBS / jobs[0].name
+    damaged = directory / completion.JOBS / jobs[0].name
     if name == store.PICTURES:
         arrays = arrays_of(damaged, name)
         np.savez(damaged / name, **arrays | {"rendered": arrays["rendered"].astype("u2")})  # type: ignore[arg-type]
     elif name == store.METRICS:
         content = json.loads((damaged / name).read_text())
-        store.write_json(damaged / name, content | {"curve": content["curve"][:-1]})
+        json_files.write_json(damaged / name, content | {"curve": content["curve"][:-1]})
     else:
         (damaged / name).write_bytes(b"")
     store.finish(damaged, jobs[0])
-    for places in ([directory], [directory / store.JOBS / jobs[1].name, damaged]):
+    for places in ([directory], [directory / completion.JOBS / jobs[1].name, damaged]):
         results = gather(places)
         assert [run.policy for run in results.runs] == ["pixel_only"]
         (why,) = results.missing.values()

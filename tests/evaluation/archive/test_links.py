@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store, temporary
+from activestructure_gym.evaluation.archive import completion, store, temporary
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.engines.base import LOGS
@@ -39,7 +39,7 @@ def comparison(tmp_path: Path) -> Path:
 
 
 def test_a_run_that_was_moved_and_is_damaged_is_made_again_in_its_place(comparison: Path, tmp_path: Path) -> None:
-    place, larger = comparison / store.JOBS / ARCHIVED.name, tmp_path / "larger disk"
+    place, larger = comparison / completion.JOBS / ARCHIVED.name, tmp_path / "larger disk"
     place.rename(larger)
     place.symlink_to(larger)
     assert store.damage_of(place, ARCHIVED) is None
@@ -47,8 +47,8 @@ def test_a_run_that_was_moved_and_is_damaged_is_made_again_in_its_place(comparis
     before = content_of(larger)
     told: list[str] = []
     review_finished([ARCHIVED], {ARCHIVED.name}, comparison, told.append)
-    assert "counts as not finished" in told[0] and not store.is_done(place, ARCHIVED)
-    with store.atomic_directory(place) as part:
+    assert "counts as not finished" in told[0] and not completion.is_done(place, ARCHIVED)
+    with completion.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
             file.rename(part / file.name)
     assert store.damage_of(place, ARCHIVED) is None and not place.is_symlink()
@@ -59,13 +59,13 @@ def test_a_run_that_was_moved_and_is_damaged_is_made_again_in_its_place(comparis
 def test_whatever_has_a_runs_name_is_replaced_itself(
     comparison: Path, foreign: Path, tmp_path: Path, kind: str
 ) -> None:
-    place = comparison / store.JOBS / ARCHIVED.name
+    place = comparison / completion.JOBS / ARCHIVED.name
     place.rename(tmp_path / "before")
     targets = {"foreign": foreign, "dangling": tmp_path / "nowhere", "loop": place, "link to a file": foreign / "file"}
     place.write_text("x") if kind == "file" else place.symlink_to(targets[kind])
-    assert not store.is_done(place, ARCHIVED)
+    assert not completion.is_done(place, ARCHIVED)
     review_finished([ARCHIVED], {ARCHIVED.name}, comparison, pytest.fail)
-    with store.atomic_directory(place) as part:
+    with completion.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
             file.rename(part / file.name)
     assert store.damage_of(place, ARCHIVED) is None and not place.is_symlink()
@@ -73,11 +73,11 @@ def test_whatever_has_a_runs_name_is_replaced_itself(
 
 
 def test_a_withdrawn_run_behind_a_link_stays_as_it_is(comparison: Path, tmp_path: Path) -> None:
-    place = comparison / store.JOBS / ARCHIVED.name
+    place = comparison / completion.JOBS / ARCHIVED.name
     place.rename(tmp_path / "elsewhere")
     place.symlink_to(tmp_path / "elsewhere")
-    store.withdraw(place)
-    assert not place.exists() and (tmp_path / "elsewhere" / store.DONE).is_file()
+    completion.withdraw(place)
+    assert not place.exists() and (tmp_path / "elsewhere" / completion.DONE).is_file()
 
 
 @pytest.mark.parametrize("name", [LOCK, LOGS, store.TABLES])
@@ -110,7 +110,7 @@ def test_a_report_writes_through_no_link(comparison: Path, foreign: Path) -> Non
 
 
 def test_evaluations_and_marks_are_not_written_through_links(comparison: Path, foreign: Path) -> None:
-    run = comparison / store.JOBS / ARCHIVED.name
+    run = comparison / completion.JOBS / ARCHIVED.name
     (run / store.EVALUATIONS).symlink_to(foreign)
     with pytest.raises(InputError, match="evaluations' is a link"):
         store.write_evaluation(run, {"name": "activegamer"}, "", {})
@@ -118,28 +118,28 @@ def test_evaluations_and_marks_are_not_written_through_links(comparison: Path, f
     (run / store.EVALUATIONS).mkdir()
     (run / store.EVALUATIONS / "activegamer.json").symlink_to(foreign / "file")
     store.write_evaluation(run, {"name": "activegamer"}, "", {})
-    mark = (run / store.DONE).read_bytes()
+    mark = (run / completion.DONE).read_bytes()
     (foreign / "mark").write_bytes(mark)
-    (run / store.DONE).unlink()
-    (run / store.DONE).symlink_to(foreign / "mark")
-    store.withdraw(run)
-    store.set_aside(run)
+    (run / completion.DONE).unlink()
+    (run / completion.DONE).symlink_to(foreign / "mark")
+    completion.withdraw(run)
+    completion.set_aside(run)
     assert content_of(foreign) == {"file": KEPT.encode(), "mark": mark}
 
 
 def test_a_comparison_may_be_a_link_itself_and_so_may_its_runs(comparison: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(comparison)
-    (comparison / store.JOBS).rename(tmp_path / "larger disk")
-    (comparison / store.JOBS).symlink_to(tmp_path / "larger disk")
+    (comparison / completion.JOBS).rename(tmp_path / "larger disk")
+    (comparison / completion.JOBS).symlink_to(tmp_path / "larger disk")
     for directory in (comparison, tmp_path / "link"):
         check_output(directory, resume=True)
-        assert [mark.parent.name for mark in store.completion_markers(directory)] == [ARCHIVED.name]
-    (comparison / store.JOBS).unlink()
-    for target in (tmp_path / "nowhere", comparison / store.JOBS):
-        (comparison / store.JOBS).symlink_to(target)
+        assert [mark.parent.name for mark in completion.completion_markers(directory)] == [ARCHIVED.name]
+    (comparison / completion.JOBS).unlink()
+    for target in (tmp_path / "nowhere", comparison / completion.JOBS):
+        (comparison / completion.JOBS).symlink_to(target)
         with pytest.raises(InputError, match="jobs' is a link that leads to no folder"):
             check_output(comparison, resume=True)
-        (comparison / store.JOBS).unlink()
+        (comparison / completion.JOBS).unlink()
     (tmp_path / "link").unlink()
     os.symlink(tmp_path / "link", tmp_path / "link")
     with pytest.raises(InputError, match="is a link that leads nowhere"):

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from activestructure_gym.config import configure
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
@@ -26,7 +26,7 @@ def write(place: Path, job: Job = JOB, **changes: Any) -> Path:
     """What a run of today says of its configuration, with changes."""
     place.mkdir(exist_ok=True, parents=True)
     config = configure(job.conditions.preset, job.conditions.changes(POLICIES.get(job.policy)) | changes)
-    store.write_json(place / store.CONFIG, {"configuration": store.plain(dataclasses.asdict(config))})
+    json_files.write_json(place / store.CONFIG, {"configuration": json_files.plain(dataclasses.asdict(config))})
     return place
 
 
@@ -54,7 +54,7 @@ def test_shared_terms_own_code_and_what_cannot_be_read_have_none(tmp_path: Path)
         assert changed_native_settings(old, dataclasses.replace(JOB, **changes)) == [], changes
     (old / store.CONFIG).write_text("{")
     assert changed_native_settings(old, JOB) == []
-    store.write_json(old / store.CONFIG, {})
+    json_files.write_json(old / store.CONFIG, {})
     assert changed_native_settings(old, JOB) == []
 
 
@@ -62,27 +62,27 @@ def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(store, "damage_of", lambda place, job: None)
-    place, told = write(tmp_path / store.JOBS / JOB.name), []
-    (place / store.DONE).write_text(JOB.hash)
+    place, told = write(tmp_path / completion.JOBS / JOB.name), []
+    (place / completion.DONE).write_text(JOB.hash)
 
     def go_on(asked: tuple[str, ...] = (JOB.name,)) -> list[str]:
         told.clear()
         review_finished([JOB], asked, tmp_path, told.append)
         return told
 
-    assert go_on() == [] and store.is_done(place, JOB)
+    assert go_on() == [] and completion.is_done(place, JOB)
     with monkeypatch.context() as patch:
         patch.setattr(POLICIES.get("activegamer"), "native_settings", NativeSettings(mapper="splatam", iterations=2))
         assert go_on(()) == [
             f"1 run with the native settings of activegamer ({FIELDS}) stays, though its code has changed since"
         ]
-        assert store.is_done(place, JOB)
+        assert completion.is_done(place, JOB)
         assert go_on() == [
             f"1 run with the native settings of activegamer ({FIELDS}) is played again: its code has changed since"
         ]
-        assert store.is_withdrawn(place)
-        assert go_on() == [] and store.is_withdrawn(place)
-    assert go_on() == [] and store.is_done(place, JOB)
+        assert completion.is_withdrawn(place)
+        assert go_on() == [] and completion.is_withdrawn(place)
+    assert go_on() == [] and completion.is_done(place, JOB)
 
 
 FIELDS = "mapper.iterations, views.stages, views.max_candidates, motion.candidate_clearance"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym import registry
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.plugin_code import changed_code, checksum_of, is_unchanged, plugin_code_of
@@ -122,7 +122,7 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
     now = {"mine_e": "b" * 64}.get
     for content, changed in (({}, []), ({"own_code": {}}, []), ({"own_code": {"policy mine_e:Mine": "b" * 64}}, []),
                              ({"own_code": {"policy mine_e:Mine": "a" * 64}}, ["policy mine_e:Mine"])):  # fmt: skip
-        store.write_json(run / store.CONFIG, content)
+        json_files.write_json(run / store.CONFIG, content)
         assert changed_code(run, job, now) == changed
     assert changed_code(run, job, lambda module: None) == []  # the module is gone: nobody can say
     for damaged in ("{", "[]", '{"own_code": "x"}', '{"own_code": {"a": 1}}'):
@@ -137,19 +137,19 @@ def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     )
     run.mkdir()
     checksums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
-    store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, checksums.get)})
+    json_files.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, checksums.get)})
     assert is_unchanged(run, job, checksums.get)
     assert not is_unchanged(run, job, {"mine_f": "a" * 64}.get)
     assert not is_unchanged(run, job, {**checksums, "mine_g": "c" * 64}.get)
-    store.write_json(run / store.CONFIG, {})
+    json_files.write_json(run / store.CONFIG, {})
     assert not is_unchanged(run, job, {}.get)
 
 
 def test_a_withdrawn_run_can_be_reinstated(tmp_path: Path):
-    (tmp_path / store.DONE).write_text("mark")
-    store.withdraw(tmp_path)
-    store.withdraw(tmp_path)  # as another program may do at the same time
-    assert store.is_withdrawn(tmp_path) and not (tmp_path / store.DONE).exists()
-    store.reinstate(tmp_path)
-    store.reinstate(tmp_path)
-    assert (tmp_path / store.DONE).read_text() == "mark" and os.listdir(tmp_path) == [store.DONE]
+    (tmp_path / completion.DONE).write_text("mark")
+    completion.withdraw(tmp_path)
+    completion.withdraw(tmp_path)  # as another program may do at the same time
+    assert completion.is_withdrawn(tmp_path) and not (tmp_path / completion.DONE).exists()
+    completion.reinstate(tmp_path)
+    completion.reinstate(tmp_path)
+    assert (tmp_path / completion.DONE).read_text() == "mark" and os.listdir(tmp_path) == [completion.DONE]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.report.results import gather
@@ -19,7 +19,7 @@ JOB = Job("box", "random", 0)
 
 def test_a_directory_appears_whole(tmp_path):
     target = tmp_path / "jobs" / "one"
-    with store.atomic_directory(target) as part:
+    with completion.atomic_directory(target) as part:
         (part / "file").write_text("content")
         assert not target.exists()
     assert (target / "file").read_text() == "content"
@@ -31,7 +31,7 @@ def test_after_an_error_nothing_is_left_and_the_old_stays(tmp_path, error):
     target = tmp_path / "one"
     target.mkdir()
     (target / "old").touch()
-    with pytest.raises(error), store.atomic_directory(target) as part:
+    with pytest.raises(error), completion.atomic_directory(target) as part:
         (part / "new").touch()
         raise error
     assert [entry.name for entry in tmp_path.iterdir()] == ["one"]
@@ -40,9 +40,9 @@ def test_after_an_error_nothing_is_left_and_the_old_stays(tmp_path, error):
 
 def test_what_is_half_written_is_no_finished_run(tmp_path):
     for name in ("one", ".one.part-here-1"):
-        (tmp_path / store.JOBS / name).mkdir(parents=True)
-        (tmp_path / store.JOBS / name / store.DONE).touch()
-    assert [mark.parent.name for mark in store.completion_markers(tmp_path)] == ["one"]
+        (tmp_path / completion.JOBS / name).mkdir(parents=True)
+        (tmp_path / completion.JOBS / name / completion.DONE).touch()
+    assert [mark.parent.name for mark in completion.completion_markers(tmp_path)] == ["one"]
 
 
 def test_what_is_no_finished_run_is_said(tmp_path):
@@ -55,7 +55,7 @@ def test_what_is_no_finished_run_is_said(tmp_path):
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"{name}' is not a finished run: {words}"):
             store.read_run(tmp_path / name)
-    (place / store.JOBS / ARCHIVED.name / store.DONE).unlink()
+    (place / completion.JOBS / ARCHIVED.name / completion.DONE).unlink()
     with pytest.raises(InputError, match="none of whose runs has ended"):
         store.read_run(place)
     with pytest.raises(
@@ -67,27 +67,27 @@ def test_what_is_no_finished_run_is_said(tmp_path):
 def test_of_two_processes_with_one_job_the_faster_one_is_kept(tmp_path):
     target = tmp_path / "one"
     for writer in ("first", "second"):
-        with store.atomic_directory(target) as part:
+        with completion.atomic_directory(target) as part:
             (part / "writer").write_text(writer)
-            (part / store.DONE).write_text(JOB.hash)
+            (part / completion.DONE).write_text(JOB.hash)
     assert (target / "writer").read_text() == "first"
-    with store.atomic_directory(target) as part:
+    with completion.atomic_directory(target) as part:
         (part / "writer").write_text("another job")
-        (part / store.DONE).write_text("another hash")
+        (part / completion.DONE).write_text("another hash")
     assert (target / "writer").read_text() == "another job"
 
 
 def test_only_the_very_job_counts_as_done(tmp_path):
-    assert not store.is_done(tmp_path, JOB)
-    (tmp_path / store.DONE).write_text(JOB.hash + "\n")
-    assert store.is_done(tmp_path, JOB)
-    assert not store.is_done(tmp_path, Job("box", "random", 1))
+    assert not completion.is_done(tmp_path, JOB)
+    (tmp_path / completion.DONE).write_text(JOB.hash + "\n")
+    assert completion.is_done(tmp_path, JOB)
+    assert not completion.is_done(tmp_path, Job("box", "random", 1))
 
 
 def test_an_unfinished_directory_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match="not a finished run"):
         store.read_run(tmp_path)
-    (tmp_path / store.DONE).write_text("x")
+    (tmp_path / completion.DONE).write_text("x")
     with pytest.raises(InputError, match="config.json' is missing; make the run again"):
         store.read_run(tmp_path)
     for name in ("config", "metrics", "timing"):
@@ -104,13 +104,13 @@ def test_json_has_no_numpy_and_no_nan(tmp_path):
         "bad": [float("nan"), np.inf],
         7: tmp_path,
     }
-    store.write_json(tmp_path / "a.json", content)
+    json_files.write_json(tmp_path / "a.json", content)
     assert json.loads((tmp_path / "a.json").read_text()) == {
         "array": [0, 1, 2], "scalar": 0.5, "flag": True, "bad": [None, None], "7": str(tmp_path)
     }  # fmt: skip
-    assert store.json_line({"a": [1, np.nan]}) == '{"a":[1,null]}\n'
+    assert json_files.json_line({"a": [1, np.nan]}) == '{"a":[1,null]}\n'
     with pytest.raises(TypeError, match="object"):
-        store.plain(object())
+        json_files.plain(object())
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
 
 
@@ -120,7 +120,7 @@ def test_a_finished_run_is_read(tmp_path):
     assert run.metrics["metrics"]["psnr"] == 20.0 and len(run.steps) == 3 and run.gaussians.count == 0
     assert run.trajectory["world_from_camera"].shape == (20, 4, 4) and len(run.graph["ids"]) == 2
     assert store.damage_of(tmp_path / "run", ARCHIVED) is None
-    assert len((tmp_path / "run" / store.DONE).read_text().splitlines()) == 1 + 8
+    assert len((tmp_path / "run" / completion.DONE).read_text().splitlines()) == 1 + 8
     assert store.damage_of(write_run(tmp_path / "older", checksums=False), ARCHIVED) is None
 
 
@@ -134,7 +134,7 @@ READ_AGAIN = (
 @pytest.mark.parametrize("how", ["flipped", "cut", "emptied", "deleted", "folder"])
 def test_damage_names_the_file_and_how_to_get_it_back(name, how, tmp_path):
     place = write_comparison(tmp_path / "a b", [ARCHIVED])
-    path = place / store.JOBS / ARCHIVED.name / name
+    path = place / completion.JOBS / ARCHIVED.name / name
     content = bytearray(path.read_bytes())
     if how == "flipped":
         content[len(content) // 2] ^= 1
@@ -276,13 +276,13 @@ def test_no_other_number_is_filled_in_by_an_evaluation_beside_the_run(tmp_path):
 
 def test_the_completion_marker_of_another_job_is_damage(tmp_path):
     place = write_comparison(tmp_path / "all", [ARCHIVED])
-    (place / store.JOBS / ARCHIVED.name / store.DONE).write_bytes(b"\xff\xfe")
+    (place / completion.JOBS / ARCHIVED.name / completion.DONE).write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="done' is damaged: it belongs to another job .* --resume` repeats the run"):
         open_comparison(place)
-    (place / store.JOBS / ARCHIVED.name / store.DONE).unlink()
+    (place / completion.JOBS / ARCHIVED.name / completion.DONE).unlink()
     assert open_comparison(place) == []
 
 
 def test_the_working_directory_can_be_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert store.aside_of(Path(".")) == tmp_path.with_name(f".{tmp_path.name}.aside")
+    assert completion.aside_of(Path(".")) == tmp_path.with_name(f".{tmp_path.name}.aside")

@@ -7,8 +7,9 @@ import errno
 import pytest
 
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.completion import DONE, JOBS
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, JOBS
+from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.reproduction import remeasure

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.policies.random import Random
@@ -67,7 +67,7 @@ def with_bad(content: Any, where: tuple[Any, ...]) -> None:
 
 
 def sealed(directory: Path) -> None:
-    (directory / store.DONE).unlink(missing_ok=True)
+    (directory / completion.DONE).unlink(missing_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         job = Job.from_dict(json.loads((directory / "config.json").read_text(encoding="utf-8"))["job"])
@@ -87,7 +87,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished comparison in which every text that may be anything is hostile."""
     job = Job("box", "random", 0, scene_hash="ab" * 32)
     directory = write_comparison(tmp_path_factory.mktemp("foreign") / "runs", [job])
-    run = next((directory / store.JOBS).iterdir())
+    run = next((directory / completion.JOBS).iterdir())
     changed = 0
     for name in ("config.json", "metrics.json", "timing.json"):
         path = run / name
@@ -131,7 +131,7 @@ WORD = BAD.replace("\0", "")  # as an argument or a file's name can be
 
 
 def test_commands_that_read_runs(hostile: Path, said: Callable[..., str], tmp_path: Path) -> None:
-    run, out = str(next((hostile / store.JOBS).iterdir())), str(tmp_path / f"out{WORD}")
+    run, out = str(next((hostile / completion.JOBS).iterdir())), str(tmp_path / f"out{WORD}")
     assert said("report", str(hostile), "--out", out).startswith("1")  # one run is missing, as the record says
     assert "Gaussians of" in said("export", run, "--out", str(tmp_path / f"map{WORD}.ply"))
     for words in (
@@ -148,7 +148,7 @@ def test_what_is_said_about_a_run_that_is_played_again(
 ) -> None:
     from activestructure_gym.evaluation.reproduction import verifying
 
-    run = str(next((hostile / store.JOBS).iterdir()))
+    run = str(next((hostile / completion.JOBS).iterdir()))
     for found in (
         verifying.Verification("differs", (f"processor {BAD}",)),
         RuntimeError(f"a policy says {BAD}"),

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from activestructure_gym import files
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.report import summary
 from tests.evaluation.written_runs import JOB, write_comparison
@@ -33,7 +33,7 @@ def fails(request: pytest.FixtureRequest) -> Callable[..., Any]:
 def test_a_map(runs: Path, fails: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(files, "open", fails, raising=False)
-    run = next((runs / store.JOBS).iterdir())
+    run = next((runs / completion.JOBS).iterdir())
     assert main(["export", str(run), "--out", "x.ply"]) == 1
     said = capsys.readouterr().err
     assert said.startswith("asg: 'x.ply' cannot be written: ") and said.count("\n") == 1
@@ -74,4 +74,4 @@ def test_a_place_that_cannot_be_written_for_another_reason_is_wrong_input(
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(files, "open", denied, raising=False)
-    assert main(["export", str(next((runs / store.JOBS).iterdir())), "--out", str(tmp_path / "x.ply")]) == 2
+    assert main(["export", str(next((runs / completion.JOBS).iterdir())), "--out", str(tmp_path / "x.ply")]) == 2

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from rich.cells import cell_len
 
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import doctor, main
@@ -106,7 +106,7 @@ def stored(tmp_path_factory):
             for seed in range(seeds) for k, scene in enumerate(scenes) for policy in LONG
         ]  # fmt: skip
         for k, job in enumerate(jobs):
-            write_run(place / store.JOBS / job.name, job, **numbers_of(k))
+            write_run(place / completion.JOBS / job.name, job, **numbers_of(k))
         record = {"format": store.FORMAT_VERSION, "command": "asg compare", "jobs": {j.name: j.as_dict() for j in jobs}}
         (place / store.COMPARISON).write_text(json.dumps(record))
         places[name] = place
@@ -190,7 +190,7 @@ def test_at_120_columns_there_are_more_columns_and_with_wide_all(stored, undrawn
 def test_reports_and_exports_fit(stored, width, tmp_path, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     assert any("Table 1" in line for line in run(width, "report", str(stored["three"]), "--paper-tables"))
-    place = next((stored["one"] / store.JOBS).iterdir())
+    place = next((stored["one"] / completion.JOBS).iterdir())
     assert "Gaussians of" in " ".join(run(width, "export", str(place), "--out", "m.ply"))
 
 

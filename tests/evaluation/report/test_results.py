@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -141,7 +141,7 @@ def test_one_scene_in_two_folders_is_one_scene(make_run, tmp_path, monkeypatch):
     runs = [dataclasses.replace(run, job=dataclasses.replace(run.job, scene_hash="ab" * 32)) for run in runs]
     for name in "pq":
         (tmp_path / name).mkdir()
-        (tmp_path / name / store.DONE).touch()
+        (tmp_path / name / completion.DONE).touch()
     monkeypatch.setattr(store, "read_run", lambda directory: runs[directory.name == "q"])
     monkeypatch.setattr(store, "read_shown", lambda run: None)
     found = gather([tmp_path / "p", tmp_path / "q"])
@@ -154,7 +154,7 @@ def test_a_run_that_stands_in_two_places_counts_once(make_run, tmp_path, monkeyp
     runs[1] = dataclasses.replace(runs[1], job=dataclasses.replace(runs[1].job, scene_hash="other"))
     for name in "pq":
         (tmp_path / name).mkdir()
-        (tmp_path / name / store.DONE).touch()
+        (tmp_path / name / completion.DONE).touch()
     monkeypatch.setattr(store, "read_run", lambda directory: runs[directory.name == "q"])
     monkeypatch.setattr(store, "read_shown", lambda run: None)
     found = gather([tmp_path / "p", tmp_path / "q", tmp_path / "p"])

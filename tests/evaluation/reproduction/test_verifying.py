@@ -14,9 +14,10 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare, read_run
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import json_files, store
+from activestructure_gym.evaluation.archive.completion import DONE
 from activestructure_gym.evaluation.archive.conditions import Conditions
-from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
+from activestructure_gym.evaluation.archive.store import Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.machine.hardware import code_checksum, hardware, versions
 from activestructure_gym.evaluation.protocols import get_protocol
@@ -81,7 +82,7 @@ def edited(run: Run, name: str, act: Callable[[Any], object]) -> Run:
     """``run`` with another content of a JSON file, written and sealed as we do."""
     content = json.loads((run.directory / name).read_bytes())
     act(content)
-    store.write_json(run.directory / name, content)
+    json_files.write_json(run.directory / name, content)
     return seal(run)
 
 
@@ -349,7 +350,7 @@ def test_a_run_that_cannot_be_played_says_so(
 def test_code_is_not_run_for_who_hands_in_a_run(run: Run) -> None:
     named = replace(run.job, policy="tests.policies.test_native_settings:Bringer")
     content = {**run.config, "job": named.as_dict(), "hash": named.hash}
-    store.write_json(run.directory / store.CONFIG, content)
+    json_files.write_json(run.directory / store.CONFIG, content)
     store.finish(run.directory, named)
     with pytest.raises(InputError, match="names the policy .* add --trust-code"):
         verify(read_run(run.directory))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
-from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive import completion, played, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -23,7 +23,7 @@ from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Result, run_comparison
 from activestructure_gym.scenes import load_scene
 
-CLOCKS = ("timing.json", store.DONE)  # which holds the checksum of the other
+CLOCKS = ("timing.json", completion.DONE)  # which holds the checksum of the other
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def _check_equal(one: Path, other: Path) -> None:
 def test_what_was_played_is_kept_and_is_no_finished_run(kept, job):
     names = {path.name for path in kept.iterdir()}
     assert {"config.json", "steps.jsonl", "trajectory.npz", "map.npz", "map.ply", "graph.npz"} <= names
-    assert store.DONE not in names and not store.is_done(kept, job) and played.is_played(kept)
+    assert completion.DONE not in names and not completion.is_done(kept, job) and played.is_played(kept)
     with pytest.raises(InputError, match="was played but not measured; `asg evaluate .*` measures it"):
         store.read_run(kept)
     assert sorted(path.name for path in kept.parent.iterdir()) == [kept.name]
@@ -104,11 +104,11 @@ def test_whatever_ends_measuring_the_episode_stays_and_is_not_played_again(error
 
 def test_an_episode_is_found_where_a_kill_left_it_between_two_names(kept, finished, job, monkeypatch):
     monkeypatch.setattr(episode, "_play", _never_again)
-    kept.rename(store.aside_of(kept))
+    kept.rename(completion.aside_of(kept))
     assert played.is_played(kept)
     episode.run_job(job, kept)
     _check_equal(finished, kept)
-    assert not store.aside_of(kept).exists()
+    assert not completion.aside_of(kept).exists()
 
 
 @pytest.mark.parametrize("name", ["map.npz", "episode.json", "steps.jsonl", "plan.npz", ".played"])
@@ -126,22 +126,22 @@ def test_an_episode_of_another_job_or_of_other_code_does_not_count(kept, job):
     assert played.played_episode(kept, job) == kept
     assert played.played_episode(kept, replace(job, seed=1)) is None
     own = replace(job, policy="mine:Mine")
-    (kept / store.PLAYED).write_text((kept / store.PLAYED).read_text().replace(job.hash, own.hash))
+    (kept / completion.PLAYED).write_text((kept / completion.PLAYED).read_text().replace(job.hash, own.hash))
     assert played.played_episode(kept, own, lambda module: None) == kept
     assert played.played_episode(kept, own, lambda module: "ab") == kept  # of which the run has no sum
     config = json.loads((kept / "config.json").read_text()) | {"own_code": {"policy mine:Mine": "cd"}}
     (kept / "config.json").write_text(json.dumps(config))
-    store.write_marker(kept, store.PLAYED, own, played._READ)
+    completion.write_marker(kept, completion.PLAYED, own, played._READ)
     assert played.played_episode(kept, own, lambda module: "cd") == kept
     assert played.played_episode(kept, own, lambda module: "ab") is None
 
 
 def test_a_process_that_was_slower_leaves_the_finished_run_alone(finished, job, tmp_path):
     place = Path(shutil.copytree(finished, tmp_path / "run"))
-    mark = (place / store.DONE).read_bytes()
+    mark = (place / completion.DONE).read_bytes()
     with played.written_episode(place, job) as part:
         (part / "config.json").write_text("{}")
-    assert (place / store.DONE).read_bytes() == mark and not (place / store.PLAYED).exists()
+    assert (place / completion.DONE).read_bytes() == mark and not (place / completion.PLAYED).exists()
 
 
 def test_evaluate_measures_an_episode_and_finishes_its_run(kept, finished, capsys, monkeypatch):
@@ -153,7 +153,7 @@ def test_evaluate_measures_an_episode_and_finishes_its_run(kept, finished, capsy
 
 def test_a_picture_that_fails_does_not_fail_the_run(kept, finished, job, monkeypatch):
     def half_drawn(run: store.Run, directory: Path) -> None:
-        assert store.is_done(run.directory, job)
+        assert completion.is_done(run.directory, job)
         (directory / "views.png").touch()
         raise ValueError("no font")
 
@@ -199,9 +199,9 @@ def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path,
 def test_nothing_is_written_where_links_in_a_played_episode_lead(kept, finished, tmp_path):
     theirs = tmp_path / "theirs"
     theirs.write_text("not ours")
-    for name in (store.PICTURES, store.METRICS, "views.png", "timing.json", store.EVALUATIONS, store.DONE):
+    for name in (store.PICTURES, store.METRICS, "views.png", "timing.json", store.EVALUATIONS, completion.DONE):
         (kept / name).symlink_to(theirs)
-    (kept / store.DONE).unlink()
+    (kept / completion.DONE).unlink()
     measuring.measure_played(kept)
     _check_equal(kept, finished)
     assert theirs.read_text() == "not ours"
@@ -211,7 +211,7 @@ def _sealed(place: Path, job: Job, name: str, **changes: np.ndarray) -> Path:
     with np.load(place / name) as file:
         arrays = dict(file) | changes
     np.savez(place / name, **arrays)
-    store.write_marker(place, store.PLAYED, job, played._READ)
+    completion.write_marker(place, completion.PLAYED, job, played._READ)
     return place
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import jobs, store
+from activestructure_gym.evaluation.archive import completion, jobs, json_files, store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -62,7 +62,7 @@ def ran(monkeypatch):
                 continue
             place = run_directory(directory, job)
             place.mkdir(parents=True)
-            (place / store.DONE).write_text(job.hash)
+            (place / completion.DONE).write_text(job.hash)
             listener.ended(Outcome(job, attempts=1 + job.seed))
 
     engine = Engine(run, slots=lambda jobs, limits: 2, check=lambda limits: None)
@@ -87,7 +87,7 @@ def test_finished_jobs_are_never_repeated_and_failed_ones_are(ran, tmp_path):
     assert (second.runs, len(second.failed), second.skipped) == (first.runs, 1, 1)
     assert listener.begun == (["box · bad · seed 0"], 1)
     assert ran == ["box · random · seed 0", "box · bad · seed 0", "box · bad · seed 0"]
-    record = store.read_json(tmp_path / store.COMPARISON)
+    record = json_files.read_json(tmp_path / store.COMPARISON)
     assert record["failed"] == {"box · bad · seed 0": "it is bad"}
     assert (record["command"], record["resumed"]) == ("asg compare one", ["asg compare two"])
 
@@ -101,7 +101,7 @@ def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
     assert [job.title for job in recorded_jobs(tmp_path)] == [
         "box · random · seed 0", "box · bad · seed 0", "box · random · seed 1"
     ]  # fmt: skip
-    assert store.read_json(tmp_path / store.COMPARISON)["attempts"] == {variant(seed=1).name: 2}
+    assert json_files.read_json(tmp_path / store.COMPARISON)["attempts"] == {variant(seed=1).name: 2}
 
 
 @pytest.mark.parametrize(
@@ -224,14 +224,14 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     write_comparison(tmp_path / "all", grid)
     places = [run_directory(tmp_path / "all", job) for job in grid]
     (places[0] / "pictures.npz").write_bytes(b"")
-    (places[1] / store.DONE).write_text("nonsense")
-    stamp = (places[2] / store.DONE).stat().st_mtime_ns
+    (places[1] / completion.DONE).write_text("nonsense")
+    stamp = (places[2] / completion.DONE).stat().st_mtime_ns
     done = []
 
     def run(jobs, directory, listener, limits, *, keep_open=()):
         for job in jobs:
             done.append(job)
-            with store.atomic_directory(run_directory(directory, job)) as part:
+            with completion.atomic_directory(run_directory(directory, job)) as part:
                 part.rmdir()
                 write_run(part, job)
             listener.ended(Outcome(job))
@@ -245,7 +245,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     assert [run.job for run in result.runs] == grid and [store.damage_of(*pair) for pair in zip(places, grid)] == [
         None
     ] * 3
-    assert (places[2] / store.DONE).stat().st_mtime_ns == stamp
+    assert (places[2] / completion.DONE).stat().st_mtime_ns == stamp
     # One that is damaged and not asked for is told apart from those that failed.
     (places[2] / "map.npz").unlink()
     result, _ = go(grid[:2], tmp_path / "all", resume=True, notify=heard.append)
@@ -288,7 +288,7 @@ def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, 
     monkeypatch.syspath_prepend(str(tmp_path))  # a folder without __init__.py, as one has it while trying things out
     monkeypatch.chdir(tmp_path)
     job = variant(scene_hash="", policy="kit_of_mine.plan:Mine", protocol=StandardProtocol(views=2))
-    mark, told = run_directory(runs, job) / store.DONE, []
+    mark, told = run_directory(runs, job) / completion.DONE, []
 
     def go_on(asked=(job,), **options):  # by workers, which find the code by themselves
         told.clear()

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
@@ -38,7 +38,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
             if failed:
                 listener.on_retry(job, "it would not")  # what an engine says goes through to who listens
             else:
-                write_run(directory / store.JOBS / job.name, job)
+                write_run(directory / completion.JOBS / job.name, job)
             outcomes.append(Outcome(job, "it would not" if failed else None))
             listener.ended(outcomes[-1])
         return outcomes

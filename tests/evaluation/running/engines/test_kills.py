@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, JOBS
+from activestructure_gym.evaluation.archive.completion import DONE, JOBS
+from activestructure_gym.evaluation.archive.store import COMPARISON
 
 KILLS, SEED = int(os.environ.get("ASG_KILLS", "4")), int(os.environ.get("ASG_KILL_SEED", "0"))
 GRID = "--scenes box --policies random,pixel_only --seeds 0,1,2 --preset fast --frames 25 --views 3".split()

@@ -13,8 +13,8 @@ import pytest
 from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.completion import JOBS, is_done
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.running.engines import process
 from activestructure_gym.evaluation.running.engines.base import LOGS, Limits
 from activestructure_gym.evaluation.running.engines.local import run_local

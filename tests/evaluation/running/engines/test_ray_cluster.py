@@ -12,9 +12,9 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.completion import is_done
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import is_done
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import episode
 from activestructure_gym.evaluation.running.engines import ENGINES, ray_cluster

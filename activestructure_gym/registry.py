@@ -15,7 +15,8 @@ import difflib
 import importlib
 import os
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -25,6 +26,12 @@ TRUST = "ASG_TRUST_CODE"  # if set to 1, files may name code to import; workers 
 
 T = TypeVar("T")
 Maker = TypeVar("Maker", bound=Callable[[str], Any])
+
+
+@cache  # reading the metadata of all installed packages takes some 20 ms
+def installed(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group in the installed packages."""
+    return tuple(entry_points(group=group))
 
 
 class Registry(Generic[T]):
@@ -70,10 +77,10 @@ class Registry(Generic[T]):
 
     def __iter__(self) -> Iterator[str]:
         self._import_files()
-        return iter(sorted(self._entries.keys() | {point.name for point in entry_points(group=self.group)}))
+        return iter(sorted(self._entries.keys() | {point.name for point in installed(self.group)}))
 
     def __contains__(self, name: object) -> bool:
-        return name in set(self)
+        return name in self._entries or name in set(self)
 
     def get(self, name: str) -> T:
         """Return the object called ``name``; raise `InputError` naming the nearest known name."""
@@ -105,7 +112,7 @@ class Registry(Generic[T]):
         made_in = getattr(getattr(entry, "compute", entry), "__module__", "")
         if made_in.partition(".")[0] == ours:
             return None
-        return next((point.module for point in entry_points(group=self.group) if point.name == name), None)
+        return next((point.module for point in installed(self.group) if point.name == name), None)
 
     def _find(self, name: str) -> T:
         if name in self._entries:
@@ -118,7 +125,7 @@ class Registry(Generic[T]):
         self._import_files()
         if name in self._entries:
             return self._entries[name]
-        for point in entry_points(group=self.group):
+        for point in installed(self.group):
             if point.name == name:
                 return self._entries.setdefault(name, point.load())
         raise unknown_name(self.kind, name, self)

@@ -6,7 +6,6 @@ import gc
 import os
 import sys
 import time
-from functools import cache
 from pathlib import Path
 
 # Before torch or numba load: spinning OpenMP threads of two test workers cost each other a factor of 35.
@@ -18,14 +17,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 import numpy as np
 import pytest
 
-from activestructure_gym import registry
-
 sys.dont_write_bytecode = False
 # Syntax trees, modules and thousands of tests are many objects: by its own thresholds the collector takes an eighth of
 # all time.
 gc.set_threshold(20_000, 20, 20)
-# No package is installed meanwhile. To look through all of them takes 20 ms, for every name of a registry.
-registry.entry_points = cache(registry.entry_points)  # type: ignore[assignment]
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("ASG_SHARED", ROOT.parent / "shared"))
 BEGAN = time.monotonic()

@@ -20,7 +20,7 @@ def test_registered_imported_and_installed_names_are_found(monkeypatch: pytest.M
 
     assert things.get("math:pi") == math.pi
     point = importlib.metadata.EntryPoint("installed", "math:e", "activestructure_gym.things")
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == point.group else [])
+    monkeypatch.setattr(registry, "installed", lambda group: [point] if group == point.group else [])
     assert things.get("installed") == math.e
     assert list(things) == ["installed", "mine"]
     assert "mine" in things and "other" not in things
@@ -84,7 +84,7 @@ def test_an_entry_of_another_kind_is_refused_however_it_was_found(monkeypatch: p
     things.register("mine")("a text")
     things.register_family("made")(str.upper)
     point = importlib.metadata.EntryPoint("installed", "math:e", "activestructure_gym.things")
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    monkeypatch.setattr(registry, "installed", lambda group: [point])
     for name in ("mine", "made:of wood", "math:pi", "installed"):
         with pytest.raises(InputError, match=f"thing '{name}' must be a function, got"):
             things.get(name)

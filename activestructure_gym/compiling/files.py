@@ -40,7 +40,7 @@ class KernelCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._source = function.__code__.co_filename
-        self._cache_file = self  # numba's Cache calls load, save and flush of this object
+        self._cache_file: Any = self  # numba's Cache calls load, save and flush of this object
         place = Path(self.cache_path)
         if place.name != "__pycache__":  # numba has created it, with the permissions of the umask
             guard(place)

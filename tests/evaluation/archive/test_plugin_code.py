@@ -81,7 +81,7 @@ def test_a_folder_without_init_is_the_same_however_often_it_is_on_the_path(here:
 def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(here: Path, monkeypatch):
     (here / "installed_one.py").write_text("x = 1\n")
     points = [EntryPoint(name, "installed_one:Any", "activestructure_gym.policies") for name in ("area", "hole_area")]
-    monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == points[0].group else [])
+    monkeypatch.setattr(registry, "installed", lambda group: points if group == points[0].group else [])
     assert list(plugin_code_of(Job("box", "area?depth=3", 0), checksum_of)) == ["policy area?depth=3"]
     assert plugin_code_of(Job("box", "hole_area", 0), checksum_of) == {}
     assert plugin_code_of(Job("box", "activestructure_gym.policies.random:Random", 0), checksum_of) == {}
@@ -90,7 +90,7 @@ def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(h
 def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatch):
     (here / "installed_two.py").write_text("x = 1\n")
     point = EntryPoint("two", "installed_two:two", "activestructure_gym.features")
-    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
+    monkeypatch.setattr(registry, "installed", lambda group: [point] if group == point.group else [])
     for name, found in (("two", 1), ("two_left_eye", 1), ("naruto_look_x", 0), ("pixel", 0), ("three_x", 0)):
         assert (
             len(

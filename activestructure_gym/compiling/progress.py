@@ -28,9 +28,10 @@ _OURS = __name__.partition(".")[0]
 
 @contextmanager
 def told_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call ``listener`` with the name of every kernel that this process compiles while the block runs.
+    """Call ``listener`` with the name of every kernel that this process compiles inside the block.
 
-    Nothing is written meanwhile, and no helper is started.
+    This replaces the progress report: the block writes nothing to standard error. It also starts no helper processes
+    for compiling.
     """
     before, PROGRESS.listener = PROGRESS.listener, listener
     try:

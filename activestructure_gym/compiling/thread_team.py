@@ -16,7 +16,8 @@ from activestructure_gym.cores import core_count
 
 MAX_THREADS = 8  # an image has too few tiles for more
 _LOAD_IS_FRESH_S = 1.0
-_crowded_until: tuple[float, bool] = (0.0, False)  # when to read the load again, and the last result
+# time.monotonic() from which the load is read again, and whether the machine was crowded at the last reading
+_crowded_until: tuple[float, bool] = (0.0, False)
 
 
 def default_threads() -> int:

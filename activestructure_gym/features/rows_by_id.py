@@ -27,7 +27,10 @@ class RowsById:
         return self._values[: self._count]
 
     def rows_of(self, ids: np.ndarray) -> np.ndarray:  # [S] int64 -> [S] int32
-        """Return the rows of Gaussians that were in the map at any `follow`; -1 for removed ones."""
+        """Return the row index of each Gaussian id as of the last `follow`, or -1 if the Gaussian was removed.
+
+        Every id must have been in the map at some call of `follow`.
+        """
         return self._rows[ids]
 
     def follow(self) -> np.ndarray:  # [N, columns] float64

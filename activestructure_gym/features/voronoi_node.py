@@ -8,7 +8,7 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.motion import VoronoiGraph, planar_graph
 
-NODE_REACH = 0.5  # metres, largest horizontal distance to the node of a view; one step of the view lattice
+NODE_REACH = 0.5  # metres, largest horizontal distance from a view to its node; equals one step of the view lattice
 
 
 @FEATURES.register("voronoi_node", unit="index", low=-1.0)

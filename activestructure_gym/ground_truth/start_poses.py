@@ -35,7 +35,11 @@ def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 
 
 
 def _places(space: FreeSpace) -> np.ndarray:  # [N, 3] metres
-    """Return free voxel centres suitable for standing, under the strictest limits that leave enough of them."""
+    """Return centres of free voxels where an episode may start: at camera height above a floor, far from surfaces.
+
+    The limits on height and clearance are relaxed step by step until at least `MIN_START_POSES` centres satisfy them.
+    If no limits leave that many, the largest set found is returned, or else all free voxels.
+    """
     standing = (space.height >= CAMERA_HEIGHTS[0]) & (space.height <= CAMERA_HEIGHTS[1])
     on_floor = standing & _above_floor(space)
     best = np.zeros((0, 3))

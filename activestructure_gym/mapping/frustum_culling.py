@@ -129,7 +129,10 @@ def _reaches(
     sides: np.ndarray,  # [5, 4] float64: four sides of the image, then the plane of the camera
     wider: float,  # pixels per metre of sigma by which a box may be outside the first four
 ) -> np.ndarray:  # [B] bool
-    """Return the boxes that have a point on the inner side of every plane."""
+    """Return whether each box has, for every plane, a point on its inner side.
+
+    Boxes may exceed the image's sides by ``wider`` pixels per metre of sigma.
+    """
     reaches = np.ones(len(boxes), np.bool_)
     for block in range(len(boxes)):
         for side in range(len(sides)):

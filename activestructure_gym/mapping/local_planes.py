@@ -23,12 +23,17 @@ def on_local_planes(
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
     noise_scale: float,  # factor on the axial noise of a Kinect
 ) -> np.ndarray:  # [H, W] float32 metres
-    """Return the depth of a local plane at each pixel, by iterated weighted least squares in 1 / z.
+    """Replace each depth by that of a plane fitted to the pixel's neighbours on the same surface.
 
-    1 / z is linear in the image along a plane. A neighbour at r sigmas from the previous plane has the weight
-    1 - (r / 3)^2, and 0 from r = 3. The first plane is parallel to the image, or has one-sided slopes if more
-    neighbours fit those, as on floors. A slope is taken from the side on which three pixels are closer to a line.
-    Collinear neighbours give their mean. A pixel with too few neighbours or without a return is not changed.
+    The fit is by iterated weighted least squares in 1 / z, which is linear in the image along a plane. A neighbour that
+    is r sigmas from the plane of the previous iteration has the weight 1 - (r / 3)^2, and 0 from r = 3.
+
+    The first plane is parallel to the image. If more of the 3 x 3 neighbours fit a slanted plane, as on floors, that
+    one is used instead. Its slope along each axis comes from the pixel and two neighbours on one side. The side is the
+    one on which these three pixels are closer to a line.
+
+    If the neighbours are collinear, the pixel gets their weighted mean of 1 / z. A pixel without a return or with too
+    few neighbours keeps its depth.
     """
     seen = np.where(depth > 0, depth, np.float32(1.0)).astype(np.float64)
     sigma = noise_scale * axial_sigma(seen) / seen**2  # of 1 / z, to first order

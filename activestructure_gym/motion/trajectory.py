@@ -274,7 +274,11 @@ def _limit_turns(
     goal: np.ndarray,
     most: float,  # radians per frame; T frames must suffice from start to goal
 ) -> np.ndarray:  # [T, 2], the last row is the goal
-    """Follow ``wanted`` within the turn limit while the goal stays reachable in the remaining frames."""
+    """Return the yaw and pitch of every frame: close to ``wanted``, within the turn limit, and ending at ``goal``.
+
+    Every frame turns towards its wanted angles by at most ``most``. It bends towards the goal only as far as needed to
+    reach it in the remaining frames.
+    """
     angles = np.empty_like(wanted)
     yaw, pitch = start[0], start[1]
     for n in range(len(wanted)):

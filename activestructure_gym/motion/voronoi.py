@@ -181,7 +181,10 @@ def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.
 def _contracted(
     graph: nx.Graph, junctions: set[int]
 ) -> tuple[list[tuple[int, int, float]], list[tuple[int, int]]]:  # (junction, junction, metres), (junction, end)
-    """Return the paths between junctions, and the chains that end elsewhere."""
+    """Contract the vertices of degree 2: return the paths between junctions, and the chains without a second junction.
+
+    A path has its two junctions and its length in metres. A chain has its junction and its end, a vertex of degree 1.
+    """
     ways, chains = [], []
     for start in sorted(junctions):
         for step in sorted(graph[start]):

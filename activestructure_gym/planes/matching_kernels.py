@@ -10,11 +10,15 @@ from activestructure_gym.planes.surface_kernels import cell_of
 
 @kernel
 def qualifying(planes, normal, offset, centroid, limits):
-    """Return the planes that a segment may continue, as rows [M, 3]: distance, index, 1 if too far apart.
+    """Return the planes that match a segment, as rows [M, 3]: distance, index, and a flag for distant centroids.
 
-    The distance is the larger of both centroid-to-plane distances. ``planes`` [N, 7] are normal, offset and centroid,
-    ``limits`` those of both modes of `matching.MatchingConfig`. Normals face the viewer, so the sign counts: the other
-    face of a thin wall is another plane. Planes too far apart must touch the segment.
+    A plane matches if it satisfies the coplanar or the near mode of `matching.MatchingConfig`. ``limits`` are the
+    thresholds of both modes. ``planes`` [N, 7] holds the normal, offset and centroid of each plane.
+
+    The distance is the larger of two: segment centroid to plane, and plane centroid to the segment's plane. The flag is
+    1 if only the coplanar mode is satisfied and the centroids are farther apart than its reach. The caller accepts such
+    a plane only if its surface touches the segment. Normals face the viewer, so the two faces of a thin wall never
+    match.
     """
     flat_cosine, flat_distance, lever, flat_reach, near_cosine, near_distance, near_reach = limits
     found, total = np.empty((len(planes), 3)), 0

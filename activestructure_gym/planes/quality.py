@@ -53,7 +53,7 @@ class QualityConfig:
     """Configure the scales at which a mode becomes bad, and the weights of Eq. 7."""
 
     density_target: float = 400.0  # ii: points per m^2
-    fit_scale: float = 0.01  # iii: rms in metres at which the score is 1/e
+    fit_scale: float = 0.01  # iii (fit): rms distance of the pixels to the plane, in metres, at which the score is 1/e
     observations_target: int = 5  # iv: keyframes
     boundary_reach: float = 0.10  # v: metres between an edge and another plane that closes it
     space_step: float = 0.15  # v: metres beyond an edge at which space is tested; more than one voxel of 10 cm

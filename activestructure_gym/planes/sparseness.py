@@ -16,7 +16,8 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import GridStack, stack_grids
 
-_VOXEL = 0.7  # of a cell: points in the same or neighbouring voxels are within about one cell
+# edge of a voxel as a share of a cell; points in the same or adjacent voxels are at most about one cell apart
+_VOXEL = 0.7
 _CENTRES = 62  # voxels per word of 64 bits; the other two bits are neighbours
 _CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells, as fractions of its edges
 
@@ -166,7 +167,10 @@ def _mark(means, sizes, lattice, largest, held, fine, place):
 
 @kernel
 def _spread(bits, scratch, wide):
-    """Set the bits of all neighbours too, into ``wide``; those of the outermost words are undefined."""
+    """Write ``bits`` to ``wide``, dilated by one voxel along each axis (3 x 3 x 3 neighbourhood).
+
+    The outermost words of ``wide`` are undefined.
+    """
     words, row = bits.shape[2], bits.shape[1] * bits.shape[2]
     flat, across, result = bits.reshape(bits.size), scratch.reshape(bits.size), wide.reshape(bits.size)[row:]
     # Offset slices: possibly negative indices would prevent vectorisation.

@@ -48,9 +48,9 @@ def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directi
 
 
 def default_threads() -> int:
-    """Return 2, or 1 if OMP_NUM_THREADS is 1.
+    """Return the default number of rendering threads: 2, or 1 if OMP_NUM_THREADS is 1.
 
-    With a job on every core a second thread costs 10 to 30 %.
+    If every core already runs a job, a second thread slows down rendering by 10 to 30 %.
     """
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 

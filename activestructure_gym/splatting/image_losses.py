@@ -1,18 +1,20 @@
 """Compute losses of whole images: colour with SSIM, and depth.
 
-Colour images are rows of STRIDE floats: MARGIN zeros, the interleaved pixels, zeros. The blur of one channel is then a
-blur with steps of three floats.
+A colour image is stored in rows of STRIDE floats: MARGIN zeros, the pixels with interleaved channels, zeros. A
+horizontal blur of one channel thus has steps of three floats.
 
-A thread takes a strip of the image, some vectors wide and all rows high, and processes it in groups of 8 rows. It blurs
-every group along the rows, then down the columns when the neighbouring groups exist, so that one load of a row serves
-up to 8 sums. The state carried between groups stays in the second-level cache:
+A thread processes a strip of the image: a few columns of vectors of 16 floats, over all rows. It takes 8 rows at a
+time, a group. Each group is blurred horizontally first. It is blurred vertically once the groups above and below it
+have been blurred horizontally. One load of a row then serves up to 8 sums.
 
-- lines: u = (x + y) / sqrt(2), v = (x - y) / sqrt(2) of one row;
-- means: 3 groups [column, (u, u^2, v, v^2), row, 16] blurred along the rows;
-- maps: 1 group [(mean, variance, covariance), row, column, 16] of the derivatives of SSIM;
-- backs: 3 groups [column, (mean, variance, covariance), row, 16] of these, blurred along the rows.
+In the following, x is the rendered image, y the target, u = (x + y) / sqrt(2) and v = (x - y) / sqrt(2). The blurs of
+u^2 and v^2 give all second moments that SSIM needs, so no product x y is stored. The data between the steps stays in
+the second-level cache:
 
-With u and v, two blurred squares replace x^2 + y^2 and x y, and no product needs to be stored.
+- lines: u and v of one row;
+- means: the last 3 groups of u, u^2, v and v^2, blurred horizontally, [column, (u, u^2, v, v^2), row, 16];
+- maps: 1 group of the derivatives of SSIM by mean, variance and covariance, [derivative, row, column, 16];
+- backs: the last 3 groups of these derivatives, blurred horizontally, [column, derivative, row, 16].
 """
 
 # mypy: ignore-errors

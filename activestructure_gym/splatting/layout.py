@@ -20,7 +20,8 @@ PLACES = 258  # integers after the tiles in ``tile_order``: workspace for sortin
 
 NEAR_PLANE = F(0.01)
 BLUR_VARIANCE = F(0.02)  # px^2; gsplat uses 0.3, at which pixel-sized discs blur the image (docs/notebook/map.md)
-SLANT_VARIANCE = F(0.03)  # px^2, for depth only: a disc seen edge-on has no finite slope
+# px^2, added to the image covariance for depth slopes only; keeps the slope of a disc seen edge-on finite
+SLANT_VARIANCE = F(0.03)
 MIN_TRANSMITTANCE = F(1e-4)
 CLAMP_MARGIN = 0.3  # fraction of half the image
 LOG2_E = F(1.4426950408889634)

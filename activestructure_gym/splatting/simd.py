@@ -17,10 +17,10 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-# Called only from other kernels, so Python's entry point is not compiled. Reference counting of arrays is off too: it
-# costs eight atomic additions per block of Gaussians, on cache lines shared by all threads. Such functions cannot
-# allocate; the few that must are `allocating`. Varying integer arguments go through np.int64, since numba compiles a
-# function anew for every literal.
+# `inner` and `inline` functions are called only from other kernels, so no entry point for Python is compiled. They do
+# not count references to arrays, which would cost eight atomic additions per block of Gaussians, on cache lines shared
+# by all threads. Without reference counting a function cannot allocate; the few that must are `allocating`. Integer
+# arguments that vary go through np.int64, since numba compiles a function anew for every integer literal.
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 inner, inline = njit(_nrt=False, **_plain), njit(_nrt=False, forceinline=True, **_plain)
 allocating = njit(**_plain)

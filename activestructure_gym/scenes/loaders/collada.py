@@ -126,7 +126,10 @@ class _Document:
         return moved, np.eye(4) if shape.skin is not None else world_from_node
 
     def _worlds(self, scene: Element) -> dict[Element, np.ndarray]:
-        """Return the world matrix of every node, for joints; the first one of a node placed several times."""
+        """Return the world matrix of every node; the joints of skins use them.
+
+        A node that is placed several times has the matrix of its first placement.
+        """
         worlds: dict[Element, np.ndarray] = {}
         for node, world_from_node in self._placed_nodes(scene):
             worlds.setdefault(node, world_from_node)

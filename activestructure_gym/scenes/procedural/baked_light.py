@@ -144,7 +144,10 @@ def _pane_points(window: WindowLight) -> list[_Point]:
 
 
 def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np.ndarray, points: list[_Point]) -> None:
-    """Add the light that the samples ``near`` receive from each visible point."""
+    """Add to ``total`` the light that each sample receives from the point lights visible from it.
+
+    ``near`` holds the indices of the samples that are considered.
+    """
     for point in points:
         target = point.position.astype(np.float32)
         towards = target - samples.points[near]

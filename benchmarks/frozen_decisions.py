@@ -138,9 +138,11 @@ class _Judge:
         return found
 
     def _mapped_rows(self, taken: Sequence[PlannedPath | None], picks: Mapping[str, np.ndarray]) -> list[int]:
-        """Return the first row of every pick, and further rows spread over the table.
+        """Return the candidate rows whose views are mapped in a copy of the map.
 
-        Their number is `Settings.quality`, or the number of different first rows if that is larger.
+        These are the best row of every feature and the chosen row of every policy, then rows spread evenly over the
+        table. There are at most `Settings.quality` rows. If the features and policies alone have more different rows,
+        all of those are returned.
         """
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
@@ -188,11 +190,15 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row per pick with the change of image quality by its views per 100 frames.
+    """Return one row per feature or policy: the change of the held-out metrics when its chosen view is mapped.
 
-    Two more rows are the mean and the best of the mapped views. ``..._of_best`` is the change as a share of the best
-    view's, by sums over each scene: 1 is the best, and below 0 the view made the map worse. Scenes in which even the
-    best view improved nothing are left out of that mean.
+    The metrics are those of `QUALITY`. ``<metric>_per_100`` is the change per 100 frames of path: the mean over scenes
+    of means over decisions. ``<metric>_of_best`` is the change as a share of that of the best mapped view: 1 is as good
+    as the best, and below 0 the view made the map worse. Both changes are summed over the decisions of a scene before
+    they are divided, and the shares are averaged over scenes. This average leaves out scenes in which even the best
+    view improved nothing.
+
+    Two more rows are the mean and the best of all mapped views.
     """
     counted = [record for record in records if record.get("quality")]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))

@@ -83,7 +83,11 @@ def check_planes(graph: Arrays, steps: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _agree(what: str, stored: Mapping[str, float | None]) -> None:
-    """Raise `Mismatch` unless all given values are equal; ``stored`` maps a place to its value, None if it has none."""
+    """Raise `Mismatch` unless all files that store a quantity have the same value for it.
+
+    ``what`` names the quantity. ``stored`` maps the description of each file to its value, or to None if the file does
+    not store the quantity.
+    """
     given = {place: value for place, value in stored.items() if value is not None}
     if len(set(given.values())) > 1:
         (first, one), (second, other) = next(

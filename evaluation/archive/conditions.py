@@ -79,9 +79,10 @@ class Conditions:
         object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the conditions as plain values for JSON, without a shared ``setup`` and empty ``metrics``.
+        """Return the conditions as plain values for JSON.
 
-        No plug-in is imported.
+        ``setup`` is omitted if it is "shared", and ``metrics`` if there are none. A protocol of ``also`` whose module
+        would have to be imported is stored by name alone.
         """
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)

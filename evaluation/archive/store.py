@@ -124,7 +124,10 @@ class Run:
 
     @cached_property
     def evaluations(self) -> dict[str, dict[str, Any]]:
-        """Return the contents of `EVALUATIONS` by file name. They have no checksums."""
+        """Return the contents of the JSON files in the run's ``evaluations`` folder, by file name.
+
+        `completion.DONE` holds no checksums of these files.
+        """
         found = {}
         for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
             again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocols {path.stem}` measures"

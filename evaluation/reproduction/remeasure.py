@@ -93,7 +93,10 @@ def measure_file(
 
 
 def _refuse_turned(map_file: str | Path) -> None:
-    """Raise `InputError` for a PLY with a comment by ``asg export --up`` that another axis is up."""
+    """Raise `InputError` if the header of a PLY names x or y as the up axis.
+
+    ``asg export --up`` writes this comment. A map is measured with z up.
+    """
     with suppress(OSError), open(map_file, "rb") as file:
         comment = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
         if comment:

@@ -1,8 +1,8 @@
-"""Statistics of repeated runs: aggregates, intervals, paired differences, curves. Pure functions of numbers.
+"""Compute statistics of repeated runs: aggregates, intervals, paired differences and curves.
 
-Everywhere a *stratum* is one scene, and its values are those of the scene's runs. Scenes are what is compared on and
-stay fixed; the runs on them are drawn again. Definitions: [rliable], with scenes for tasks and seeds
-for runs; percentile bootstrap of [efron1979].
+All functions are pure functions of numbers. A stratum is one scene, and its values are those of the scene's runs.
+Resampling keeps the scenes and draws the runs of each scene with replacement. Definitions: [rliable], with scenes for
+tasks and runs for seeds; percentile bootstrap of [efron1979].
 """
 
 from activestructure_gym.evaluation.statistics.aggregates import (

@@ -1,4 +1,4 @@
-"""Convergence: curves of many runs on one axis, their band, and the area under each."""
+"""Compute convergence curves of runs on a common axis, their confidence band, and the area under a curve."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
 from activestructure_gym.evaluation.statistics.resampling import LEVEL, interval, pooled, stratified_draws
 
-BAND_REPEATS = 1000  # resamples of a band, which is looked at and not read off
+BAND_REPEATS = 1000  # resamples of a band; fewer than for numbers in a table, since a band is only drawn
 
 
 def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P], [P], [G] -> [G]
-    """The curve through the points, straight between them, at every place of ``axis``.
+    """Interpolate a curve linearly at every position of ``axis``.
 
-    Before the first point it has the first value, after the last the last: an episode that has ended keeps its map.
+    Before the first point the curve has the first value. After the last point it has the last value, since the map of a
+    finished episode does not change. Raise `ValueError` if there is no point or ``x`` does not increase strictly.
     """
     if len(x) < 1 or np.any(np.diff(x) <= 0):
         raise ValueError("a curve needs at least one point, and costs that rise strictly")
@@ -23,7 +24,10 @@ def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P
 
 
 def area_under(x: np.ndarray, y: np.ndarray, budget: float) -> float:
-    """The mean height of the curve from 0 to ``budget`` in the units of y: the area, normalised by the budget."""
+    """Return the area under a curve from 0 to ``budget``, divided by ``budget``: the mean height, in the units of y.
+
+    Raise `ValueError` if the budget is not above 0.
+    """
     if not budget > 0:
         raise ValueError(f"the budget must be above 0, got {budget}")
     inside = x[(x > 0) & (x < budget)]
@@ -39,9 +43,10 @@ def curve_band(
     repeats: int = BAND_REPEATS,
     seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:  # [G] each
-    """The statistic at every place, and its pointwise interval; whole runs are drawn again, so places hang together.
+    """Return the statistic at every position of the axis, and the ends of its pointwise interval.
 
-    No interval (None, None) where a scene has a single run, or without resamples.
+    The bootstrap draws whole runs, so a resample uses the same runs at every position. The ends are None if a scene has
+    a single run or ``repeats`` is 0.
     """
     columns = [pooled([curves[:, place] for curves in strata]) for place in range(strata[0].shape[1])]
     values, sizes = np.stack([column for column, _ in columns]), columns[0][1]  # [G, N]

@@ -1,4 +1,4 @@
-"""Probability of improvement: that a run of one policy is better than a run of another."""
+"""Compute the probability of improvement: that a run of one policy is better than a run of another."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS,
 
 
 def win_share(ours: np.ndarray, theirs: np.ndarray, tie: float = 0.0) -> np.ndarray:  # [n], [m] -> [n, m]
-    """1 where ours is larger, 1/2 where both are equal; the mean is Mann and Whitney's U / (n m).
+    """Return 1 for pairs in which ours is larger, 1/2 for equal ones and 0 otherwise.
 
-    What differs by no more than ``tie`` is equal.
+    Two values are equal if they differ by at most ``tie``. The mean of the result is Mann and Whitney's U / (n m).
     """
     difference = np.asarray(ours, np.float64)[:, None] - np.asarray(theirs, np.float64)[None, :]
     return 0.5 * (1.0 + np.where(np.abs(difference) > tie, np.sign(difference), 0.0))
@@ -28,10 +28,10 @@ def probability_of_improvement(
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> Estimate:
-    """P(X > Y) + P(X = Y) / 2 for runs X of ours and Y of theirs on the same scene, averaged over the scenes.
+    """Return P(X > Y) + P(X = Y) / 2 for runs X of ours and Y of theirs on the same scene, averaged over scenes.
 
-    rliable's ``probability_of_improvement``; for the interval the runs of both are drawn again, independently, within
-    every scene.
+    This is rliable's ``probability_of_improvement``. For the interval, the runs of both policies are resampled
+    independently within each scene. There is no interval if a scene has a single run of a policy.
 
     Parameters
     ----------
@@ -42,19 +42,19 @@ def probability_of_improvement(
     level
         Share of the resampled statistics inside the interval.
     repeats
-        Resamples.
+        Number of resamples.
     seed
-        Of the draws.
+        Seed of the resampling.
 
     Returns
     -------
     Estimate
-        In 0..1, with its interval.
+        The probability in 0..1, with its interval.
 
     Raises
     ------
     ValueError
-        The scenes do not match.
+        The numbers of scenes differ, there is no scene, or a scene has no run.
 
     Notes
     -----
@@ -84,7 +84,7 @@ def probability_of_improvement(
 
 @functools.lru_cache(maxsize=64)
 def _weights(sizes: tuple[int, ...], repeats: int, seed: int) -> tuple[np.ndarray, ...]:  # [R, n] each, read-only
-    """Of every sample of n runs drawn again the share that each of them has in it."""
+    """Return, for each sample of n runs, the share of each run in each of ``repeats`` resamples."""
     rng = np.random.default_rng(seed)
     drawn = tuple(rng.multinomial(size, np.full(size, 1.0 / size), repeats) / size for size in sizes)
     for weights in drawn:

@@ -1,4 +1,4 @@
-"""Differences between two policies on the same scene and seed, which share start, noise and candidates."""
+"""Compare two policies by paired runs: the same scene and seed, hence the same start, noise and candidates."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Cell = tuple[str, int]  # scene and seed
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Ours minus theirs."""
+    """Hold the aggregated difference of ours minus theirs, and the numbers of pairs by sign."""
 
     difference: Estimate
-    higher: int  # pairs in which ours is the larger
+    higher: int  # number of pairs in which ours is larger
     equal: int
     lower: int
 
     @property
     def pairs(self) -> int:
-        """Cells that both have finished."""
+        """Return the number of pairs: cells that both policies have."""
         return self.higher + self.equal + self.lower
 
 
@@ -38,27 +38,27 @@ def paired_difference(
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> PairedDifference | None:
-    """The statistic of the differences over the cells both have, pairs drawn again within every scene.
+    """Return the statistic of the differences over all common cells; pairs are resampled within each scene.
 
     Parameters
     ----------
     ours, theirs
         A number per (scene, seed).
     statistic
-        Of the differences: `mean`, `median`, `interquartile_mean`.
+        Aggregate of the differences: `mean`, `median` or `interquartile_mean`.
     tie
         Pairs that differ by no more than this count as equal.
     level
         Share of the resampled statistics inside the interval.
     repeats
-        Resamples.
+        Number of resamples.
     seed
-        Of the draws.
+        Seed of the resampling.
 
     Returns
     -------
     PairedDifference or None
-        None if they have no cell in common. What only one of them finished is not counted.
+        None if they have no cell in common. Cells that only one of them has are ignored.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The stratified percentile bootstrap: intervals by drawing every scene's runs again, with replacement."""
+"""Compute intervals by the stratified percentile bootstrap: the runs of each scene are drawn with replacement."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import numpy as np
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
 
 LEVEL = 0.95
-REPEATS = 5000  # resamples; an end of the interval moves by about 1 % of its width between generators
+REPEATS = 5000  # resamples; with another seed, an end of the interval moves by about 1 % of the interval's width
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic and the interval it would fall into in ``LEVEL`` of all repetitions."""
+    """Hold a statistic of all runs, and its bootstrap interval."""
 
     value: float
-    low: float | None  # None: a scene with a single run has no spread to draw from
+    low: float | None  # lower end of the interval; None if a scene has a single run
     high: float | None
     runs: int
 
     @property
     def has_interval(self) -> bool:
-        """Whether there were runs enough for one."""
+        """Return whether there is an interval: every scene has at least two runs."""
         return self.low is not None and self.high is not None
 
     def excludes(self, value: float = 0.0) -> bool:
-        """Whether the whole interval lies on one side of ``value``; without an interval nothing is excluded."""
+        """Return whether the interval excludes ``value``; False if there is no interval."""
         return self.low is not None and self.high is not None and (self.low > value or self.high < value)
 
 
@@ -41,34 +41,34 @@ def estimate(
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> Estimate:
-    """The statistic of all runs, with its percentile interval.
+    """Return the statistic of all runs, with its percentile interval.
 
-    Equal ``strata`` give equal intervals: the draws depend on the numbers of runs and on ``seed`` alone, so that
-    different metrics of the same runs are resampled alike. With few runs per scene such intervals are too narrow (by
-    a factor of about sqrt((n - 1) / n)).
+    Equal ``strata`` give equal intervals. The draws depend only on the numbers of runs and on ``seed``, so different
+    metrics of the same runs are resampled in the same way. With few runs per scene the intervals are too narrow, by a
+    factor of about sqrt((n - 1) / n).
 
     Parameters
     ----------
     strata
         One array [n] per scene, n at least 1.
     statistic
-        What is estimated: `mean`, `median`, `interquartile_mean`.
+        Aggregate of all runs: `mean`, `median` or `interquartile_mean`.
     level
         Share of the resampled statistics inside the interval.
     repeats
-        Resamples.
+        Number of resamples.
     seed
-        Of the draws.
+        Seed of the resampling.
 
     Returns
     -------
     Estimate
-        The statistic and its interval; without one where a scene has a single run.
+        The statistic and its interval. There is no interval if a scene has a single run.
 
     Raises
     ------
     ValueError
-        No scene, or a scene without runs.
+        There is no scene, or a scene has no runs.
 
     Examples
     --------
@@ -86,12 +86,15 @@ def estimate(
 
 
 def interval(resampled: np.ndarray, level: float = LEVEL) -> np.ndarray:  # [..., R] -> [2, ...]
-    """The percentiles that leave (1 - ``level``) / 2 of the resampled statistics on either side."""
+    """Return the percentiles below and above which (1 - ``level``) / 2 of the resampled statistics are."""
     return np.percentile(resampled, [50 * (1 - level), 50 * (1 + level)], axis=-1)
 
 
 def pooled(strata: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[int, ...]]:
-    """All values [N], scene after scene, and the number of runs of each scene."""
+    """Return all values [N], scene after scene, and the number of runs of each scene.
+
+    Raise `ValueError` if there is no scene or a scene has no runs.
+    """
     sizes = tuple(len(values) for values in strata)
     if not sizes or min(sizes) < 1:
         raise ValueError(f"every scene needs at least one run, got {list(sizes)} runs")
@@ -100,7 +103,10 @@ def pooled(strata: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[int, ...]]:
 
 @functools.lru_cache(maxsize=64)
 def stratified_draws(sizes: tuple[int, ...], repeats: int, seed: int) -> np.ndarray:  # [R, N] int64, read-only
-    """Rows of indices into the pooled values: scene by scene as many of its runs as it has, with replacement."""
+    """Return one resample per row, as indices into the pooled values.
+
+    Each scene's part of a row holds as many draws with replacement as the scene has runs.
+    """
     rng = np.random.default_rng(seed)
     starts = np.cumsum((0, *sizes[:-1]))
     parts = [start + rng.integers(0, size, (repeats, size)) for start, size in zip(starts, sizes)]

@@ -39,7 +39,11 @@ def network_choice(network: CandidateNetwork) -> Choose:
 
 
 class Validation:
-    """Play one episode on each validation layout; layouts stay in memory, and references are played once per run."""
+    """Score a network by one episode on each validation layout, relative to two references.
+
+    The references are random choice and the one-step oracle. They are played once per training run, and their scores
+    are stored in ``references.json``. The layouts stay in memory.
+    """
 
     def __init__(self, config: TrainingConfig, directory: Path, notify: Callable[[str], None] = lambda _: None) -> None:
         self._config, self._file, self._notify = config, directory / _FILE, notify

@@ -1,1 +1,1 @@
-"""Trajectories from outside: files of poses, whose axes they mean, and whether a camera can have been there."""
+"""Read camera trajectories of other programs, convert their axes, and check that they fit a scene."""

@@ -1,13 +1,11 @@
-"""Conventions of axes by name, turned into ours: x right, y down, z forward in the camera, z up in the world.
+"""Convert poses from named conventions of axes to this project's.
 
-======== ==================================== ====================================
-name     camera                               world
-======== ==================================== ====================================
-opencv   x right, y down, z forward           the scene's own, z up
-opengl   x right, y up, z backward            the scene's own, z up
-habitat  x right, y up, z backward            y up, -z forward: (x, z, -y) of ours
-ros      x forward, y left, z up              the scene's own, z up
-======== ==================================== ====================================
+The camera of this project has x to the right, y down and z forward, and its world has z up. The conventions are:
+
+- ``opencv``: camera x right, y down, z forward; the scene's world, z up;
+- ``opengl``: camera x right, y up, z backward; the scene's world, z up;
+- ``habitat``: camera x right, y up, z backward; world y up, (x, y, z) becomes (x, -z, y);
+- ``ros``: camera x forward, y left, z up; the scene's world, z up.
 """
 
 from __future__ import annotations
@@ -21,9 +19,9 @@ from activestructure_gym.geometry import invert_rigid
 
 Axes = Literal["opencv", "opengl", "habitat", "ros"]
 AXES: tuple[str, ...] = get_args(Axes)
-USUAL = {"habitat": "habitat"}  # by format; all others have OpenCV's
+USUAL = {"habitat": "habitat"}  # default convention by format; that of all other formats is "opencv"
 
-# Columns are our camera's axes in theirs.
+# The columns are the axes of this project's camera, expressed in those of the named convention.
 _OPENGL = np.diag([1.0, -1.0, -1.0])
 _ROS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _THEIRS_FROM_OURS = {"opencv": np.eye(3), "opengl": _OPENGL, "habitat": _OPENGL, "ros": _ROS}
@@ -36,7 +34,10 @@ def in_our_axes(
     *,
     inverted: bool = False,  # the file maps world to camera
 ) -> np.ndarray:  # [T, 4, 4] world_from_camera
-    """The poses in this project's axes, to the last bit where they have them already; `InputError` for a name."""
+    """Return the poses in this project's axes; poses that have them already are copied bit by bit.
+
+    Raise `InputError` if ``axes`` is not one of `AXES`.
+    """
     if axes not in AXES:
         raise unknown_name("convention of axes", axes, AXES)
     poses = invert_rigid(poses) if inverted else np.array(poses, dtype=np.float64)
@@ -52,7 +53,10 @@ def begun_at(
     poses: np.ndarray,  # [T, 4, 4] world_from_camera of any world
     start: np.ndarray,  # [4, 4] world_from_camera
 ) -> np.ndarray:  # [T, 4, 4]
-    """The same motion, begun at ``start``: for files whose world is their first camera."""
+    """Move a trajectory rigidly such that its first pose is ``start``.
+
+    This places files whose world frame is that of their first camera.
+    """
     moved = (start @ invert_rigid(poses[0])) @ poses
     moved[0] = start
     return moved

@@ -1,4 +1,4 @@
-"""Whether a camera can have been where a trajectory says, in a scene, and which convention fits better if not."""
+"""Check whether a trajectory is possible in a scene, and find the convention of axes that fits it best."""
 
 from __future__ import annotations
 
@@ -11,38 +11,42 @@ from scipy.spatial.transform import Rotation
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.trajectories.axes import AXES, in_our_axes
 
-# Share of poses outside of the free space that are reported and not refused: free space is one region with room for a
-# body, and a camera that a hand carried may have been in a corner that has none (own choice).
+# Largest share of poses outside the free space that is not an error (own choice). Free space is one region with room
+# for a body, but a hand-held camera can have been in a narrower corner.
 TOLERATED = 0.02
-# Cosine between the image's up and the world's, in the middle of all poses: below, cameras lie on their side or hang
-# upside down, which a wrong convention makes of an upright one (own choice, 60 and 45 degrees).
+# Limits of the cosine between the image's up direction and the world's: 60 and 45 degrees (own choice). Below
+# `_TILTED`, cameras are on their side or upside down, usually because of a wrong convention. Above `_UPRIGHT`, a
+# convention can be suggested.
 _TILTED, _UPRIGHT = 0.5, 0.7
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How a trajectory lies in a scene, read in one convention."""
+    """Hold how well a trajectory fits a scene if its file is read in one convention."""
 
     axes: str
     inverted: bool
-    outside: int  # poses in walls, in furniture or outside of the rooms
-    poses: int  # of all
+    outside: int  # number of poses in walls, in furniture or outside the rooms
+    poses: int  # number of all poses
     upright: float  # -1..1, median cosine between the image's up and the world's
-    lowest: float  # the same where a tenth of the poses is below
+    lowest: float  # 10th percentile of the same cosine
 
     @property
     def inside(self) -> bool:
-        """Whether the poses stand in the free space, but for a few."""
+        """Return whether at most the share `TOLERATED` of the poses is outside the free space."""
         return self.outside <= TOLERATED * self.poses
 
     @property
     def words(self) -> str:
-        """The convention as options."""
+        """Return the convention as command-line options."""
         return f"--axes {self.axes}" + (" --inverted" if self.inverted else "")
 
 
 def fit_of(clearance_at: Callable[[np.ndarray], np.ndarray], poses: np.ndarray, axes: str, inverted: bool) -> Fit:
-    """How ``poses`` [T, 4, 4], as a file has them, fit; ``clearance_at`` [N, 3] -> [N] is 0 where nothing is free."""
+    """Return how well ``poses`` [T, 4, 4] from a file fit the scene if they have the given convention.
+
+    ``clearance_at`` maps positions [N, 3] to clearances [N], which are 0 outside the free space.
+    """
     ours = in_our_axes(poses, axes, inverted=inverted)
     return _measured(clearance_at, ours, axes, inverted)
 
@@ -57,15 +61,18 @@ def likeliest(
     clearance_at: Callable[[np.ndarray], np.ndarray],
     poses: np.ndarray,  # [T, 4, 4] as a file has them
 ) -> Fit | None:
-    """The convention in which the poses stand in the free space and the cameras upright, the most upright of several;
-    None where there is none."""
+    """Return the fit of the most likely convention, or None if none fits.
+
+    A convention fits if the poses are inside the free space and the cameras are upright. Camera-to-world conventions
+    are preferred, then the most upright cameras.
+    """
     fits = [fit_of(clearance_at, poses, axes, inverted) for inverted in (False, True) for axes in AXES]
     good = [fit for fit in fits if fit.inside and fit.upright > _UPRIGHT]
     return max(good, key=lambda fit: (not fit.inverted, fit.upright), default=None)
 
 
 def with_w_first(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T, 4, 4]
-    """What the poses would be if their file had quaternions in the order w x y z, read as x y z w."""
+    """Return the poses of a file with quaternions w x y z, given its poses as read with the order x y z w."""
     turned = poses.copy()
     read = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     turned[:, :3, :3] = Rotation.from_quat(np.roll(read, -1, axis=1)).as_matrix()
@@ -74,26 +81,26 @@ def with_w_first(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T, 4, 4]
 
 def checked(
     clearance_at: Callable[[np.ndarray], np.ndarray],
-    poses: np.ndarray,  # [T, 4, 4] as the file has them
-    placed: np.ndarray,  # [T, 4, 4] world_from_camera, as they are to be used
+    poses: np.ndarray,  # [T, 4, 4] as in the file
+    placed: np.ndarray,  # [T, 4, 4] world_from_camera, converted and moved to the start if one is given
     axes: str,
     inverted: bool,
-    name: str,  # of the trajectory, for people
+    name: str,  # of the trajectory, for error messages
     *,
-    quaternions: bool = False,  # whether the file has them
+    quaternions: bool = False,  # whether the file stores rotations as quaternions
 ) -> Fit:
-    """How the trajectory lies in the scene; raises `InputError` where it leaves the free space or hangs upside down.
+    """Return how well a trajectory fits the scene; raise `InputError` if it leaves the free space or is upside down.
 
-    The message names the convention that fits, where one does, or else the other order of quaternions. Tilted cameras
-    alone are refused only if one of these makes them upright.
+    The message names a convention that fits, or the order w x y z of quaternions if that fits better. Tilted cameras
+    inside the free space are an error only if one of these makes them upright.
     """
     found = _measured(clearance_at, placed, axes, inverted)
     steady = found.upright >= _TILTED and (found.lowest >= 0 or not quaternions)
     if found.inside and steady:
         return found
     other = likeliest(clearance_at, poses)
-    if other is not None and (other.axes, other.inverted) == (axes, inverted):  # moved by --start, or the order
-        other = None
+    if other is not None and (other.axes, other.inverted) == (axes, inverted):
+        other = None  # the convention is right; the cause is --start or the order of quaternions
     reordered = fit_of(clearance_at, with_w_first(poses), axes, inverted) if quaternions else None
     w_first = (
         reordered is not None and reordered.inside and reordered.lowest > max(_TILTED, other.lowest if other else -1)

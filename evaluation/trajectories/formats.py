@@ -1,17 +1,16 @@
-"""Poses from files of other programs, as they are written: camera to world, in whatever axes the file has.
+"""Read camera poses from files of other programs, in the axes of the file.
 
-=========== =========================================================================================================
-``tum``       ``timestamp tx ty tz qx qy qz qw`` per line, ``#`` before comments ([tum_rgbd], file formats)
-``nice_slam`` 16 numbers per line, a 4 x 4 matrix row by row; or the folder with ``traj.txt`` ([nice_slam, code])
-``kitti``     12 numbers per line, its upper 3 rows ([kitti], odometry)
-``replica``   16 numbers per line; or the folder with ``traj_w_c.txt`` ([semantic_nerf, code])
-``habitat``   JSON, a list of ``{"position": [x, y, z], "rotation": [x, y, z, w]}``, of the camera and not of the body
-``scannet``   the folder ``pose`` of a scan, with a 4 x 4 matrix in every ``<number>.txt`` ([scannet], its reader of
-              .sens), turned by the scan's axisAlignment, as its mesh is
-``scannetpp`` ``iphone/pose_intrinsic_imu.json``, the ``aligned_pose`` of every frame; or the scene's folder
-              ([scannetpp], its toolkit)
-``npz``       ``world_from_camera`` [T, 4, 4], as in the ``trajectory.npz`` of a run
-=========== =========================================================================================================
+- ``tum``: ``timestamp tx ty tz qx qy qz qw`` per line, ``#`` before comments ([tum_rgbd], file formats).
+- ``nice_slam``: 16 numbers per line, a 4 x 4 matrix row by row; or the folder with ``traj.txt`` ([nice_slam, code]).
+- ``kitti``: 12 numbers per line, the upper 3 rows of the matrix ([kitti], odometry).
+- ``replica``: 16 numbers per line; or the folder with ``traj_w_c.txt`` ([semantic_nerf, code]).
+- ``habitat``: JSON, a list of ``{"position": [x, y, z], "rotation": [x, y, z, w]}``; poses of the camera, not of the
+  body.
+- ``scannet``: the folder ``pose`` of a scan, with a 4 x 4 matrix in every ``<number>.txt`` ([scannet], its reader of
+  .sens). The scan's axisAlignment is applied to the poses, as it is to the mesh.
+- ``scannetpp``: ``iphone/pose_intrinsic_imu.json``, the ``aligned_pose`` of every frame; or the scene's folder
+  ([scannetpp], its toolkit).
+- ``npz``: ``world_from_camera`` [T, 4, 4], as in the ``trajectory.npz`` of a run.
 """
 
 from __future__ import annotations
@@ -34,20 +33,20 @@ from activestructure_gym.scenes.loaders.scannet import axis_alignment
 
 Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
-QUATERNIONS = frozenset({"tum", "habitat"})  # formats that write them, x y z w
-MAX_POSES = 200_000  # of a file
-_MAX_BYTES = 64 << 20  # bytes of a text
+QUATERNIONS = frozenset({"tum", "habitat"})  # formats with quaternions, in the order x y z w
+MAX_POSES = 200_000  # largest number per file
+_MAX_BYTES = 64 << 20  # largest size of a text file
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line
 _WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}
 _SCANNETPP = "pose_intrinsic_imu.json"
 _IN_FOLDERS = {
     "nice_slam": "traj.txt",
     "replica": "traj_w_c.txt",
-    "scannet": "pose",  # a folder again
+    "scannet": "pose",  # a folder
     "scannetpp": f"iphone/{_SCANNETPP}",
     "npz": "trajectory.npz",
 }
-_RIGID = 1e-3  # how far a rotation may be from one: files are written with 4 to 18 digits
+_RIGID = 1e-3  # largest deviation of R R^T from the identity; files have 4 to 18 digits
 _MAX_COORDINATE_M = 1e6  # metres
 
 _POSES: schema.Check = schema.each(
@@ -62,9 +61,9 @@ _POSES: schema.Check = schema.each(
 
 
 def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, str]:
-    """The file of poses at ``place``, a file or a folder that has one, and its format; raises `InputError`.
+    """Return the path and the format of the trajectory at ``place``, which is a file or a folder.
 
-    Of a ScanNet scan it is the folder of its poses.
+    The path is a file, or for a ScanNet scan the folder of its poses. Raise `InputError` if there is none.
     """
     if kind not in FORMATS:
         raise unknown_name("trajectory format", kind, FORMATS)
@@ -89,10 +88,11 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
 
 
 def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:  # [T, 4, 4] float64
-    """The poses of a file as it has them; raises `InputError` where it cannot be read, or a pose is no rigid motion.
+    """Return the poses of a trajectory in the axes of the file.
 
-    A rotation that was written with few digits is taken as the nearest one.
-    ``auto`` tells formats apart by the ending and by the numbers in a line.
+    With ``auto``, the format follows from the file extension or the numbers per line. Rotations with few digits are
+    replaced by the nearest exact ones. Raise `InputError` if the file cannot be read, or if a pose is not a rigid
+    motion.
     """
     path, kind = find_file(place, kind)
     if kind == "npz":
@@ -116,7 +116,7 @@ def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a ``trajectory.npz``; raises `InputError` where it has no poses."""
+    """Return the arrays of a ``trajectory.npz``; raise `InputError` if it cannot be read or has no poses."""
     try:
         arrays = read_npz(path)
     except OSError as error:
@@ -142,9 +142,9 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Number and words of every line that is neither empty nor a comment; commas separate like spaces.
+    """Return the number and the words of every line that is neither empty nor a comment; commas separate words too.
 
-    Of more than are read the first: whoever asks for all has too many.
+    At most `MAX_POSES` + 1 lines are returned, which is enough to detect files that are too long.
     """
     words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
     lines = ((number, line) for number, line in words if line and not line[0].startswith("#"))
@@ -213,14 +213,18 @@ def _habitat(path: Path) -> np.ndarray:
 
 
 def pose_files(folder: Path) -> list[Path]:
-    """The files of a ScanNet scan's poses in the order of their numbers."""
+    """Return the pose files of a ScanNet scan in numerical order, at most `MAX_POSES` + 1."""
     numbered = {int(file.stem): file for file in folder.glob("*.txt") if file.stem.isascii() and file.stem.isdigit()}
     return [numbered[number] for number in sorted(numbered)][: MAX_POSES + 1]
 
 
 def scan_text(folder: Path) -> Path:
-    """The text file of the ScanNet scan whose poses are in this folder, by which they are turned."""
-    scan = Path(os.path.abspath(folder)).parent  # of a link where the link is: the scan's other files are there
+    """Return the text file of the ScanNet scan to which this folder of poses belongs.
+
+    It holds the axis alignment that is applied to the poses.
+    """
+    # abspath does not follow a symbolic link: the scan's other files are next to the link, not to its target.
+    scan = Path(os.path.abspath(folder)).parent
     return scan / f"{scan.name}.txt"
 
 
@@ -248,7 +252,7 @@ def _scannetpp(path: Path) -> np.ndarray:
 
 
 def _known(poses: np.ndarray, path: Path) -> np.ndarray:
-    """The poses that the recording knows, warning of others: where tracking was lost they are written as infinite."""
+    """Return the finite poses, and warn about the others; ScanNet writes infinite poses where tracking was lost."""
     known = np.isfinite(poses).all(axis=(1, 2))
     if not known.any():
         raise InputError(f"none of the {len(poses)} poses of '{path}' is known (all are infinite or no number)")

@@ -1,4 +1,4 @@
-"""How a given trajectory moves, beside the limits that planners keep."""
+"""Compare the motion of a given trajectory with the limits of the planners."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.geometry import rotation_angle
 
-_ROUNDING = 1e-3  # of a limit: files are written with few digits
+_ROUNDING = 1e-3  # tolerance as a share of a limit, since some files have few digits
 
 
 def motion_report(
@@ -15,7 +15,7 @@ def motion_report(
     max_step_m: float,
     max_turn_deg: float,
 ) -> dict[str, float]:
-    """Largest step and turn from pose to pose, and how many are over the limits of one frame."""
+    """Return the largest step and turn between consecutive poses, and how many exceed the limits per frame."""
     if len(poses) < 2:
         return {"largest_step_m": 0.0, "largest_turn_deg": 0.0, "steps_too_long": 0, "turns_too_wide": 0}
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)

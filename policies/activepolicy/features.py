@@ -1,4 +1,7 @@
-"""Compute ActivePolicy's geometric gain: the share of pixels in which readings of the map's depth disagree."""
+"""Compute ActivePolicy's geometric gain: the share of pixels with uncertain depth.
+
+A pixel counts if three estimates of its rendered depth disagree, or if the map does not cover it.
+"""
 
 from __future__ import annotations
 

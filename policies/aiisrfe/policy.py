@@ -92,7 +92,10 @@ class Aiisrfe(Planner):
 
 
 def most_uncertain(candidates: Candidates, uncertain: np.ndarray) -> list[int]:  # [K] -> rows
-    """Return the rows with the largest uncertainty above 0, at least `APART_M` from each other."""
+    """Return up to `RECONSTRUCTIONS` candidate rows in order of decreasing uncertainty.
+
+    A row is skipped if it is closer than `APART_M` metres to a chosen one. Rows without uncertainty are never chosen.
+    """
     chosen: list[int] = []
     for row in np.argsort(-uncertain, kind="stable"):
         if uncertain[row] <= 0 or len(chosen) == RECONSTRUCTIONS:

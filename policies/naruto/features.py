@@ -76,15 +76,17 @@ def uncertainty(
     errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of the pixels in each voxel
     pixels: np.ndarray,  # [X, Y, Z] number of these pixels
 ) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
-    """Return the free voxels x next to a voxel that is not free, and sigma(x).
+    """Return the free voxels next to a voxel that is not free, and the uncertainty sigma of each.
 
-    sigma(x) is the mean squared depth error of the surface at x, at least `FLOOR`. [naruto, code] learns
-    sigma = softplus(u) + 0.01 by one step of rate 1 per keyframe. Its loss is (D - D_measured)^2 / (2 U) + 1/2 log U
-    with U = sum w^2 sigma over a ray. If the weight of a ray is at one place, sigma converges to the mean squared error
-    of the rendered depth. It stays `INITIAL` = softplus(3) + 0.01 where no ray has measured.
+    sigma is the mean squared depth error of the pixels on the nearby surface, at least `FLOOR`. These are the pixels in
+    the voxel, in its non-free neighbours and in the non-free neighbours of those. The second ring is needed because a
+    voxel that the surface only touches can stay unknown. Without such pixels, sigma is the mean error of all pixels if
+    one of these voxels is occupied. Otherwise it is `INITIAL` = softplus(3) + 0.01.
 
-    The surface at x includes the pixels in x, in its neighbours that are not free, and in the neighbours of these,
-    since a voxel that the surface only touches can stay unknown. Occupied voxels without pixels have the mean error.
+    This approximates [naruto, code], which learns sigma = softplus(u) + 0.01 by one step of rate 1 per keyframe. Its
+    loss is (D - D_measured)^2 / (2 U) + 1/2 log U with U = sum w^2 sigma over a ray. If all weight of a ray is at one
+    place, the learned sigma converges to the mean squared error of the rendered depth. It stays at `INITIAL` where no
+    ray has measured.
     """
     free = volume.state == FREE
     voxels = np.argwhere(free & (_neighbour_sum((~free).astype(np.float64)) > 0))

@@ -255,7 +255,9 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.running.comparison import Comparison
 
     defaults = Comparison(
-        scenes=("room",), policies=("random", "activestructure"), conditions=Conditions(setup=options.setup or "shared")
+        scenes=(Spec("room"),),
+        policies=(Spec("random"), Spec("activestructure")),
+        conditions=Conditions(setup=options.setup or "shared"),
     )
     return dataclasses.replace(defaults, **_typed_fields(options, defaults))
 

@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.output_directory import check_output
+from activestructure_gym.specs import Spec
 
 
 class NullListener:
@@ -96,7 +97,7 @@ def compare(
     for name, given in (("scenes", scenes), ("policies", policies)):
         if isinstance(given, str):
             raise InputError(f"{name} are a list of names, as ['{given}'], got the text {short_repr(given)}")
-    comparison = Comparison(scenes, policies, seeds, conditions=conditions or Conditions())
+    comparison = Comparison([*map(Spec, scenes)], [*map(Spec, policies)], seeds, conditions=conditions or Conditions())
     directory = Path(out)
     check_output(directory, resume=resume)
     jobs = comparison.prepare()

@@ -107,8 +107,8 @@ class Decisions:
         played, policies = split_policies((self.played,)), split_policies(self.policies)
         if len(played) != 1:
             raise InputError(f"--played is one policy, got {len(played)}")
-        for name in (*played, *policies):
-            make_policy(name)
+        for policy in (*played, *policies):
+            make_policy(policy)
         column_names(split_list(self.features))  # unknown names raise InputError before anything is written
         for name in ("frames", "first", "every"):
             if getattr(self, name) < 1:

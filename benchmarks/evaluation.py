@@ -18,6 +18,7 @@ from activestructure_gym.evaluation.cli.options import split_scenes
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.specs import Spec
 from activestructure_gym.streams import escape
 from benchmarks.command import run
 
@@ -57,7 +58,8 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
 
     with tempfile.TemporaryDirectory(prefix="asg-bench-") as directory:
         run = run_job(
-            Job(spec, "random", 0, conditions=Conditions(preset, frames, protocol=protocol)), Path(directory) / "r"
+            Job(Spec(spec), Spec("random"), 0, conditions=Conditions(preset, frames, protocol=protocol)),
+            Path(directory) / "r",
         )
         gaussians = GaussianMap.load_npz(run.directory / "map.npz")
         path = read_path(run.directory / "trajectory.npz")

@@ -32,6 +32,7 @@ from activestructure_gym.evaluation.running.engines.base import Limits
 from activestructure_gym.evaluation.running.engines.local import count_slots
 from activestructure_gym.evaluation.running.engines.process import search_path
 from activestructure_gym.evaluation.running.live_progress import LiveProgress
+from activestructure_gym.specs import Spec
 from benchmarks.command import run
 
 # Program that runs one job in a new process.
@@ -67,7 +68,7 @@ def run_grid_benchmark(
     if shutil.which("xargs") is None:
         raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
     conditions = Conditions(frame_budget=frames, protocol=StandardProtocol(views=8))
-    comparison = Comparison(scenes, ("random", "pixel_only"), seeds, conditions=conditions)
+    comparison = Comparison([*map(Spec, scenes)], [Spec("random"), Spec("pixel_only")], seeds, conditions=conditions)
     jobs = comparison.prepare(notify)
     methods = {"by_hand": _by_hand, "supervisor": _supervised}
     rows: list[dict[str, Any]] = []

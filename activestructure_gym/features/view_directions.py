@@ -85,7 +85,7 @@ def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
 
 class _Gaussians(NamedTuple):
     parameters: np.ndarray  # [14, capacity] float32
-    count: int  # columns in use
+    count: int  # type: ignore[assignment]  # columns in use
     normals: np.ndarray  # [N, 3]
     isotropic: bool
 

@@ -213,7 +213,7 @@ def state(place: Path, change: Any = lambda tensors: None, **notes: Any) -> None
         (lambda place: state(place, lambda t: t["optimizer.0.step"].fill_(torch.nan)), "not finite"),
         (lambda place: state(place, lambda t: t["optimizer.0.step"].fill_(-1e30)), "'optimizer.0.step' below 0"),
         (lambda place: state(place, lambda t: t["optimizer.0.exp_avg_sq"].fill_(-1)), "exp_avg_sq' below 0"),
-        (lambda place: (place / "log.jsonl").write_bytes(b"\xff\n"), "log.jsonl' is damaged: it is no text"),
+        (lambda place: (place / "log.jsonl").write_bytes(b"\xff\n"), "log.jsonl' is damaged: it is not UTF-8 text"),
         (lambda place: (place / "log.jsonl").write_text('{"unit": "a"}\n'), "unit: expected a whole number"),
         (lambda place: (place / "config.json").write_text("{}"), "config.json' is damaged: it lacks training"),
         (lambda place: (place / "config.json").unlink(), "no training run to go on with"),

@@ -100,7 +100,7 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
     disk before the rename. After an error or Ctrl-C the temporary directory is removed.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
-    part = directory.with_name(f".{directory.name}{temporary_suffix()}")
+    part = directory.parent / f".{directory.name}{temporary_suffix()}"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
     try:
@@ -131,8 +131,8 @@ def _remove(place: Path) -> None:
 
 def aside_of(directory: Path) -> Path:
     """Return the path to which a run's directory is moved while a new one replaces it."""
-    directory = directory.absolute()  # the name of "." is empty
-    return directory.with_name(f".{directory.name}.aside")
+    directory = directory.absolute()  # the name of "." is empty; "/" has none
+    return directory.parent / f".{directory.name}.aside"
 
 
 def _same_result(part: Path, directory: Path) -> bool:

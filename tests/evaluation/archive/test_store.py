@@ -286,3 +286,7 @@ def test_the_completion_marker_of_another_job_is_damage(tmp_path):
 def test_the_working_directory_can_be_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert completion.aside_of(Path(".")) == tmp_path.with_name(f".{tmp_path.name}.aside")
+
+
+def test_the_root_directory_is_no_run() -> None:
+    assert completion.aside_of(Path("/")) == Path("/..aside")

@@ -27,12 +27,12 @@ def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path)
     stages = {run.policy: run.config["configuration"]["views"]["stages"] for run in open_comparison(tmp_path / "runs")}
     assert stages == {BRINGER: [["turns?count=5"]], "random": [["pool"]]}
     (told,) = native_setup_text(gather([tmp_path / "runs"]))
-    free, mapper = "0.3 m from what is not free", "mapper `default` with 0 iterations for a keyframe"
+    free, mapper = "0.3 m clearance", "mapper `default` with 0 iterations per keyframe, a keyframe"
     assert f"`{BRINGER}` up to 64 views of `turns?count=5`, {free}, {mapper} at the end of a path;" in told
     assert f"`random` up to 64 views of `pool`, {free}, {mapper} every 20 frames." in told
-    with pytest.raises(InputError, match="terms was native, asked for is shared"):
+    with pytest.raises(InputError, match="setup was native, asked for is shared"):
         compare(["box"], ["random"], tmp_path / "runs", conditions=SHARED, engine="inline", resume=True)
     compare(["box"], ["random"], tmp_path / "shared", conditions=SHARED, engine="inline")
-    with pytest.raises(InputError, match="terms"):
+    with pytest.raises(InputError, match="setup"):
         gather([tmp_path / "runs", tmp_path / "shared"])
     assert result.runs[0].job.conditions == NATIVE

@@ -182,7 +182,7 @@ class Bringer(Policy):
         return int(np.flatnonzero(observation["action_mask"])[1])
 
 
-def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() -> None:
+def test_a_job_in_the_native_setup_has_another_hash_and_the_policys_configuration() -> None:
     spec = "tests.policies.test_native_settings:Bringer"
     shared = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20))
     native = Job("box", spec, 0, conditions=Conditions(preset="fast", frame_budget=20, setup="native"))

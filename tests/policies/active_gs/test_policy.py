@@ -1,4 +1,4 @@
-"""ActiveGS on its own terms: views of regions of interest, and of the half metre around the agent."""
+"""Test ActiveGS in the native setup: views of regions of interest, and of the half metre around the agent."""
 
 from __future__ import annotations
 

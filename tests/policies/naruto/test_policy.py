@@ -148,7 +148,7 @@ def test_without_a_target_in_reach_of_anything_it_is_the_nearest(travel: str) ->
     assert bound(Naruto(travel)).act(observed) == 2
 
 
-def test_on_native_terms_it_turns_in_place_and_looks_at_a_target_on_the_way() -> None:
+def test_in_the_native_setup_it_turns_in_place_and_looks_at_a_target_on_the_way() -> None:
     from activestructure_gym.policies import make_env_and_policy
 
     small = {"sensor": {"width": 64, "height": 36}, "mapper.iterations": 1}

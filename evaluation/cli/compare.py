@@ -47,7 +47,7 @@ class GridOptions:
     policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
         "Compare these policies: names (see `asg list policies`) with options behind a question mark "
-        "(active_gs?travel=shared), package.module:Class, `ladder` (the paper's rungs A to E), or `all`."
+        "(active_gs?travel=shared), package.module:Class, `ladder` (the paper's variants A to E), or `all`."
     )
     mappers: NoNames = ()
     (

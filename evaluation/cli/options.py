@@ -57,7 +57,7 @@ def _is_there(word: str) -> bool:
 def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
     """Split words into names of policies.
 
-    ``ladder`` is replaced by the rungs A to E of the paper's Table 3, ``all`` by all registered policies.
+    ``ladder`` is replaced by the variants A to E of the paper's Table 3, ``all`` by all registered policies.
 
     Raises `InputError` for an unknown name that is not ``package.module:Class``, and for a reference.
     """

@@ -119,7 +119,7 @@ class ActiveStructureA(PixelOnly):
     """Choose argmax IG_px g: variant A of Table 3, uncovered pixels only."""
 
     criterion = "uncovered pixels"
-    source = "ActiveStructure, rung A of Table 3"
+    source = "ActiveStructure, variant A of Table 3"
     native_settings = SPLATAM
 
 
@@ -128,7 +128,7 @@ class ActiveStructureB(StructurePolicy):
     """Choose argmax (IG_px + omega sum alpha_i (1 - q_i)) g: variant B, which adds the visible planes' low quality."""
 
     criterion = "uncovered pixels and visible planes of low quality"
-    source = "ActiveStructure, rung B of Table 3"
+    source = "ActiveStructure, variant B of Table 3"
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
     on_base = replace(_ON_BASE, surprise=False, max_discount=0.0)
 
@@ -138,7 +138,7 @@ class ActiveStructureC(StructurePolicy):
     """Choose argmax (IG_px (1 - rho) + omega sum alpha_i gamma_i) g: variant C, with deficits and the discount."""
 
     criterion = "uncovered pixels and visible anomalous planes"
-    source = "ActiveStructure, rung C of Table 3"
+    source = "ActiveStructure, variant C of Table 3"
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
@@ -147,7 +147,7 @@ class ActiveStructureD(StructurePolicy):
     """Choose argmax (IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def)) g: variant D, with IG_def."""
 
     criterion = "uncovered pixels, anomalous planes and their deficiency centres"
-    source = "ActiveStructure, rung D of Table 3"
+    source = "ActiveStructure, variant D of Table 3"
     deficiencies = True
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
@@ -161,7 +161,7 @@ class ActiveStructure(StructurePolicy):
     """
 
     criterion = "unknown space and deficient planes, in three phases"
-    source = "ActiveStructure, Sec. 3; rung E of its Table 3"
+    source = "ActiveStructure, Sec. 3; variant E of its Table 3"
     deficiencies = True
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:

@@ -75,7 +75,7 @@ def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Compari
 
     given = TrajectorySpec(
         options.trajectory,
-        kind=options.format,
+        format=options.format,
         axes=options.axes or "",
         inverted=options.inverted,
         start=parse_start(options.start),

@@ -47,7 +47,7 @@ class TrajectorySpec:
 
     place: str  # a file, or a folder that contains one; or `SWEEP`, `PASSIVE`
     digits: str = ""  # expected first digits of the content's SHA-256
-    kind: str = "auto"  # format, see `formats`
+    format: str = "auto"  # see `formats`
     axes: str = ""  # axis convention, see `axes`; default: the usual one of the format
     inverted: bool = False  # whether poses map world to camera
     start: tuple[float, float, float, float] | None = None  # x, y, z in metres and yaw in degrees of the first pose
@@ -60,9 +60,8 @@ class TrajectorySpec:
         place, at, digits = name.rpartition("@")
         if not at or len(digits) != _DIGITS or Path(os.path.expanduser(name)).exists():
             place, digits = name, ""
-        texts = spec.options(f"'{spec}'")
-        options = typed_options("a trajectory", _options, texts)
-        given = cls(place, digits, **{"kind" if key == "format" else key: value for key, value in options.items()})
+        options = typed_options("a trajectory", cls, spec.options(f"'{spec}'"), apart=("place", "digits"))
+        given = cls(place, digits, **options)
         if given.mapper and given.mapper not in MAPPERS:
             raise unknown_name("mapper", given.mapper, MAPPERS)
         if not given.of_file and set(options) - {"mapper"}:
@@ -81,7 +80,7 @@ class TrajectorySpec:
             return None
         file, kind = self.file()
         poses = read_poses(file, kind)
-        return ResolvedTrajectory(poses, _legs(file, kind, poses, 1)).frames
+        return ResolvedTrajectory(poses, _segments(file, kind, poses, 1)).frames
 
     @property
     def spec(self) -> Spec:
@@ -105,7 +104,7 @@ class TrajectorySpec:
 
     def file(self) -> tuple[Path, str]:
         """Return the file and its format; raise `InputError` if the content differs from the expected digits."""
-        file, kind = find_file(self.place, self.kind)
+        file, kind = find_file(self.place, self.format)
         # A symbolic link to a folder is not resolved, because the scan's text file is next to the link.
         file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()
         if any(letter in str(file) for letter in "?@,&"):
@@ -142,7 +141,7 @@ class TrajectorySpec:
         name = f"{file.name}' in '{truth.scene.name}"
         clearance_at, quaternions = truth.free_space.clearance_at, kind in QUATERNIONS
         fit = checked(clearance_at, written, poses, axes, self.inverted, name, quaternions=quaternions)
-        return ResolvedTrajectory(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
+        return ResolvedTrajectory(poses, _segments(file, kind, poses, keyframe_every), fit.outside)
 
 
 @dataclass(frozen=True)
@@ -184,16 +183,6 @@ def with_mappers(policies: Sequence[Spec], mappers: Sequence[str]) -> list[Spec]
     ]
 
 
-def _options(
-    format: str = "auto",
-    axes: str = "",
-    inverted: bool = False,
-    start: tuple[float, float, float, float] | None = None,
-    mapper: str = "",
-) -> None:
-    """Declare the options of a trajectory for `typed_options`."""
-
-
 def _digits(file: Path) -> str:
     """Return the first digits of the SHA-256 of a trajectory's file or folder."""
     if file.is_dir():  # one file per pose
@@ -205,7 +194,7 @@ def _digits(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]
 
 
-def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
+def _segments(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
     arrays = arrays_of(file) if kind == "npz" else {}
     if not {"legs", "keyframes", "keyframe_rounds"} <= arrays.keys():
         return regular_segments(poses, keyframe_every)

@@ -159,8 +159,8 @@ class Comparison:
                 continue
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
-            brought = native_settings_of(policy, self.conditions.setup).overrides()
-            configure(self.conditions.preset, brought | changes | {"features": tuple(policy.required_features)})
+            native = native_settings_of(policy, self.conditions.setup).overrides()
+            configure(self.conditions.preset, native | changes | {"features": tuple(policy.required_features)})
         for seed in self.seeds:
             Job(Spec(""), Spec(""), seed)
         return list(dict.fromkeys(named))

@@ -340,7 +340,7 @@ def _write_files(part: Path, reconstruction: Reconstruction) -> None:
     from activestructure_gym.mapping.ply import write_ply
 
     reconstruction.mapper.map.save_npz(part / store.MAP)
-    write_ply(reconstruction.mapper.map, part / "map.ply")
+    write_ply(reconstruction.mapper.map, part / store.PLY)
     with open(part / store.TRAJECTORY, "wb") as file:
         np.savez(file, **_path_arrays(reconstruction))  # type: ignore[arg-type]
     write_npz(part / store.GRAPH, graph_arrays(reconstruction.planes))

@@ -68,8 +68,8 @@ def read_config(directory: Path) -> TrainingConfig:
         config = TrainingConfig.from_dict(content["training"])
     except InputError as error:
         raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
-    told = [(FEATURES, name) for name in (*config.world.features, config.teacher) if isinstance(name, str)]
-    for registry, name in [*told, *named_in_overrides(dict(config.world.overrides))]:
+    features = [(FEATURES, name) for name in (*config.world.features, config.teacher) if isinstance(name, str)]
+    for registry, name in [*features, *named_in_overrides(dict(config.world.overrides))]:
         if registry.imports(name):
             refuse_code(registry.kind, name, file)
     return config

@@ -12,7 +12,7 @@ from types import UnionType
 from typing import Any, Literal
 from urllib.parse import parse_qsl
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 
 Kind = Literal["registered", "plug-in", "checkpoint", "trajectory", "reference"]
 _PREFIXES: dict[str, Kind] = {"learned": "checkpoint", "trajectory": "trajectory", "reference": "reference"}
@@ -25,9 +25,11 @@ class Spec(str):
     query: str  # options as given
 
     def __new__(cls, text: str) -> Spec:
-        """Split a text at its first question mark; a value of another type is a name that no registry has."""
+        """Split a text at its first question mark; raise `InputError` for a value of another type."""
+        if not isinstance(text, str):
+            raise InputError(f"a name is given as a text, got {short_repr(text)}")
         spec = super().__new__(cls, text)
-        spec.name, _, spec.query = text.partition("?") if isinstance(text, str) else (text, "", "")
+        spec.name, _, spec.query = text.partition("?")
         return spec
 
     @classmethod

@@ -1,6 +1,11 @@
+import copy
+import pickle
+
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.specs import Spec, number_text, parse_options, typed_options
 
 
@@ -75,3 +80,16 @@ def test_a_spec_says_of_what_kind_it_is_and_is_its_text_again(text, kind, place,
     spec = Spec(text)
     assert (spec.kind, spec.place, spec.query, str(spec)) == (kind, place, query, text)
     assert spec.options("it") == parse_options(query, "it")
+
+
+@pytest.mark.parametrize("value", [3, None, ["box"]])
+def test_a_name_that_is_no_text_is_refused_by_all_that_take_one(value):
+    for make_one in (Spec, lambda name: Comparison([name], ["random"]), lambda name: Job("box", name, 0)):
+        with pytest.raises(InputError, match="a name is given as a text, got"):
+            make_one(value)
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda spec: pickle.loads(pickle.dumps(spec))])
+def test_a_copy_of_a_spec_keeps_its_parts(again):
+    spec = again(Spec("naruto?travel=shared"))
+    assert type(spec) is Spec and (spec.name, spec.query) == ("naruto", "travel=shared")

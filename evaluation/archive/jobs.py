@@ -62,8 +62,8 @@ class Job:
 
     def __post_init__(self) -> None:
         for kind, text in (("scene", self.scene), ("policy", self.policy)):
-            check_in_one_line(kind, text)
             object.__setattr__(self, kind, Spec(text))
+            check_in_one_line(kind, text)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {short_repr(self.seed)}")
 

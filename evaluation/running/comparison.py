@@ -65,13 +65,13 @@ class Comparison:
     recorded: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "scenes", [Spec(absolute_spec(Spec(spec))) for spec in self.scenes])
+        object.__setattr__(self, "policies", list(map(Spec, self.policies)))
         for name in ("scenes", "policies", "seeds", "references"):
             given = getattr(self, name)
             if not given and name != "references" and not (name == "policies" and self.references):
                 raise InputError(f"a comparison needs at least one of {name}, got none")
             object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
-        object.__setattr__(self, "policies", tuple(map(Spec, self.policies)))
-        object.__setattr__(self, "scenes", tuple(dict.fromkeys(Spec(absolute_spec(spec)) for spec in self.scenes)))
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:

@@ -12,14 +12,9 @@ from typing import Any
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import json_files, schema, store
+from activestructure_gym.evaluation.archive import json_files, run_files, schema, store
 from activestructure_gym.evaluation.archive.jobs import Job
 
-# Fields that native settings change, in addition to those in `NativeSettings.changes`.
-_FIELDS = (
-    "mapper.name", "mapper.iterations", "views.stages", "views.max_candidates", "keyframe_every",
-    "motion.candidate_clearance",
-)  # fmt: skip
 _CHECK = schema.table({}, {"configuration": schema.anything}, others=schema.anything)
 
 
@@ -42,7 +37,7 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
         then = json_files.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
     except InputError:
         return []
-    fields = dict.fromkeys((*_FIELDS, *settings.changes))
+    fields = dict.fromkeys((*run_files.NATIVE_FIELDS, *settings.changes))
     return [field for field in fields if _at(then, field, _at(now, field)) != _at(now, field)]
 
 

@@ -248,17 +248,19 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
         raise Mismatch("patch_starts, patch_shapes and patch_bits do not fit together")
 
 
-# Configuration fields that a report needs: of runs in the native setup, and of runs that follow a trajectory.
-_NATIVE = ("views.stages", "views.max_candidates", "keyframe_every", "mapper.name", "mapper.iterations",
-           "motion.candidate_clearance")  # fmt: skip
-_FOLLOWING = ("mapper.name",)
+# Configuration fields that native settings change, in addition to those in `NativeSettings.changes`.
+NATIVE_FIELDS = (
+    "mapper.name", "mapper.iterations", "views.stages", "views.max_candidates", "keyframe_every",
+    "motion.candidate_clearance",
+)  # fmt: skip
+_FOLLOWING = ("mapper.name",)  # fields that a report needs of runs that follow a trajectory
 
 
 def check_config(content: Any, place: str) -> None:
     """Raise `Mismatch` unless ``config.json`` has all fields that its setup and its policy require."""
     CONFIG(content, place)
     job, configuration = content["job"], content["configuration"]
-    wanted: tuple[str, ...] = _NATIVE if job.get("setup") == "native" else ()
+    wanted: tuple[str, ...] = NATIVE_FIELDS if job.get("setup") == "native" else ()
     wanted += _FOLLOWING if Spec(job["policy"]).kind == "trajectory" else ()
     for field in wanted:
         room, _, name = field.rpartition(".")
@@ -291,6 +293,7 @@ __all__ = [
     "CURVE",
     "EVALUATION",
     "JOB",
+    "NATIVE_FIELDS",
     "TIMING",
     "TRAJECTORY",
     "anything",

@@ -47,7 +47,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
     context = MetricContext(gaussians, truth, known, job.conditions.protocol, path, poses, dict(metrics))
     values, described = measure_metrics(job.conditions.metrics, context)
-    metrics |= {name: value for name, value in values.items() if name not in metrics}
+    metrics |= values
     with completion.atomic_directory(directory) as part:
         played.link_files(place, part)
         _write_numbers(part, job, known, metrics, episode["curve"], described)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.registry import Registry
 
 if TYPE_CHECKING:
@@ -138,10 +139,15 @@ def measure_metrics(
     """Compute the named metrics.
 
     Return the values by the metrics' own names, and the metrics' descriptions; that of a None value has a ``reason``.
+    A metric with the name of another number of the run is left out with an `InputWarning`.
     """
     values: dict[str, float | None] = {}
     described = list[dict[str, Any]]()
     for metric in map(get_metric, names):
+        if metric.name in context.numbers or metric.name in values:
+            text = f"metric '{metric.name}' is left out, since the run has another number of that name: rename it"
+            warnings.warn(text, InputWarning, stacklevel=2)
+            continue
         assert metric.compute is not None
         reason = "it is not defined for this map"
         try:

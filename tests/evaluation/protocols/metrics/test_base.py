@@ -1,10 +1,11 @@
 """A metric of one's own: computed, or None with its reason; never in the way of a finished run."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.protocols.metrics import METRICS, Metric, get_metric, measure_metrics
 
 
@@ -23,20 +24,27 @@ def own(monkeypatch):
 
 def test_what_is_no_number_is_none_and_has_its_reason(own):
     names = own(
-        half=lambda context: context / 2,
+        half=lambda context: context.numbers["frames"] / 2,
         nothing=lambda context: None,
         endless=lambda context: math.inf,
         broken=lambda context: context.no_such_field,
     )
-    values, described = measure_metrics(names, 3)
+    values, described = measure_metrics(names, SimpleNamespace(numbers={"frames": 3}))
     assert values == {"my_half": 1.5, "my_nothing": None, "my_endless": None, "my_broken": None}
     assert [one.get("reason") for one in described] == [
         None,
         "it is not defined for this map",
         "its value is inf",
-        "AttributeError: 'int' object has no attribute 'no_such_field'",
+        "AttributeError: 'types.SimpleNamespace' object has no attribute 'no_such_field'",
     ]
     assert Metric.from_dict(described[0]) == Metric("my_half", best="highest")
+
+
+def test_a_number_of_the_run_is_not_replaced(own):
+    names = own(views=lambda context: 1.0, half=lambda context: 0.5)
+    with pytest.warns(InputWarning, match="metric 'my_.*' is left out, since the run has another number"):
+        values, described = measure_metrics((*names, "half"), SimpleNamespace(numbers={"my_views": []}))
+    assert values == {"my_half": 0.5} and [one["name"] for one in described] == ["my_half"]
 
 
 def test_the_label_is_the_name_where_none_is_given():

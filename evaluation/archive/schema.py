@@ -108,14 +108,14 @@ def table(
     return check
 
 
-def read_checked_json(path: Path, check: Check = anything, *, most: int = MAX_JSON_BYTES) -> Any:
+def read_checked_json(path: Path, check: Check = anything) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be opened, `Mismatch` for any other fault."""
     if path.exists() and not path.is_file():
         raise Mismatch("it is not a regular file")
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise Mismatch(f"it has {size:,} bytes, at most {most:,} are read")
+        if size > MAX_JSON_BYTES:
+            raise Mismatch(f"it has {size:,} bytes, at most {MAX_JSON_BYTES:,} are read")
         return checked_json(file.read(), check)
 
 

@@ -339,5 +339,5 @@ def _announce(
         )
 
 
-def _command_line(arguments: Sequence[str] | None = None) -> str:
-    return "asg " + shlex.join(sys.argv[1:] if arguments is None else arguments)
+def _command_line() -> str:
+    return "asg " + shlex.join(sys.argv[1:])

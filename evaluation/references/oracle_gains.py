@@ -49,10 +49,10 @@ class TrueSurface:
     The sensor's depth is not used.
     """
 
-    def __init__(self, truth: GroundTruth, samples: int = _SAMPLES) -> None:
+    def __init__(self, truth: GroundTruth) -> None:
         surface = truth.observable_surface
         self._scene = truth.scene
-        self.points = surface.points[:: max(1, len(surface.points) // samples)]  # [S, 3]
+        self.points = surface.points[:: max(1, len(surface.points) // _SAMPLES)]  # [S, 3]
         self.area = surface.area / max(1, len(self.points))  # m^2 of a point
         self._counted = 0  # keyframes processed so far
         self.seen = np.zeros(len(self.points), dtype=bool)

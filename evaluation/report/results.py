@@ -30,6 +30,7 @@ T = TypeVar("T")
 
 _ON_A_SCREEN = 7  # maximum number of policies side by side
 _DIGITS = 8  # shown digits of a content hash
+_RESULT = "completion_ratio"  # key of the result that selects the runs to show
 # The default baseline is the first of these that has a run.
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
@@ -144,7 +145,7 @@ class Results:
         ]
         return found if all(len(values) for values in found) else None
 
-    def shown(self, scene: str, key: str = "completion_ratio") -> list[Run]:
+    def shown(self, scene: str) -> list[Run]:
         """Return the runs on a scene whose images are compared: those of one seed, which share the start pose.
 
         Of the seeds finished by most policies, it is the one with the median result, averaged over the policies. Of an
@@ -156,16 +157,16 @@ class Results:
                 by_seed.setdefault(run.job.seed, []).append(run)
         most = max(map(len, by_seed.values()), default=0)
         means = [
-            (float(np.mean([value_of(run, key) or 0.0 for run in runs])), seed)
+            (float(np.mean([value_of(run, _RESULT) or 0.0 for run in runs])), seed)
             for seed, runs in by_seed.items()
             if len(runs) == most
         ]
         return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
 
-    def foremost(self, scene: str, key: str = "completion_ratio") -> list[Run]:
+    def foremost(self, scene: str) -> list[Run]:
         """Return at most seven of the `shown` runs: the baseline and those with the best results."""
         runs = self.shown(scene)
-        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, key) or 0.0)))
+        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, _RESULT) or 0.0)))
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
         return [run for run in runs if run.policy in kept]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
-from activestructure_gym.evaluation.statistics.resampling import LEVEL, interval, pooled, stratified_draws
+from activestructure_gym.evaluation.statistics.resampling import interval, pooled, stratified_draws
 
 BAND_REPEATS = 1000  # resamples of a band; fewer than for numbers in a table, since a band is only drawn
 
@@ -39,9 +39,7 @@ def curve_band(
     strata: Sequence[np.ndarray],  # one [n, G] per scene: the curves of its runs on one axis
     statistic: Statistic = mean,
     *,
-    level: float = LEVEL,
     repeats: int = BAND_REPEATS,
-    seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:  # [G] each
     """Return the statistic at every position of the axis, and the ends of its pointwise interval.
 
@@ -53,5 +51,5 @@ def curve_band(
     line = statistic(values, sizes)
     if min(sizes) < 2 or not repeats:
         return line, None, None
-    low, high = interval(statistic(values[:, stratified_draws(sizes, repeats, seed)], sizes), level)
+    low, high = interval(statistic(values[:, stratified_draws(sizes, repeats, seed=0)], sizes))
     return line, low, high

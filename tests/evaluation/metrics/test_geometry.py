@@ -8,7 +8,6 @@ from activestructure_gym.evaluation.metrics.geometry import (
     SurfaceSamples,
     geometry_scores,
     nearest_distances,
-    surface_distances,
 )
 
 
@@ -49,7 +48,8 @@ def test_distance_to_discs_has_little_of_the_bias_of_the_distance_to_samples(rng
     # Points exactly on the wall, away from its edges. The mean distance to the nearest of random samples is half
     # their spacing sqrt(4 / 10000) = 2 cm; to discs of radius r = 0.8 spacings it is 1 cm * erfc(sqrt(2)) = 0.0455 cm.
     points = np.column_stack([rng.uniform(0.2, 1.8, (20_000, 2)), np.zeros(20_000)])
-    to_surface, to_sample = surface_distances(points, wall(10_000, rng))
+    surface = wall(10_000, rng)
+    to_surface, to_sample = surface.discs.query(points)[0], surface.samples.query(points)[0]
     assert to_sample.mean() == pytest.approx(0.01, rel=0.05)
     assert to_surface.mean() == pytest.approx(0.01 * 0.0455, rel=0.15)
 

@@ -40,7 +40,7 @@ class Decisions:
     policies: tuple[str, ...] = ()
     """Score these policies too."""
     preset: str = "default"
-    """Use this preset; `asg config PRESET` prints it."""
+    """Use this preset; `asg list config PRESET` prints it."""
     frames: int = 300
     """Play episodes of this many frames."""
     first: int = 1

@@ -60,7 +60,7 @@ def _reason(truth: GroundTruth, position: np.ndarray, required: float) -> str:
     if found is regions.used:
         return f"{distance:.2f} m from the nearest surface, but needs {required:.2f} m"
     return (
-        f"free, but in another region than the one in use: region {regions.number(found)} of `asg scenes`, "
+        f"free, but in another region than the one in use: region {regions.number(found)} of `asg list scenes`, "
         f"{found.volume:.1f} m3; give the scene the option inside={in_text(position)} to use that region"
     )
 

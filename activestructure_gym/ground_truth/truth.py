@@ -61,7 +61,7 @@ def hardly_seen(truth: GroundTruth) -> str:
         return ""
     return (
         f"only {100 * share:.0f} % of the surface can be seen from the region of free space in use; "
-        "`asg scenes SCENE` lists the regions, and the scene's option inside=x,y,z uses another one"
+        "`asg list scenes SCENE` lists the regions, and the scene's option inside=x,y,z uses another one"
     )
 
 

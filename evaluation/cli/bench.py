@@ -77,7 +77,7 @@ class Env:
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: apartment?rooms=3; --quick: box)")] = ()
     """Take steps in these scenes."""
     preset: PresetName = "fast"
-    """Use the configuration that `asg config PRESET` prints."""
+    """Use the configuration that `asg list config PRESET` prints."""
     quick: Switch = False
     """Measure one short round, as a check that the benchmark runs."""
 

@@ -29,7 +29,7 @@ class ConditionOptions:
     """Hold the options for `Conditions`; an option that was not given is None or empty."""
 
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
-    """Start from this configuration; `asg config PRESET` prints it."""
+    """Start from this configuration; `asg list config PRESET` prints it."""
     frames: Count = None
     """Set the frame budget of every episode; by default the preset's, or all poses of a trajectory."""
     set: Changes = ()

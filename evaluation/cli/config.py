@@ -1,4 +1,4 @@
-"""Define ``asg config``, which prints the configuration of an episode."""
+"""Define ``asg list config``, which prints the configuration of an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Define ``asg features``, which lists the features of candidate views."""
+"""Define ``asg list features``, which lists the features of candidate views."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Features:
 
 
 _HINT = (
-    "One with its columns and units: asg features NAME. A policy names those it needs; --features of asg train and "
-    "features=... of an env take any."
+    "One with its columns and units: asg list features NAME. A policy declares those it needs; --features of "
+    "asg train and features=... of an env take any."
 )
 
 

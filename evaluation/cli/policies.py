@@ -1,4 +1,4 @@
-"""Define ``asg policies``, which lists the policies or describes some."""
+"""Define ``asg list policies``, which lists the policies or describes some."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Policies:
         return 0
 
 
-_HINT = "One with its options: asg policies NAME; your own: asg policies MODULE:CLASS."
+_HINT = "One with its options: asg list policies NAME; your own: asg list policies MODULE:CLASS."
 
 
 def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:

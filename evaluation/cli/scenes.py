@@ -1,4 +1,4 @@
-"""Define ``asg scenes``, which lists the registered scenes, or checks one and lists its regions of free space."""
+"""Define ``asg list scenes``, which lists the registered scenes, or checks one and lists its regions of free space."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Scenes:
         console.quiet = self.json
         if self.spec is None:
             if self.picture is not None:
-                raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
+                raise InputError("--picture needs a scene: asg list scenes SCENE --picture FILE.png")
             if self.json:
                 return print_json(_registered())
             table = plain_table("Scenes known by name", "name", "options")
@@ -59,7 +59,7 @@ class Scenes:
                 "Options are written as in 'apartment?seed=3&rooms=4', in quotes, or a shell reads the ? and the &. "
                 "Every scene also takes inside=x,y,z, a point of the region of free space that is used. "
                 "Any glb, gltf, obj, ply, stl or dae file is a scene too, and so are folders of published datasets "
-                "(guide: own_scene): asg scenes FILE checks it."
+                "(guide: own_scene): asg list scenes FILE checks it."
             )
             return 0
         _check_picture(self.picture)

@@ -127,7 +127,7 @@ def test_inside_is_part_of_the_scene_and_of_every_key(storeys):
 @pytest.mark.parametrize(
     ("position", "said"),
     [
-        ((2.0, 2.0, 4.0), r"free, but in another region .* region 2 of `asg scenes`, .* inside=2,2,4 "),
+        ((2.0, 2.0, 4.0), r"free, but in another region .* region 2 of `asg list scenes`, .* inside=2,2,4 "),
         ((1.2, 2.0, 0.4), "inside a wall or furniture"),
         ((0.0, 2.0, 1.0), "inside a wall or furniture"),
         ((0.03, 2.0, 1.0), r"0.03 m from the nearest surface, but needs 0.45 m"),
@@ -231,6 +231,6 @@ def test_little_that_can_be_seen_is_warned_of(make_scene, make_box, join):
     more = [make_box(tuple(b[0][0] + 0.06), tuple(b[0].max(axis=0) - 0.06)) for b in hidden]
     scene = make_scene(*join(make_box((0, 0, 0), (6, 3, 2.5)), *hidden, *nested, *more), name="stuffed")
     with pytest.warns(
-        InputWarning, match="only .* % of the surface can be seen .*`asg scenes SCENE` lists the regions"
+        InputWarning, match="only .* % of the surface can be seen .*`asg list scenes SCENE` lists the regions"
     ):
         warn_if_hardly_seen(ground_truth_of(scene))

@@ -27,7 +27,7 @@ class Episodes:
     workers: int = 0
     """Run this many processes at a time, 0 for one per core; results do not depend on it."""
     preset: PresetName = "fast"
-    """Use the configuration that `asg config PRESET` prints."""
+    """Use the configuration that `asg list config PRESET` prints."""
     frames: Count = None
     """Stop every episode after this many frames (default: the preset's)."""
     set: Changes = ()

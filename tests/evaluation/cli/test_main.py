@@ -299,7 +299,7 @@ def test_the_regions_of_a_scene_are_listed_and_chosen(tmp_path, capsys, monkeypa
     assert max(map(len, table)) <= 80 and [line[:3] for line in table[3:5]] == ["  1", "* 2"]
     assert main(["compare", "--scenes", chosen, "--start=2,2,1.3,0", "--policies", "random", "--preset", "fast"]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "is free, but in another region than the one in use: region 1 of `asg scenes`" in said
+    assert "is free, but in another region than the one in use: region 1 of `asg list scenes`" in said
 
 
 def test_a_room_without_ceiling_is_not_given_one(tmp_path, capsys):

@@ -67,7 +67,7 @@ _TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
 _C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))
 GROUP_ROWS = 8
 GROUP_FLOATS = GROUP_ROWS * LANES  # floats of one quantity of a group in one column
-# Setup of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM. Then of pieces of the depth image,
+# Terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM. Then of pieces of the depth image,
 # PIECE pixels each: the sum of |depth error|.
 TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
 PIECE = 1920

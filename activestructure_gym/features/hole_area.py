@@ -79,7 +79,7 @@ def hidden_distances(
     wanted: np.ndarray,  # [K, h, w] bool: pixels to trace
     *,
     stride: int,  # pixels between neighbours in ``wanted``
-    enough: float = np.inf,  # metres; tracing ends at this distance
+    enough: float = np.inf,  # metres; a result above it is only a lower bound
 ) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted, and where all voxels are free
     """Return the largest distance at which each pixel's ray can meet a surface that the map lacks; 0 if none."""
     return _march(

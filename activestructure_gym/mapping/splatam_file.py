@@ -145,7 +145,7 @@ def _place(
 ) -> np.ndarray:  # [4, 4] world from the first camera
     """Return the world pose of the first camera: the given one, else that of the file, else the first true pose.
 
-    If the true poses start with the identity, the result is the identity, with a warning.
+    Without true poses, or if they start with the identity, the result is the identity, with a warning.
 
     Raises `InputError` if it is not a rigid motion.
     """

@@ -67,8 +67,8 @@ class Reconstruction:
     >>> from activestructure_gym import configure, ground_truth_of, load_scene
     >>> episode = Reconstruction(configure("fast", {"frame_budget": 30}))
     >>> frame = episode.start(ground_truth_of(load_scene("box")), seed=0)
-    >>> visit = episode.move_to(0)  # move to the first candidate
-    >>> visit.reached, episode.frames > 1
+    >>> result = episode.move_to(0)  # move to the first candidate
+    >>> result.reached, episode.frames > 1
     (True, True)
     """
 
@@ -232,27 +232,27 @@ class Reconstruction:
         """Use one frame of the budget, if one is left (the first frame may have been the last)."""
         self.frames = min(self.frames + 1, self.config.frame_budget)
 
-    def follow(self, leg: PathSegment) -> StepResult:
-        """Execute given poses in place of a decision, within the budget, and map at the leg's keyframes.
+    def follow(self, segment: PathSegment) -> StepResult:
+        """Execute given poses in place of a decision, within the budget, and map at the segment's keyframes.
 
         Neither collisions nor the distance between poses are checked. The last frame of the budget is a keyframe.
         """
         self.decisions += 1
         frames_before, metres_before, keyframes = self.frames, self.metres, list[Frame]()
-        if leg.stays:
-            self._stay(leg.stays)
-        for pose, refine_factor in zip(leg.poses, leg.refine_factors):
+        if segment.stays:
+            self._stay(segment.stays)
+        for pose, refine_factor in zip(segment.poses, segment.refine_factors):
             if self.exhausted:
                 break
             self._step_to(pose)
             if refine_factor or self.exhausted:
                 keyframes.append(self._keyframe(refine_factor or 1))
-        self.frames = min(self.frames + leg.lost, self.frame_budget)
+        self.frames = min(self.frames + segment.lost, self.frame_budget)
         self.stops.append(self.pose)
-        self._note_segment(stays=bool(leg.stays))
+        self._note_segment(stays=bool(segment.stays))
         self._refresh()
         paid = self.frames - frames_before
-        reached = paid == len(leg.poses) + leg.lost + leg.stays
+        reached = paid == len(segment.poses) + segment.lost + segment.stays
         return StepResult(reached, paid, self.metres - metres_before, tuple(keyframes))
 
     def _note_segment(self, *, stays: bool = False) -> None:
@@ -364,8 +364,8 @@ class Reconstruction:
                 self.volume, self.pose[:3, 3], min_clearance=config.motion.min_clearance
             )
         with self._timed("planes"):
-            live = self.mapper.map.parameters[:, : self.mapper.map.count]
-            points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
+            used = self.mapper.map.parameters[:, : self.mapper.map.count]
+            points = MapPoints.from_log_scales(used[MEAN], used[LOG_SCALE])
             self.planes.assess(space_state=self.volume.state_at, map_points=points)
         self._offer()
 

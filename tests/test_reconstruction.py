@@ -289,8 +289,8 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
     }
     again = Reconstruction(played.config)
     again.start(ground_truth_of(box), 0, arrays["world_from_camera"][0])
-    for leg in recorded_segments(arrays):
-        again.follow(leg)
+    for segment in recorded_segments(arrays):
+        again.follow(segment)
     count = played.mapper.map.count
     assert again.mapper.map.count == count > 100
     assert again.mapper.map.parameters[:, :count].tobytes() == played.mapper.map.parameters[:, :count].tobytes()
@@ -360,7 +360,7 @@ def test_no_path_of_fifty_episodes_crosses_the_mesh(request: pytest.FixtureReque
 
 
 def test_the_episode_keeps_its_own_poses(box: Scene) -> None:
-    """Neither a leg's array nor a frame that was returned is the agent's pose."""
+    """Neither a segment's array nor a frame that was returned is the agent's pose."""
     run = episode(box, **{"sensor.pose_noise_m": 0.02, "mapper.tracking.iterations": 5})
     before = run.pose.copy()
     run.mapper.keyframes[0].world_from_camera[:] = 7.0

@@ -23,22 +23,23 @@ class PathSegment:
 
 
 def regular_segments(poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
-    """Split a trajectory [T, 4, 4] into legs; its first pose is the start.
+    """Split a trajectory [T, 4, 4] into segments; its first pose is the start.
 
     Every ``keyframe_every``-th frame and the last one are keyframes.
     """
     frames = np.arange(2, len(poses) + 1)  # number of frames used when each pose after the first is reached
     mapped = (frames % keyframe_every == 0) | (frames == len(poses))
     ends = np.flatnonzero(mapped)[KEYFRAMES_PER_SEGMENT - 1 :: KEYFRAMES_PER_SEGMENT] + 1
-    legs = []
+    segments = []
     for begin, end in zip([0, *ends], [*ends, len(frames)]):
         if begin < end:
-            legs.append(PathSegment(poses[1 + begin : 1 + end], tuple(int(keyframe) for keyframe in mapped[begin:end])))
-    return legs
+            factors = tuple(int(keyframe) for keyframe in mapped[begin:end])
+            segments.append(PathSegment(poses[1 + begin : 1 + end], factors))
+    return segments
 
 
 def recorded_segments(arrays: Mapping[str, np.ndarray]) -> list[PathSegment]:
-    """Return the legs of a run's ``trajectory.npz``; raise ValueError if its arrays are inconsistent.
+    """Return the segments of a run's ``trajectory.npz``; raise ValueError if its arrays are inconsistent.
 
     ``legs`` [D, 3] holds, at the end of each decision, the poses executed, the frames used, and 1 if they were spent
     optimising in place. ``keyframe_rounds`` [K] holds the iteration factor of each of ``keyframes``.

@@ -15,13 +15,14 @@ def poses(count: int) -> np.ndarray:
 
 
 def test_every_fifth_frame_and_the_last_are_keyframes_of_a_bare_trajectory() -> None:
-    legs = regular_segments(poses(23), keyframe_every=5)
-    assert [len(leg.poses) for leg in legs] == [19, 3], "four keyframes a leg: frames 5, 10, 15 and 20, then the last"
-    factors = [0, *legs[0].refine_factors, *legs[1].refine_factors]
+    segments = regular_segments(poses(23), keyframe_every=5)
+    lengths = [len(segment.poses) for segment in segments]
+    assert lengths == [19, 3], "four keyframes a segment: frames 5, 10, 15 and 20, then the last"
+    factors = [0, *segments[0].refine_factors, *segments[1].refine_factors]
     assert [frame for frame, times in enumerate(factors, start=1) if times] == [5, 10, 15, 20, 23]
-    np.testing.assert_array_equal(np.concatenate([leg.poses for leg in legs]), poses(23)[1:])
+    np.testing.assert_array_equal(np.concatenate([segment.poses for segment in segments]), poses(23)[1:])
     assert regular_segments(poses(1), 5) == []
-    assert [leg.refine_factors for leg in regular_segments(poses(2), 5)] == [(1,)]
+    assert [segment.refine_factors for segment in regular_segments(poses(2), 5)] == [(1,)]
 
 
 def arrays() -> dict[str, np.ndarray]:
@@ -36,8 +37,8 @@ def arrays() -> dict[str, np.ndarray]:
 
 def test_the_legs_of_a_run_are_read_back() -> None:
     unsigned = {name: value.astype(np.uint64) for name, value in arrays().items() if name == "legs"}
-    assert [leg.refine_factors for leg in recorded_segments(arrays() | unsigned)] == [
-        leg.refine_factors for leg in recorded_segments(arrays())
+    assert [segment.refine_factors for segment in recorded_segments(arrays() | unsigned)] == [
+        segment.refine_factors for segment in recorded_segments(arrays())
     ]
     walk, lost, stay, revisit = recorded_segments(arrays())
     assert walk.refine_factors == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])

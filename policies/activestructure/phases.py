@@ -31,8 +31,8 @@ PHASES = (
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1, sides=0.0),
         pool_share=0.05,
     ),
-    # Structural planes repel, objects attract (with discovery=unseen also their unseen sides). The cap of the discount
-    # is higher, and the pool includes views of smaller gaps.
+    # Structural planes suppress, objects attract (with discovery=unseen also their unseen sides). The cap of the
+    # discount is higher, and the pool includes views of smaller gaps.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),

@@ -1,3 +1,3 @@
-"""Provide GS-Planner: score unobserved volume and badly rendered surface, with a library of stored views."""
+"""Provide GS-Planner: score unobserved volume and badly rendered surface, with a view library."""
 
 from activestructure_gym.policies.gs_planner.policy import GSPlanner as GSPlanner

@@ -1,4 +1,4 @@
-"""Define GS-Planner: score unobserved volume and badly rendered surface, with a library of stored views."""
+"""Define GS-Planner: score unobserved volume and badly rendered surface, with a view library."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class GSPlanner(Planner):
 
     The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
     four nearest places is considered; they replace one growth of the original's tree. The best one is chosen, and
-    others with G above 0.05 are stored in the library. If none has at least 0.02, the best view of the library is
+    others with G above 0.05 are stored in the view library. If none has at least 0.02, the best view of the library is
     chosen. If the library is empty, the best of all views is; the original then ends. Revisits are not candidates.
     Source: [gs_planner], by its text.
     """

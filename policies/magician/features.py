@@ -28,10 +28,10 @@ def magician(context: FeatureContext) -> np.ndarray:  # [K, 2]
     """Compute the imagined surface (m^2) that the best plan beginning with a candidate sees, and the candidate alone.
 
     A plan is a sequence of candidates. G of a view is the imagined surface that it sees and that no earlier view of the
-    plan has seen. The score of a plan is sum G. A beam search extends the ten best plans by any candidate and keeps
-    the ten best, ten times. Unlike the paper's, steps differ in cost. A plan therefore costs at most 10 x 5 frames,
-    along straight lines except for the first step. Of plans with equal G, the one with fewer frames is better
-    (`search`).
+    plan has seen, the paper's novelty. The score of a plan is sum G. A beam search extends the ten best plans by any
+    candidate and keeps the ten best, ten times. Unlike the paper's, steps differ in cost. A plan therefore costs at
+    most 10 x 5 frames, along straight lines except for the first step. Of plans with equal G, the one with fewer frames
+    is better (`search`).
 
     Imagined surface extends every plane of the Plane Scene Graph through unseen space by up to 1 m (`imagined`). The
     original uses a trained network. Source: [magician], by its abstract and a digest.

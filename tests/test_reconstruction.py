@@ -55,11 +55,11 @@ def test_every_frame_is_paid_and_every_fifth_and_last_is_a_keyframe(box: Scene) 
     rng = np.random.default_rng(0)
     while not run.exhausted:
         before, known = run.frames, len(run.keyframe_indices)
-        visit = run.move_to(int(rng.integers(len(run.candidates))))
-        assert visit.frames == run.frames - before >= 1
+        result = run.move_to(int(rng.integers(len(run.candidates))))
+        assert result.frames == run.frames - before >= 1
         new = run.keyframe_indices[known:]
-        assert len(new) == len(visit.keyframes)
-        if visit.keyframes:
+        assert len(new) == len(result.keyframes)
+        if result.keyframes:
             # Trajectory index i is frame i + 1 as long as no frame was lost on an unreachable view.
             lost = run.frames - len(run.trajectory)
             expected = [i for i in range(before, run.frames) if (i + 1 + lost) % 5 == 0]
@@ -81,8 +81,8 @@ def test_steps_are_small_and_the_way_is_added_up(box: Scene) -> None:
 
 def test_a_row_beyond_the_table_costs_one_frame(box: Scene) -> None:
     run = episode(box)
-    visit = run.move_to(len(run.candidates))
-    assert (visit.reached, visit.frames, visit.metres, visit.keyframes) == (False, 1, 0.0, ())
+    result = run.move_to(len(run.candidates))
+    assert (result.reached, result.frames, result.metres, result.keyframes) == (False, 1, 0.0, ())
     assert run.frames == 2
 
 
@@ -90,8 +90,8 @@ def test_an_unreachable_view_leaves_the_pool_and_the_agent_stays(box: Scene, mon
     run = episode(box)
     monkeypatch.setattr(conductor, "plan_path", lambda *args, **kwargs: None)
     gone = run.candidates.ids[4]
-    visit = run.move_to(4)
-    assert (visit.reached, visit.frames) == (False, 1)
+    result = run.move_to(4)
+    assert (result.reached, result.frames) == (False, 1)
     assert gone not in run.candidates.ids
     assert len(run.trajectory) == 1
 
@@ -108,8 +108,8 @@ def test_what_blocks_the_way_stops_the_agent_before_it(box: Scene, monkeypatch: 
     turned = [rotation_angle(pose, run.pose) for pose in run.candidates.world_from_camera]
     farthest = int(np.argmax(turned))  # turning there takes more than seven frames
     gone = run.candidates.ids[farthest]
-    visit = run.move_to(farthest)
-    assert not visit.reached
+    result = run.move_to(farthest)
+    assert not result.reached
     # Frame 5 was the keyframe that saw the obstacle; two more were still free, the last of them a keyframe.
     assert run.frames == 7
     assert run.keyframe_indices == [0, 4, 6]
@@ -119,9 +119,9 @@ def test_what_blocks_the_way_stops_the_agent_before_it(box: Scene, monkeypatch: 
 def test_the_budget_ends_a_path_midway(box: Scene) -> None:
     run = episode(box, frames=4)
     turned = [rotation_angle(pose, run.pose) for pose in run.candidates.world_from_camera]
-    visit = run.move_to(int(np.argmax(turned)))
+    result = run.move_to(int(np.argmax(turned)))
     assert run.exhausted and run.frames == 4
-    assert not visit.reached
+    assert not result.reached
     assert run.keyframe_indices == [0, 3]
 
 
@@ -302,8 +302,8 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
 def test_the_budget_ends_a_leg_with_a_keyframe(box: Scene) -> None:
     run = episode(box, frames=4)
     poses = np.stack([run.pose] * 9)
-    visit = run.follow(PathSegment(poses, (0,) * 9))
-    assert (visit.frames, visit.reached, len(visit.keyframes)) == (3, False, 1)
+    result = run.follow(PathSegment(poses, (0,) * 9))
+    assert (result.frames, result.reached, len(result.keyframes)) == (3, False, 1)
     assert run.keyframe_indices == [0, 3] and run.exhausted
 
 

@@ -31,20 +31,20 @@ def moved(x: float, direction: tuple[float, float, float] = (1.0, 0, 0)) -> np.n
 
 def test_frames_and_keyframes_of_a_straight_way_by_hand() -> None:
     volume = open_space()
-    (way,) = agent(volume).paths(volume, [moved(1.2)])
-    assert way is not None
+    (path,) = agent(volume).paths(volume, [moved(1.2)])
+    assert path is not None
     # 12 steps of 0.1 m. Frames 4 to 15: the fifth, the tenth, and the fifteenth, which is also the last.
-    assert way.frames == 12
-    np.testing.assert_allclose(way.keyframes[:, 0, 3], [0.75, 1.25, 1.75], atol=1e-9)
+    assert path.frames == 12
+    np.testing.assert_allclose(path.keyframes[:, 0, 3], [0.75, 1.25, 1.75], atol=1e-9)
 
 
 def test_the_budget_ends_a_way() -> None:
     volume = open_space()
-    (way,) = agent(volume, budget=12).paths(volume, [moved(1.2)])
-    assert way is not None
+    (path,) = agent(volume, budget=12).paths(volume, [moved(1.2)])
+    assert path is not None
     # Frames 4 .. 12: the fifth, the tenth, and the last of the budget.
-    assert way.frames == 9
-    np.testing.assert_allclose(way.keyframes[:, 0, 3], [0.75, 1.25, 1.45], atol=1e-9)
+    assert path.frames == 9
+    np.testing.assert_allclose(path.keyframes[:, 0, 3], [0.75, 1.25, 1.45], atol=1e-9)
 
 
 def test_no_way_through_a_wall_and_nothing_is_drawn() -> None:
@@ -72,8 +72,8 @@ def test_least_frames_by_hand() -> None:
 def test_an_episode_goes_the_way_that_was_foretold(row: int) -> None:
     episode = Reconstruction(configure("fast", {"frame_budget": 60}))
     episode.start(ground_truth_of(load_scene("box")), seed=0)
-    (way,) = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[row : row + 1])
-    visit = episode.move_to(row)
-    assert way is not None and visit.reached
-    assert way.frames == visit.frames and len(way.keyframes) == len(visit.keyframes)
-    np.testing.assert_array_equal(way.keyframes[-1], visit.keyframes[-1].world_from_camera)
+    (path,) = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[row : row + 1])
+    result = episode.move_to(row)
+    assert path is not None and result.reached
+    assert path.frames == result.frames and len(path.keyframes) == len(result.keyframes)
+    np.testing.assert_array_equal(path.keyframes[-1], result.keyframes[-1].world_from_camera)

@@ -31,12 +31,12 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else _written(c) for c in text)
 
 
-def one_line(text: str, longest: int = MAX_CHARACTERS) -> str:
+def one_line(text: str) -> str:
     """Return foreign text as one printable line; the middle is cut out of a long one."""
-    if len(text) > 20 * longest:  # the rest would be cut anyway
-        text = f"{text[: 10 * longest]} {text[-10 * longest :]}"
+    if len(text) > 20 * MAX_CHARACTERS:  # the rest would be cut anyway
+        text = f"{text[: 10 * MAX_CHARACTERS]} {text[-10 * MAX_CHARACTERS :]}"
     text = printable(" ".join(text.split()))
-    return text if len(text) <= longest else f"{text[: longest - 200]} ... {text[-150:]}"
+    return text if len(text) <= MAX_CHARACTERS else f"{text[: MAX_CHARACTERS - 200]} ... {text[-150:]}"
 
 
 def _written(character: str) -> str:

@@ -113,9 +113,7 @@ def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | No
     return gaussians
 
 
-def splatam_path(
-    path: str | os.PathLike[str], world_from_first: np.ndarray | None = None
-) -> dict[str, np.ndarray] | None:
+def splatam_path(path: str | os.PathLike[str]) -> dict[str, np.ndarray] | None:
     """Return poses and camera of a ``params.npz`` as the arrays of a ``trajectory.npz``; None if the file has none."""
     content = _read(path)
     needed = ("gt_w2c_all_frames", "intrinsics", "org_width", "org_height", "keyframe_time_indices")
@@ -133,7 +131,7 @@ def splatam_path(
     if keyframes.min() < 0 or keyframes.max() >= len(poses):
         raise InputError(f"'{path}': keyframe_time_indices point outside the {len(poses)} frames")
     return {
-        "world_from_camera": _place(content, path, world_from_first) @ poses[0] @ invert_rigid(poses),
+        "world_from_camera": _place(content, path, None) @ poses[0] @ invert_rigid(poses),
         "keyframes": keyframes,
         "intrinsics": np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
         "image_size": np.array([int(side.item()) for side in sides]),

@@ -166,11 +166,11 @@ class LiveView:
         self._steps = max(self._steps - 1, 0)
         return None
 
-    def end(self, state: str = "ended") -> None:
+    def end(self) -> None:
         """Mark the episode as ended; the page stays."""
         with self._news:
             self._ended, self._open = True, False
-            self._changed(state)
+            self._changed("ended")
 
     def close(self) -> None:
         """Stop serving; may be called twice."""

@@ -21,7 +21,7 @@ from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import get_protocol
-from activestructure_gym.evaluation.protocols.metrics import get_metric
+from activestructure_gym.evaluation.protocols.metrics import get_metrics
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
@@ -145,7 +145,7 @@ class Comparison:
         for spec in self.policies:  # before anything is imported
             plugin_code_of(Job(Spec(""), spec, 0, conditions=self.conditions), first_checksum_of)
         list(map(get_protocol, self.conditions.also))
-        list(map(get_metric, self.conditions.metrics))
+        get_metrics(self.conditions.metrics)
         configure(self.conditions.preset, self.conditions.overrides)  # must be valid even where policies replace them
         changes = dict(self.conditions.overrides)
         if self.conditions.frame_budget is not None:

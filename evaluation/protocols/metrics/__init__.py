@@ -8,7 +8,8 @@ from activestructure_gym.evaluation.protocols.metrics.base import (
     Metric,
     MetricContext,
     get_metric,
+    get_metrics,
     measure_metrics,
 )
 
-__all__ = ["METRICS", "Metric", "MetricContext", "get_metric", "measure_metrics"]
+__all__ = ["METRICS", "Metric", "MetricContext", "get_metric", "get_metrics", "measure_metrics"]

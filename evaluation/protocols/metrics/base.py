@@ -133,6 +133,20 @@ def get_metric(name: str) -> Metric:
     return metric
 
 
+def get_metrics(names: Sequence[str]) -> list[Metric]:
+    """Return further metrics by their names.
+
+    Raise `InputError` for a name that `get_metric` refuses, and for two metrics that share a key in ``metrics.json``.
+    """
+    found = dict[str, tuple[str, Metric]]()
+    for name in names:
+        metric = get_metric(name)
+        first, other = found.setdefault(metric.name, (name, metric))
+        if other is not metric:
+            raise InputError(f"metrics '{first}' and '{name}' are both called '{metric.name}': rename one of them")
+    return [metric for _, metric in found.values()]
+
+
 def measure_metrics(
     names: Sequence[str], context: MetricContext
 ) -> tuple[dict[str, float | None], list[dict[str, Any]]]:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
-from activestructure_gym.evaluation.protocols.metrics import METRICS, Metric, get_metric, measure_metrics
+from activestructure_gym.evaluation.protocols.metrics import METRICS, Metric, get_metric, get_metrics, measure_metrics
 
 
 @pytest.fixture
@@ -73,3 +73,12 @@ def test_names_that_cannot_be_asked_for(own, monkeypatch):
     monkeypatch.setitem(METRICS._entries, "mine", Metric("psnr", best="highest", compute=lambda context: 1.0))
     with pytest.raises(InputError, match="metric 'mine' is called 'psnr', which is another metric: rename it"):
         get_metric("mine")
+
+
+def test_two_metrics_with_one_key_are_refused_and_one_under_two_names_is_measured_once(own, monkeypatch):
+    first, twin = (Metric("far", best="lowest", compute=lambda context: 1.0) for _ in range(2))
+    for name, metric in {"a": first, "b": first, "c": twin}.items():
+        monkeypatch.setitem(METRICS._entries, name, metric)
+    assert get_metrics(["a", "b"]) == [first]
+    with pytest.raises(InputError, match="metrics 'a' and 'c' are both called 'far': rename one of them"):
+        get_metrics(["a", "b", "c"])

@@ -36,6 +36,7 @@ READ = (
     "README.md",
     "benchmarks",
     "docs/_site",
+    "docs/architecture.md",
     "docs/conf.py",
     "docs/guide/*.md",
     "docs/images/*.py",

@@ -1,4 +1,4 @@
-"""The plan of the house: which room stands on which, held by the import statements.
+"""Check that rooms import only the rooms above them, in the order of docs/architecture.md.
 
 `ORDER` is the only place where the order of the rooms stands in code; docs/architecture.md shows the same list.
 """

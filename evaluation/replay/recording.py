@@ -143,7 +143,7 @@ def _overrides(run: Run) -> dict[str, Any]:
     """Return the run's changes to its preset: the user's overrides and, in the native setup, the policy's settings."""
     from activestructure_gym.policies import make_policy
 
-    if run.job.conditions.setup == "shared":
+    if run.job.conditions.setup == "shared" or run.job.policy.kind == "reference":  # references have no settings
         return dict(run.job.conditions.overrides)
     return run.job.conditions.changes(make_policy(run.job.policy))
 

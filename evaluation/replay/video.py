@@ -68,10 +68,8 @@ def write_video(
         The stored run.
     path
         The video file; see `check_video`.
-    report_progress
-        Called after each decision with the frames used so far and the frame budget.
-    trusted
-        Whether code that the run's files name may be executed.
+    report_progress, trusted
+        As in `play_again`.
 
     Returns
     -------

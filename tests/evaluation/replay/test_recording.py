@@ -16,7 +16,9 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.references.trajectory import named_trajectory
 from activestructure_gym.evaluation.replay import Recording, play_again, write_video
+from activestructure_gym.evaluation.replay.recording import replay_env
 from activestructure_gym.evaluation.running.episode import run_job
+from activestructure_gym.specs import Spec
 
 
 def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: list[Recording]) -> None:
@@ -27,6 +29,13 @@ def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: l
         assert last.shape == stored.shape
         np.testing.assert_array_equal(last[:, np.lexsort(last)], stored[:, np.lexsort(stored)])
         np.testing.assert_array_equal(recording.poses, run.trajectory["world_from_camera"])
+
+
+def test_a_reference_in_the_native_setup_is_played_with_the_overrides_alone(finished: list[Run]) -> None:
+    job = finished[0].job
+    native = replace(job, policy=Spec("reference:oracle"), conditions=replace(job.conditions, setup="native"))
+    with replay_env(replace(finished[0], job=native)) as env:
+        assert env.reconstruction.frames == 1
 
 
 def test_everybody_is_born_with_a_keyframe_and_the_first_ones_come_first(recordings: list[Recording]) -> None:

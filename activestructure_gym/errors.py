@@ -82,9 +82,14 @@ class InputWarning(UserWarning):
 
 
 def renamed(old: str, given: T | None, new: str, value: T) -> T:
-    """Return the value of keyword ``new``; a value given under its former name ``old`` replaces it and warns."""
+    """Return the value of keyword ``new``; a value given under its former name ``old`` replaces it and warns.
+
+    Raise `InputError` if both are given: an empty ``value`` counts as not given.
+    """
     if given is None:
         return value
+    if value:
+        raise InputError(f"{old} is the former name of {new}, and both are given: leave out {old}")
     warnings.warn(f"{old} is now called {new}; the old name will be removed in 0.2", FutureWarning, stacklevel=3)
     return given
 

@@ -39,8 +39,9 @@ class Policy(ABC):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        old = cls.__dict__.get("required_gains")
-        cls.required_features = renamed("required_gains", old, "required_features", cls.required_features)
+        if (old := cls.__dict__.get("required_gains")) is not None:
+            own = cls.__dict__.get("required_features", ())
+            cls.required_features = renamed("required_gains", old, "required_features", own)
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)

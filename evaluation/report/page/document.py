@@ -80,7 +80,7 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
         f"{pluralised(len(results.policies), 'policy', 'policies')}, {pluralised(len(results.seeds), 'seed')}",
         f"{first.job.conditions.setup} setup, preset {first.job.conditions.preset}, "
         f"{first.config['configuration']['frame_budget']} frames per run",
-        f"protocol {' and '.join(first.protocols)}",
+        f"protocol{'s' * (len(first.protocols) > 1)} {' and '.join(first.protocols)}",
     ]
     return render(
         "header.html.j2",

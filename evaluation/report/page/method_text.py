@@ -47,7 +47,8 @@ def missing_value_texts(results: Results) -> list[str]:
             where = "is left out" if key not in shown else f"is missing in {len(found)} of {len(results.runs)} runs"
             reasons.setdefault(f"{header} {where}: {reason}.", []).append(name)
     several = len(results.runs[0].protocols) > 1
-    return [f"Protocol {' and '.join(names)}: {text}" if several else text for text, names in reasons.items()]
+    named = {text: f"Protocol{'s' * (len(names) > 1)} {' and '.join(names)}: " for text, names in reasons.items()}
+    return [f"{protocols if several else ''}{text}" for text, protocols in named.items()]
 
 
 def protocol_texts(results: Results) -> list[str]:

@@ -32,7 +32,7 @@ from activestructure_gym.cores import core_count
 SWITCH = "ASG_COMPILE_AHEAD"
 MAX_HELPERS = 3  # each needs about 300 MB of memory
 _PACKAGE = __name__.partition(".")[0]
-_helpers: list[subprocess.Popen[str] | None] = []  # a process starts them once
+_helpers: list[subprocess.Popen[bytes] | None] = []  # a process starts them once
 
 
 class ListedKernel(NamedTuple):
@@ -64,12 +64,11 @@ def listed_kernels(features: Collection[str] = ()) -> list[ListedKernel]:
 def signature_of(text: str) -> tuple[Any, ...]:
     """Return numba's types for the arguments of a line; a named tuple is written ``module:Class(fields)``."""
 
-    def named(module: str, name: str, *fields: Any) -> Any:
-        kind = getattr(import_module(f"{_PACKAGE}.{module}"), name)
-        return types.BaseTuple.from_types(tuple(map(whole, fields)), kind)
+    def whole(given: Any, kind: Any = None) -> Any:
+        return types.BaseTuple.from_types(tuple(map(whole, given)), kind) if isinstance(given, tuple) else given
 
-    def whole(given: Any) -> Any:
-        return types.BaseTuple.from_types(tuple(map(whole, given))) if isinstance(given, tuple) else given
+    def named(module: str, name: str, *fields: Any) -> Any:
+        return whole(fields, getattr(import_module(f"{_PACKAGE}.{module}"), name))
 
     called = re.sub(r"([\w.]+):(\w+)\(", r"named('\1', '\2', ", text)
     return tuple(map(whole, eval(f"({called},)", {**vars(types), "bool": types.boolean, "named": named})))
@@ -84,33 +83,27 @@ def start_helpers(kernels: Sequence[ListedKernel] = ()) -> None:
         return
     _helpers.append(None)
     an_interpreter = Path(sys.executable or "").name.startswith("python") and not getattr(sys, "frozen", False)
-    if os.environ.get(SWITCH) == "0" or not an_interpreter or files.not_kept:
-        return
-    if multiprocessing.parent_process() is not None or LOCKS.is_held("helper 0") or not LOCKS.usable:
+    useless = os.environ.get(SWITCH) == "0" or not an_interpreter or bool(files.not_kept)
+    if useless or multiprocessing.parent_process() is not None or LOCKS.is_held("helper 0") or not LOCKS.usable:
         return
     wanted = json.dumps(kernels or [each for each in listed_kernels() if each.module in sys.modules])
     path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # they find modules where their parent does
     for number in range(min(core_count() - 1, MAX_HELPERS)):
         with suppress(OSError):  # no more processes allowed
             helper = subprocess.Popen(
-                [sys.executable, "-P", "-c", f"from {__name__} import main; main({number})"],
+                [sys.executable, "-P", "-c", f"from {__name__} import main; main({number})", wanted],
                 env={**os.environ, "PYTHONPATH": path},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C reaches it through the end of its parent
-                text=True,
-                encoding="utf-8",
             )
             _helpers.append(helper)  # keeps standard input open: a helper ends when that is closed
-            assert helper.stdin is not None
-            helper.stdin.write(wanted + "\n")
-            helper.stdin.flush()
 
 
 def main(number: int) -> None:
-    """Compile the kernels that standard input lists, last one first; end when it is closed."""
-    kernels = [ListedKernel(*row) for row in json.loads(sys.stdin.readline())]
+    """Compile the kernels in the JSON list ``sys.argv[1]``, last one first; end when standard input is closed."""
+    kernels = [ListedKernel(*row) for row in json.loads(sys.argv[1])]
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if LOCKS.take(f"helper {number}") and LOCKS.usable:
         with told_to(lambda name: None):

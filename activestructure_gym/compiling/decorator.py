@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -49,16 +48,11 @@ def kernel(function: Callable[..., Any]) -> Any:
         # The lock between threads comes first, as numba itself nests it. Otherwise each of two processes could hold
         # the lock that a thread of the other waits for.
         with global_compiler_lock, PROGRESS.around(name), LOCKS.held(name, PROGRESS.report):
-            collecting = gc.isenabled()
-            gc.disable()  # saves a twentieth of the time of compiling
             try:
                 return compile_or_load(signature)
             except OSError as error:  # disk full, or a quota
                 warn_of_no_cache(str(error))
                 return compile_or_load(signature)  # now it is in memory
-            finally:
-                if collecting:
-                    gc.enable()
 
     dispatcher.compile = compile_or_load_alone  # numba calls it for every signature it has no machine code for
     return dispatcher

@@ -12,6 +12,7 @@ import multiprocessing
 import pickle
 import sys
 import warnings
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +45,14 @@ class KernelCache(FunctionCache):
         place = Path(self.cache_path)
         if place.name != "__pycache__":  # numba has created it, with the permissions of the umask
             guard(place)
-        if others := folder_of_others(_folders(place), self._source):
+        root = Path(getattr(numba.config, "CACHE_DIR", "") or place)
+        folders = [place, *(above for above in place.parents if above.is_relative_to(root))]
+        if others := folder_of_others(folders, self._source):
             raise RuntimeError(f"other users can write into the folder '{others}'")
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Return whether the file of a signature is there, valid and undamaged."""
-        path, stamp, _ = self._index_key(signature, codegen)
-        return stamp is not None and read(path, stamp, self._source) is not None
+        return self.load(self._index_key(signature, codegen)) is not None
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Path, bytes | None, Any]:
         """Return the file of a signature and its stamp, None if other processes must not use the machine code."""
@@ -118,27 +120,12 @@ def _fields(kind: Any) -> str:
     return fields + (_fields(inner) if isinstance(inner, (tuple, numba.types.Type)) and inner is not kind else "")
 
 
-def _folders(place: Path) -> list[Path]:
-    """Return the folder of a kernel's files and those above it up to ``NUMBA_CACHE_DIR``, where that is set."""
-    above, root = [place, *place.parents], Path(getattr(numba.config, "CACHE_DIR", "") or place)
-    return above[: above.index(root) + 1] if root in above else [place]
-
-
 def cache_place() -> Path | None:
     """Return the folder of this room's kernels, chosen by numba; None where they cannot be kept."""
-
-    def probe() -> None: ...
-
     try:
-        return Path(KernelCache(probe).cache_path)
+        return Path(KernelCache(cache_place).cache_path)
     except RuntimeError:
         return None
-
-
-def package_folders() -> list[Path]:
-    """Return the folders of this package's code; in a checkout the links in the first lead to the others."""
-    package = Path(__file__).resolve().parents[1]
-    return [package, *((package / room).resolve() for room in ("envs", "policies", "evaluation"))]
 
 
 def kernel_files() -> list[Path]:
@@ -146,8 +133,8 @@ def kernel_files() -> list[Path]:
     place = cache_place()
     if place is None:
         return []
-    roots = package_folders() if place.name == "__pycache__" else [place.parent]  # next to the sources, or all in one
-    return sorted({file for root in roots for file in root.rglob(f"*{SUFFIX}")})
+    root = Path(__file__).parents[1] if place.name == "__pycache__" else place.parent  # next to the sources, or in one
+    return sorted(root / name for name in glob(f"**/*{SUFFIX}", root_dir=root, recursive=True))  # follows links
 
 
 def warn_of_no_cache(reason: str) -> None:

@@ -15,6 +15,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import lru_cache
 from types import FunctionType
 
@@ -57,12 +58,10 @@ def _modules(imports: list[tuple[str, ...]], importer: str) -> Iterator[str]:
     """Yield the loaded modules that the imports of a module name."""
     package = getattr(sys.modules.get(importer), "__package__", None) or ""
     for source, names, plain in imports:
-        try:
+        with suppress(ImportError):  # relative, in a file that was not imported
             module = importlib.util.resolve_name(source or plain, package)
-        except ImportError:  # relative, in a file that was not imported
-            continue
-        candidates = (module, *(f"{module}.{name}" for name in re.findall(r"\w+", names)))
-        yield from (candidate for candidate in candidates if candidate in sys.modules)
+            candidates = (module, *(f"{module}.{name}" for name in re.findall(r"\w+", names)))
+            yield from (candidate for candidate in candidates if candidate in sys.modules)
 
 
 @lru_cache(None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 
 @contextmanager
@@ -40,5 +39,4 @@ def feature_modules(policies: Sequence[str]) -> set[str]:
     from activestructure_gym.policies import make_policy
 
     features = {feature for name in policies for feature in make_policy(name).required_features}
-    origins: list[Any] = [FEATURES.get(FEATURES.owner(name)) for name in features]
-    return {origin.__module__ for origin in origins}
+    return {FEATURES.get(FEATURES.owner(name)).__module__ for name in features}

@@ -75,7 +75,7 @@ def started(monkeypatch, kept) -> list[tuple[list[str], list[list[str]]]]:
 
     class Process:
         def __init__(self, command, **options) -> None:
-            self.stdin = SimpleNamespace(write=lambda text: commands.append((command, json.loads(text))), flush=list)
+            commands.append((command[:-1], json.loads(command[-1])))
 
     monkeypatch.setattr(ahead, "LOCKS", Locks())
     monkeypatch.setattr(ahead, "_helpers", [])
@@ -150,9 +150,7 @@ def test_one_helper_per_installation_compiles_and_ends_with_its_parent(started, 
     work = json.dumps(
         [ListedKernel("tiny", name, text) for name, text in (("doubled", "int64"), ("total", "float64[::1]"))]
     )
-    helper = start(package, HELPER, cache=kept)
-    helper.stdin.write(work + "\n")
-    helper.stdin.flush()
+    helper = start(package, HELPER, work, cache=kept)
     assert helper.stdout.readline() == "at the end\n"
     assert len(list(kept.rglob("tiny.total-*.kernel"))) == 1 and len(list(kept.rglob("tiny.doubled-*.kernel"))) == 2
     ahead.start_helpers()  # the other holds the lock

@@ -1,4 +1,4 @@
-"""Render images of any number per Gaussian, from every candidate."""
+"""Render a given number per Gaussian into an image of every candidate view."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def blended(
     *,
     repaint: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> np.ndarray:  # [K, h, w] float32
-    """Return the sum of weight times value along the ray of each pixel, blended as colours are.
+    """Return an image per candidate: the sum of weight x value over the Gaussians on the ray of each pixel.
 
-    Divide it by alpha for the weighted mean. The values replace the red channel in a copy of the map. For values that
-    depend on the view, ``repaint(row, pose)`` writes them into ``row`` [N] before the image of each candidate ``pose``
-    [4, 4] is rendered.
+    The weights are the blending weights of the colours. Divide the image by ``context.alpha`` for the weighted mean.
+    For values that depend on the view, ``repaint(row, pose)`` is called before each candidate is rendered. It writes
+    the values for the camera ``pose`` [4, 4] (world_from_camera) into ``row`` [N].
     """
     gaussians, camera, poses = context.mapper.map, context.camera, context.world_from_camera
     render = context.mapper.rasterizer.render
     parameters = gaussians.parameters.copy()
-    row = parameters[COLOR.start, : gaussians.count]
+    row = parameters[COLOR.start, : gaussians.count]  # the red channel, in a copy of the map
     if values is not None:
         row[:] = values
     parts = MapParts(gaussians)

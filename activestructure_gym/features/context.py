@@ -33,9 +33,9 @@ class FeatureContext:
     bounds: np.ndarray  # [2, 3] metres, the workspace
     coverage_alpha: float  # a pixel is covered where alpha exceeds this
     max_range: float  # metres, range of the sensor
-    world_from_camera: np.ndarray  # [K, 4, 4] the candidates
+    world_from_camera: np.ndarray  # [K, 4, 4] poses of the candidates
     agent: Agent | None = None  # plans paths to the candidates; None without an agent
-    revisit: np.ndarray | None = None  # [K] bool, from the candidate table; None: compare with the keyframe poses
+    revisit: np.ndarray | None = None  # [K] bool, see `revisits`; None: found by comparison with the keyframe poses
 
     @cached_property
     def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
@@ -45,35 +45,35 @@ class FeatureContext:
 
     @property
     def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
-        """Return the rendered depth of every candidate; rendered once, shared by all features, read-only."""
+        """Return the depth images of the map from every candidate; rendered once for all features, read-only."""
         return self._rendered[0]
 
     @property
     def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
-        """Return the accumulated opacity of every candidate; read-only."""
+        """Return the images of accumulated opacity of the map from every candidate; read-only."""
         return self._rendered[1]
 
     @cached_property
     def visible(self) -> np.ndarray:  # [K, N] bool
-        """Return which planes of the graph each candidate would see (V_c^vis of Sec. 3.4), with occlusion."""
+        """Return which planes of the scene graph each candidate sees (V_c^vis of Sec. 3.4), with occlusion."""
         return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
 
     @cached_property
     def revisits(self) -> np.ndarray:  # [K] bool
-        """Return which candidates have the pose of a stored keyframe."""
+        """Return which candidates are revisits, which means that they have the pose of a stored keyframe."""
         if self.revisit is not None:
             return self.revisit
         known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
         return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
 
     def once(self, compute: Callable[[FeatureContext], T]) -> T:
-        """Return ``compute(self)``, computed at most once per step: a result that several features share."""
+        """Return ``compute(self)``, computed at most once per step, so that several features can share the result."""
         if compute not in self._results:
             self._results[compute] = compute(self)
         return self._results[compute]
 
     def episode(self, make: Callable[[FeatureContext], T]) -> T:
-        """Return ``make(self)``, made at most once per episode: the state that a feature keeps between steps.
+        """Return the object ``make(self)``, created at most once per episode; features keep state between steps in it.
 
         The mapper owns the object, and copies of the mapper copy it. If the object has the methods ``before_steps`` and
         ``after_steps``, the mapper calls them around the optimisation steps of every later mapping event.
@@ -94,10 +94,10 @@ def grid_rays(
     world_from_camera: np.ndarray,  # [K, 4, 4]
     stride: int,  # pixels between rays
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """Return the arguments shared by all kernels that trace pixel rays through the voxel grid.
+    """Return the geometric arguments of the kernels that trace pixel rays through the voxel grid.
 
-    They are the corner of voxel (0, 0, 0) [3] in metres, the voxel size in metres, the poses [K, 4, 4], and the rays
-    [h, w, 3] in the camera frame with depth 1.
+    They are the corner of voxel (0, 0, 0) in metres [3], the voxel size in metres, the camera poses [K, 4, 4], and the
+    rays [h, w, 3] of every ``stride``-th pixel. The rays are in the camera frame and have depth 1.
     """
     poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
     rays = camera.rays()[::stride, ::stride].astype(np.float64)

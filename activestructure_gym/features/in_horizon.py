@@ -9,8 +9,8 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voronoi_node import places, voronoi_node
 from activestructure_gym.sensors import Frame
 
-_MOVED = 0.05  # metres in the floor plane: half a step of the agent
-_CLEAR = 1e-3  # metres of clearance: every voxel of the path is free
+_MOVED = 0.05  # metres in the floor plane; a keyframe farther from its predecessor has moved (half a step of the agent)
+_CLEAR = 1e-3  # metres, required clearance of a straight path; any positive value requires free voxels only
 
 
 @FEATURES.register("in_horizon", unit="0 or 1", low=0.0, high=1.0)
@@ -18,8 +18,8 @@ def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
     """Return 1 where the straight path to the view's Voronoi node is free and ends inside the horizon, else 0.
 
     A view without a node is its own end point. The horizon is the bounding box, in the floor plane, of the camera and
-    all depth returns of the keyframe `last_moved`. If no node with a free path is inside it, all free paths count. The
-    rule of ActiveSplat and ANM-S: [activesplat, code], [anm_s, code].
+    all depth returns of the keyframe `last_moved`. If no node with a free path is inside the horizon, all free paths
+    count. This is the rule of ActiveSplat and ANM-S: [activesplat, code], [anm_s, code].
     """
     frame, ends = last_moved(context.mapper.keyframes), places(context)
     here, camera = context.mapper.keyframes[-1].world_from_camera[:3, 3], frame.world_from_camera
@@ -32,9 +32,9 @@ def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
 
 
 def last_moved(keyframes: list[Frame]) -> Frame:
-    """Return the newest keyframe whose position differs from its predecessor's; the newest of all if there is none.
+    """Return the newest keyframe that is more than 5 cm from its predecessor, or the newest of all if there is none.
 
-    The horizon then does not depend on the view direction at a stop.
+    The keyframes after it were taken on the spot. A horizon from them would depend on how the camera turned.
     """
     at = np.array([frame.world_from_camera[:2, 3] for frame in keyframes])
     moved = np.flatnonzero(np.linalg.norm(np.diff(at, axis=0), axis=1) > _MOVED)

@@ -1,11 +1,13 @@
 """Provide the common parts of the information features: prior, Fisher information, and the term for unseen space.
 
-H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`).
-H_train sums all keyframes, H_c is that of one candidate; both use the candidates' camera. With ``of_depth``, H is the
-information about the rendered depth.
+H is the Fisher information of images about the Gaussians of the map (`activestructure_gym.splatting.fisher`). It is
+J^T J summed over pixels and colours, where J is the derivative of the rendered colours. H_train sums all keyframes, and
+H_c is the information of one candidate; both use the candidates' camera. With ``of_depth``, J is the derivative of the
+rendered depth.
 
 Means, log-scales, logits and colours have different units. Every entry is therefore divided by the median of H_train
-for its kind of parameter. The prior lambda is the same fraction of this unit for all kinds.
+for its kind of parameter, called the unit of this kind. The prior lambda is the same fraction of the unit for all
+kinds.
 
 Sources: [fisherrf], [popgs]; range of lambda: docs/notebook/groundwork.md.
 """
@@ -25,18 +27,19 @@ from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
-LAMBDA = 1e-2  # prior, as a fraction of the unit
-MIN_COVERAGE = 0.05  # fraction of the coverage of a view of unseen space alone (own choice)
-WINDOW = 6.0  # metres, side length of the local window (HGS-Planner)
-ADAPTIVE = "share of the best coverage, plus weighted information"  # unit of `adaptive`
+LAMBDA = 1e-2  # prior that is added to H_train, as a fraction of the unit
+MIN_COVERAGE = 0.05  # minimum G_cov that `adaptive` divides by; 1 is a view of unseen space alone (own choice)
+WINDOW = 6.0  # metres, side length of the window around the agent in `observed_share` (HGS-Planner)
+ADAPTIVE = "share of the best coverage, plus weighted information"  # unit of `adaptive` in tables
 MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
 _COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # columns of `ViewInformation.numbers`, by kind
 
 
 class _Trained:
-    """Keep the H_train of an episode; computed on request, at most once between two mapping events.
+    """Hold H_train, the Fisher information of all keyframes of an episode.
 
-    Its value therefore does not depend on the number of features that use it.
+    It is updated on request, at most once between two mapping events. Its value therefore does not depend on the number
+    of features that use it.
     """
 
     of_depth = False
@@ -58,30 +61,31 @@ class _TrainedOfDepth(_Trained):
 
 
 def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
-    """Return H_train; columns as in `ViewInformation.numbers`."""
+    """Return H_train of the rendered colours, one row per Gaussian; columns as in `ViewInformation.numbers`."""
     return context.episode(_Trained).of(context.mapper)
 
 
 def trained_of_depth(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
-    """Return the H_train of the rendered depth; columns as in `ViewInformation.numbers`."""
+    """Return H_train of the rendered depth, one row per Gaussian; columns as in `ViewInformation.numbers`."""
     return context.episode(_TrainedOfDepth).of(context.mapper)
 
 
 def units(context: FeatureContext) -> np.ndarray:  # [4]
-    """Return the `median_units` of H_train."""
+    """Return the unit of each kind of parameter, computed by `median_units` from H_train of the rendered colours."""
     return median_units(trained(context))
 
 
 def units_of_depth(context: FeatureContext) -> np.ndarray:  # [4]
-    """Return the `median_units` of the H_train of the rendered depth."""
+    """Return the unit of each kind of parameter, computed by `median_units` from H_train of the rendered depth."""
     return median_units(trained_of_depth(context))
 
 
 def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
-    """Return the unit of each kind of parameter: the median over Gaussians with information; 1 if there are none.
+    """Return the unit of each kind of parameter: mean, log-scale, opacity logit and colour.
 
-    The median is that of the mean over a Gaussian's entries of the kind, since the entry along the thin axis of a disk
-    is almost 0.
+    The entries of a kind are averaged for each Gaussian, since the entry along the thin axis of a disk is almost 0. The
+    unit is the median of these averages over all Gaussians with a positive one; it is 1 if there are none. ``known``
+    is H_train.
     """
     entries = [known[:, columns].mean(axis=1) for columns in _COLUMNS]
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
@@ -90,14 +94,17 @@ def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
 def diagonal_units(
     context: FeatureContext, kinds: tuple[int, ...], *, of_depth: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
-    """Return the columns of the diagonal entries of these kinds of parameters, and the unit of each."""
+    """Return the columns of `ViewInformation.numbers` that hold the diagonal of H for ``kinds``, and their units.
+
+    ``kinds`` is a selection of `MEAN`, `LOG_SCALE`, `LOGIT` and `COLOR`; P is the number of their columns.
+    """
     of_kind = context.once(units_of_depth if of_depth else units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
     return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
 
 
 def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
-    """Yield the information of every candidate about the map, one by one."""
+    """Yield the Fisher information of the colour image of every candidate about the map, in their order."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     for pose in context.world_from_camera:
         unseen = parts.unseen(context.camera, pose)
@@ -105,7 +112,7 @@ def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
 
 
 def depth_informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
-    """Yield the information about the rendered depth of every candidate, one by one."""
+    """Yield the Fisher information of the depth image of every candidate about the map, in their order."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     for pose in context.world_from_camera:
         unseen = parts.unseen(context.camera, pose)
@@ -121,8 +128,9 @@ def diagonal_gain(
 ) -> np.ndarray:  # [K]
     """Return the sum of ``criterion(h + lambda, d)`` over all parameters, divided by the number of Gaussians.
 
-    ``h`` and ``d`` [S, P] are the diagonals of H_train and H_c in their units, for the S Gaussians that a candidate
-    sees. A criterion must be 0 where ``d`` is 0, since the other Gaussians are left out.
+    ``h`` and ``d`` [S, P] are the diagonals of H_train and H_c divided by the units of the parameters, for the S
+    Gaussians that a candidate sees. A criterion must be 0 where ``d`` is 0, since the other Gaussians are left out.
+    ``kinds`` selects the parameters. With ``of_depth``, H is the information of the depth images.
     """
     columns, unit = diagonal_units(context, kinds, of_depth=of_depth)
     known = trained_of_depth(context) if of_depth else trained(context)
@@ -133,7 +141,10 @@ def diagonal_gain(
 
 
 def observed_share(context: FeatureContext) -> float:  # 0..1
-    """Return lambda_o, the observed fraction of the local window around the agent (`VoxelVolume.unobserved`)."""
+    """Return lambda_o, the fraction of observed voxels in a window of 6 m x 6 m around the newest keyframe.
+
+    The window has all heights of the workspace. Observed voxels are the complement of `VoxelVolume.unobserved`.
+    """
     volume, eye = context.volume, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     size = volume.config.voxel_size
     low = np.floor((eye[:2] - 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
@@ -145,26 +156,26 @@ def observed_share(context: FeatureContext) -> float:  # 0..1
 
 
 def adaptive(context: FeatureContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
-    """Return G = G_cov + lambda_o G_Q (HGS-Planner), with coverage relative to its maximum and quality by rank.
+    """Return G = G_cov + lambda_o G_Q (HGS-Planner) of every candidate, where lambda_o is `observed_share`.
 
-    The two terms have no common unit. Information spans orders of magnitude: for some criteria the best view has a
-    hundred times the median. Relative to the maximum it would be near 0 for almost all candidates, hence the rank. If
-    the maximum of G_cov is below `MIN_COVERAGE`, G_cov is relative to `MIN_COVERAGE` instead, so that little remaining
-    coverage does not outweigh quality.
+    G_cov is ``coverage`` divided by its maximum over the candidates. The divisor is at least `MIN_COVERAGE`, so that
+    little remaining coverage does not outweigh quality. G_Q is the rank of ``quality`` in 0..1 (`share_below`).
+    Information spans orders of magnitude: for some criteria the best view has a hundred times the median. Divided by
+    the maximum, it would be near 0 for almost all candidates.
     """
     most = max(coverage.max(initial=0.0), MIN_COVERAGE)
     return coverage / most + observed_share(context) * share_below(quality)
 
 
 def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
-    """Return for each value the fraction of all values that are at most as large; 0 where the value is 0."""
+    """Return for each value the fraction of all values that are at most as large; 0 where it is not positive."""
     return np.where(values > 0, np.searchsorted(np.sort(values), values, side="right") / max(1, len(values)), 0.0)
 
 
 def register_both(name: str, unit: str = "per Gaussian of the map") -> Callable[[Compute], Feature]:
-    """Return a decorator that registers a score as ``NAME``, and combined with `hole_area` as ``NAME_cov``.
+    """Return a decorator that registers a score as ``name``, and combined with `hole_area` as ``name_cov``.
 
-    It is for scores that cannot measure unseen space.
+    Use it for scores that cannot measure unseen space; `adaptive` combines both. ``unit`` is the unit of the score.
     """
 
     def register(compute: Compute) -> Feature:

@@ -27,14 +27,16 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.splatting.fisher import depth_information, view_information
 
-COLUMNS = 24  # of `ViewInformation.numbers`: 21 of the block, opacity logit, squared weights (colour), weights
+# The number of first columns of `ViewInformation.numbers` that are summed: 21 for the upper triangle of the 6 x 6 block
+# of mean and log-scale, then opacity logit, colour (sum of squared weights) and sum of weights.
+COLUMNS = 24
 RENDERS = 16  # keyframes rendered per decision
-BUDGET_MB = 256.0  # memory of the contributions
+BUDGET_MB = 256.0  # megabytes, maximum memory of the stored contributions
 
 
 @dataclass
 class _Contribution:
-    """Hold the blocks that one keyframe has added to the sum."""
+    """Hold the numbers that one keyframe has added to the sum, for the S Gaussians that it sees."""
 
     ids: np.ndarray  # [S] int64, ids of Gaussians
     numbers: np.ndarray  # [S, 24] float32
@@ -74,7 +76,7 @@ class KeyframeInformation:
 
     @property
     def fixed(self) -> int:
-        """Return the number of keyframes whose contribution cannot be computed again."""
+        """Return the number of fixed keyframes, whose contribution to the sum is no longer stored."""
         return self._known - len(self._contributions)
 
     def update(
@@ -83,10 +85,10 @@ class KeyframeInformation:
         *,
         renders: int | None = RENDERS,
     ) -> np.ndarray:  # [N, 24] float64, one row per Gaussian, valid until the next call
-        """Render the new keyframes, then the oldest up to ``renders`` in all, and return the sum.
+        """Render the new keyframes and those with the oldest contributions, ``renders`` in all, and return the sum.
 
-        ``renders=None`` renders all that are not fixed. With a constant number of new keyframes per call, the cost does
-        not grow with the number of keyframes.
+        ``renders=None`` renders all keyframes that are not fixed. With a constant number of new keyframes per call, the
+        cost does not grow with the number of keyframes.
         """
         if len(keyframes) < self._known:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
@@ -118,7 +120,7 @@ class KeyframeInformation:
             self._bytes -= before.bytes
         added = _Contribution(self._map.ids[seen.indices], seen.numbers[:, :COLUMNS].copy())
         self._sum.values[seen.indices] += added.numbers
-        self._contributions[index] = added  # last in the dictionary: the newest
+        self._contributions[index] = added  # the dictionary is ordered from the oldest to the newest contribution
         self._bytes += added.bytes
 
     def _limit_memory(self) -> None:

@@ -1,4 +1,4 @@
-"""Compute IG_px of the paper, the share of uncovered pixels."""
+"""Compute the share of uncovered pixels of a view, IG_px of ActiveStructure."""
 
 from __future__ import annotations
 

@@ -64,12 +64,12 @@ class Feature:
         return values
 
     def __call__(self, context: FeatureContext) -> np.ndarray:  # [K] or [K, C]
-        """Return the values for the candidates of a step, unchecked."""
+        """Return ``compute(context)``, without the checks of `evaluate_features`."""
         return self.compute(context)
 
 
 class FeatureRegistry(Registry[Feature]):
-    """Register features, and find them by the full names of their columns too."""
+    """Register features by name, and find the feature that has a column of a given full name."""
 
     def register(  # type: ignore[override]
         self,
@@ -80,17 +80,17 @@ class FeatureRegistry(Registry[Feature]):
         low: float | Iterable[float] = -np.inf,
         high: float | Iterable[float] = np.inf,
     ) -> Callable[[Compute], Feature]:
-        """Return a decorator, ``@FEATURES.register("mine", unit="m")``; the keywords are those of `Feature`."""
+        """Return a decorator that registers a function as the feature ``name``; the keywords are those of `Feature`."""
         keep, names = super().register(name), tuple(columns)
         return lambda compute: keep(Feature(compute, columns=names, unit=unit, low=low, high=high))
 
     def get(self, name: str) -> Feature:
-        """Return the feature ``name``; a plain function (``package.module:function``) becomes one with one column."""
+        """Return the feature ``name``; a plain function ``package.module:function`` becomes a feature of one column."""
         found = super().get(name)
         return found if isinstance(found, Feature) else Feature(found)
 
     def module_of(self, name: str) -> str | None:
-        """Return the module of a feature, or of the feature with a column of this full name; None if unknown."""
+        """Return the module that defines ``name``, a feature or the full name of a column; None if it is unknown."""
         for owner in (name, *_beginnings(name)):
             if (module := super().module_of(owner)) or owner in self._entries:
                 return module
@@ -101,7 +101,7 @@ class FeatureRegistry(Registry[Feature]):
         return tuple(f"{name}_{column}" if column else name for column in self.get(name).columns)
 
     def owner(self, asked: str) -> str:
-        """Return the name of the feature ``asked``, else of the feature with a column of this full name.
+        """Return the name of the feature that ``asked`` means, as a feature's name or as the full name of a column.
 
         Raises `InputError` if there is neither.
         """
@@ -115,7 +115,7 @@ class FeatureRegistry(Registry[Feature]):
         raise InputError(f"there is no feature {short_repr(asked)}")
 
     def expanded(self, asked: str) -> tuple[str, ...]:
-        """Return the full names of the columns of the feature ``asked``, or the one column of this full name.
+        """Return the full names of the columns that ``asked`` means: all of a feature, or the column of this name.
 
         Raises `InputError` if there is neither, and if two features have a column of the same name.
         """
@@ -137,7 +137,7 @@ FEATURES = FeatureRegistry(
 
 
 def _beginnings(column: str) -> list[str]:
-    """Return the names of features that could have the column ``a_b_c``: ``a_b`` and ``a``."""
+    """Return the beginnings of a column's full name that can be its feature: ``a_b`` and ``a`` for ``a_b_c``."""
     return [column[:place] for place in range(len(column) - 1, 0, -1) if column[place] == "_"]
 
 

@@ -1,4 +1,4 @@
-"""Keep additional numbers per Gaussian, in the order of the map's columns."""
+"""Keep additional numbers per Gaussian in the order of the map, which adds, removes and moves Gaussians."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from activestructure_gym.mapping.gaussian_map import GaussianMap
 
 
 class RowsById:
-    """Keep one row of numbers per Gaussian, 0 for new ones; `follow` sorts the rows like the map's columns.
+    """Keep one row of numbers per Gaussian; `follow` puts the rows into the present order of the map's Gaussians.
 
-    Rows are matched with Gaussians by `GaussianMap.ids`. The cost of `follow` is proportional to the number of columns
-    that changed since the last call.
+    New Gaussians get a row of zeros, and rows of removed Gaussians are dropped. Rows are matched with Gaussians by
+    `GaussianMap.ids`. The cost of `follow` is proportional to the number of Gaussians that were added, removed or moved
+    since the last call.
     """
 
     def __init__(self, gaussians: GaussianMap, columns: int) -> None:
@@ -23,18 +24,18 @@ class RowsById:
 
     @property
     def values(self) -> np.ndarray:  # [N, columns] float64
-        """Return a writable view of the rows in their order at the last `follow`; valid until the next one."""
+        """Return a writable view of the rows, in the order of the last call of `follow`; valid until the next call."""
         return self._values[: self._count]
 
     def rows_of(self, ids: np.ndarray) -> np.ndarray:  # [S] int64 -> [S] int32
-        """Return the row index of each Gaussian id as of the last `follow`, or -1 if the Gaussian was removed.
+        """Return the row index of each Gaussian id as of the last call of `follow`; -1 if the Gaussian was removed.
 
         Every id must have been in the map at some call of `follow`.
         """
         return self._rows[ids]
 
     def follow(self) -> np.ndarray:  # [N, columns] float64
-        """Sort the rows like the map's columns and return `values`."""
+        """Put the rows into the present order of the map's Gaussians, and return `values`."""
         gaussians, before = self._map, self._count
         count = gaussians.count
         if len(self._values) < count:

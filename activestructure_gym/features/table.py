@@ -8,29 +8,33 @@ import numpy as np
 
 from activestructure_gym.features.registry import FEATURES, Feature
 
-_MAX_NAMED = 4  # columns; with more, only the first two and the last are named
+_MAX_NAMED = 4  # maximum number of columns that are all named; of more, only the first two and the last are
 
 
 def columns_in_words(feature: Feature) -> str:
-    """Return the column names, abbreviated if there are many; ``itself`` is the column named like the feature."""
+    """Return the names of a feature's columns; ``itself`` is the column named like the feature.
+
+    Of more than four names, only the first two and the last are listed.
+    """
     names = [column or "itself" for column in feature.columns]
     return ", ".join(names) if len(names) <= _MAX_NAMED else f"{names[0]}, {names[1]} .. {names[-1]} ({len(names)})"
 
 
 def units_in_words(feature: Feature) -> str:
-    """Return the common unit, or the units of the columns in order."""
+    """Return the unit of a feature if all columns have the same one, else the units of the columns in order."""
     return _same(feature.units)
 
 
 def ranges_in_words(feature: Feature) -> str:
-    """Return the common range, or the ranges of the columns in order."""
+    """Return the range of a feature if all columns have the same one, else the ranges of the columns in order."""
     return _same([_range(low, high) for low, high in zip(feature.low, feature.high)])
 
 
 def feature_table() -> str:
     """Return a Markdown table of this package's features: columns, units, ranges and files.
 
-    ``NAME_cov`` has no row: its file is that of ``NAME``, and all features of this kind have the same unit.
+    The features ``NAME_cov`` have no row, since they all have the same unit and range. They are in the file of
+    ``NAME``.
     """
     rows = ["| feature | columns | unit | range | file |", "|---|---|---|---|---|"]
     ours = f"{__name__.partition('.')[0]}."

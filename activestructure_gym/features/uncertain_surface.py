@@ -17,28 +17,28 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
 from activestructure_gym.volume import FREE, VoxelVolume
 
-PERTURBATIONS = 20  # M
-VIEWS = 12  # candidates that render the perturbed map; chosen to cover the surface
+PERTURBATIONS = 20  # M, number of perturbed maps
+VIEWS = 12  # maximum number of candidates from which each perturbed map is rendered, see `covering_views`
 STEP = 0.001  # metres, standard deviation of the perturbation of a mean per axis; too small to change the depth order
-RELATIVE_STEP = 0.01  # the same for log-scales, quaternions and opacity logits; only the order of u is used
-MIN_SHARE = 0.005  # of the uncertain voxels; smaller regions are not clusters
-STAND_OFF = 0.5  # metres from the surface along its normal
-_STRIDE = 4  # pixels between those that count visible voxels
-_NEAR = 2  # voxels, radius of the neighbourhood that determines a normal
+RELATIVE_STEP = 0.01  # standard deviation of the perturbation of log-scales, quaternions and opacity logits
+MIN_SHARE = 0.005  # minimum size of a cluster, as a share of the uncertain voxels
+STAND_OFF = 0.5  # metres along the normal from the surface to the target of a view
+_STRIDE = 4  # pixels between the tested pixels in `covering_views`
+_NEAR = 2  # voxels, half the side length of the cube whose free voxels determine a normal
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Hold the surface voxels; they replace the vertices of a mesh with edges of 0.1 m."""
+    """Hold the V surface voxels of the map; ANM uses the vertices of a mesh with edges of 0.1 m instead."""
 
     voxels: np.ndarray  # [V, 3] int64
-    points: np.ndarray  # [V, 3] metres, world
+    points: np.ndarray  # [V, 3] metres, world: mean surface point in the voxel
     normals: np.ndarray  # [V, 3] unit, towards free space
-    uncertainty: np.ndarray  # [V]
+    uncertainty: np.ndarray  # [V] u: metres by perturbation, without unit by `by_proxy`
 
     def below(self, height: float) -> Surface:
-        """Return the part of the surface below ``height`` metres."""
+        """Return the voxels whose surface point has z below ``height``, in metres (world)."""
         low = self.points[:, 2] < height
         return Surface(self.voxels[low], self.points[low], self.normals[low], self.uncertainty[low])
 
@@ -47,19 +47,25 @@ class Surface:
 class Clusters:
     """Hold the C connected uncertain regions of a surface, largest first."""
 
-    shares: np.ndarray  # [C] share of all surface voxels
-    targets: np.ndarray  # [C, 3] metres: camera position, mean of v + 0.5 n
+    shares: np.ndarray  # [C] number of voxels of the region, as a share of all surface voxels
+    targets: np.ndarray  # [C, 3] metres: camera position, mean of v + 0.5 n over points v with normals n
     centres: np.ndarray  # [C, 3] metres: mean of v
     directions: np.ndarray  # [C, 3] unit view directions, -mean n; 0 if the normals cancel
 
 
 def by_perturbing_means(context: FeatureContext) -> Surface:
-    """Return the surface with uncertainty by perturbing means, as ANM-S perturbs the distance head of its network."""
+    """Return the surface, with the uncertainty from perturbed means of the Gaussians.
+
+    This corresponds to ANM-S, which perturbs only the distance head of its network.
+    """
     return _perturbed(context, everything=False)
 
 
 def by_perturbing_all(context: FeatureContext) -> Surface:
-    """Return the surface with uncertainty by perturbing all parameters but colours, which do not change depth (ANM)."""
+    """Return the surface, with the uncertainty from perturbing all parameters of the Gaussians except colours (ANM).
+
+    Colours do not change the rendered depth.
+    """
     return _perturbed(context, everything=True)
 
 
@@ -85,7 +91,10 @@ def by_proxy(context: FeatureContext) -> Surface:
 
 
 def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
-    """Return u of every surface voxel: mean |depth difference| over M perturbations and the pixels of the voxel."""
+    """Return the surface; u of a voxel is the mean absolute depth change over M perturbations and its pixels.
+
+    With ``everything``, all parameters except colours are perturbed, otherwise only the means.
+    """
     volume, camera = context.volume, context.camera
     views = covering_views(context)
     poses = context.world_from_camera[views]
@@ -115,7 +124,10 @@ def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
 
 
 def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
-    """Choose candidates greedily, each by the number of surface voxels not visible from the previous ones."""
+    """Return the rows of up to `VIEWS` candidates that together see most surface voxels.
+
+    They are chosen greedily: each sees the most voxels that are not visible from the candidates chosen before.
+    """
     volume, at = context.volume, slice(_STRIDE // 2, None, _STRIDE)
     alpha, rays = context.alpha[:, at, at], context.camera.rays()[at, at]
     depth = context.depth[:, at, at] / np.maximum(alpha, 1e-6)
@@ -137,7 +149,10 @@ def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
 
 
 def clusters(surface: Surface, keep: float) -> Clusters:
-    """Return the connected regions (26 neighbours) of the most uncertain fraction ``keep`` of the surface."""
+    """Return the connected regions (26 neighbours) of the most uncertain fraction ``keep`` of the surface.
+
+    Regions with less than `MIN_SHARE` of the uncertain voxels are left out.
+    """
     total = len(surface.voxels)
     if not total:
         return Clusters(np.zeros(0), *(np.zeros((0, 3)) for _ in range(3)))
@@ -169,9 +184,9 @@ def _with_normals(volume: VoxelVolume, voxel_ids: np.ndarray, points: np.ndarray
 
 
 def free_side(volume: VoxelVolume, voxels: np.ndarray) -> np.ndarray:  # [V, 3] -> [V, 3] unit, 0 where none
-    """Return the unit direction from each voxel to the free voxels around it, as a normal.
+    """Return the normal of each voxel: the unit mean direction to the free voxels within two voxels of it.
 
-    It is 0 without free voxels in the neighbourhood, and where those on opposite sides cancel.
+    It is 0 if there are no free voxels, or if free voxels on opposite sides cancel. ``voxels`` are indices.
     """
     free = np.pad(volume.state == FREE, _NEAR)
     steps = np.stack(np.meshgrid(*[np.arange(-_NEAR, _NEAR + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

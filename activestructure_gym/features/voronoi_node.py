@@ -13,7 +13,10 @@ NODE_REACH = 0.5  # metres, largest horizontal distance from a view to its node;
 
 @FEATURES.register("voronoi_node", unit="index", low=-1.0)
 def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] integers
-    """Return the index of the nearest node of `floor_graph`; -1 beyond `NODE_REACH`. Valid in this step only."""
+    """Return the index of the Voronoi node nearest to each view, in `floor_graph`; -1 if it is farther than 0.5 m.
+
+    The graph is computed anew in every step, so an index is valid in this step only.
+    """
     positions, nodes = context.world_from_camera[:, :2, 3], context.once(floor_graph).nodes
     if not len(nodes):
         return np.full(len(positions), -1.0)
@@ -22,12 +25,15 @@ def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] integers
 
 
 def floor_graph(context: FeatureContext) -> VoronoiGraph:
-    """Return the Voronoi graph at the start height; ``context.once(floor_graph)`` shares it between features."""
+    """Return the Voronoi graph of the free floor plan at the start height.
+
+    Call ``context.once(floor_graph)``, which computes it once per step for all features.
+    """
     return planar_graph(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
 
 
 def places(context: FeatureContext) -> np.ndarray:  # [K, 3] metres
-    """Return the position of each view's node, or of the view if it has none, at the height of the view."""
+    """Return the position of each view's Voronoi node, at the height of the view; without a node, that of the view."""
     positions = context.world_from_camera[:, :3, 3].copy()
     node = context.once(voronoi_node).astype(np.int64)
     positions[node >= 0, :2] = context.once(floor_graph).nodes[node[node >= 0]]

@@ -36,13 +36,13 @@ class SourceContext:
     bounds: np.ndarray  # [2, 3] metres, the workspace
     max_range: float  # metres, range of the sensor
     agent: Agent  # its pose, path lengths, and the final pose of each decision
-    start: np.ndarray  # [3] metres, start position of the episode
+    start: np.ndarray  # [3] metres, world: start position of the episode
     clearance_m: float  # metres, smallest distance of a view to space not known to be free
     decision: int  # number of previous decisions
-    pool: CandidatePool  # the shared pool
+    pool: CandidatePool  # the views on a lattice that the source ``pool`` proposes
     revisits: np.ndarray  # [R, 4, 4] keyframe poses, lowest PSNR first
-    room: int  # rows available to this source
-    rng: np.random.Generator  # for this source and decision, from the seed of the episode
+    room: int  # number of table rows available to this source
+    rng: np.random.Generator  # specific to this source and decision, from the seed of the episode
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Proposals:
     """Hold the views that a source proposes, best first; the table takes the first reachable ones."""
 
     world_from_camera: np.ndarray  # [n, 4, 4]
-    look_at: np.ndarray | None = None  # [n, 3] metres: point that the camera looks at along the path
+    look_at: np.ndarray | None = None  # [n, 3] metres, world: point that the camera looks at along the path
     stay: int = 0  # rounds of optimisation in place instead of a path; 0 = none
     ends: bool = False  # whether choosing a view ends the episode
-    ids: np.ndarray | None = None  # [n] ids of the shared pool
-    revisit: np.ndarray | None = None  # [n] bool: pose of a stored keyframe
+    ids: np.ndarray | None = None  # [n] ids of the views in the shared pool; None for other sources
+    revisit: np.ndarray | None = None  # [n] bool: whether the pose is that of a stored keyframe
 
     def __post_init__(self) -> None:
         shape = np.shape(self.world_from_camera)
@@ -72,11 +72,11 @@ class Proposals:
 class Source(ABC):
     """Propose candidate views. A subclass is a frozen dataclass; its fields are the options in ``name?key=value``."""
 
-    rows: int = 64  # largest number of views in the table
+    rows: int = 64  # largest number of views of this source in the candidate table
 
     @abstractmethod
     def propose(self, context: SourceContext) -> Proposals:
-        """Return the proposed views, best first; unreachable ones are left out of the table."""
+        """Return the proposed views, best first; the table leaves out views that the agent cannot reach."""
 
 
 def is_source(kind: object) -> TypeGuard[type[Source]]:

@@ -15,17 +15,18 @@ from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
-SIDE = 2  # voxels per side of a region: 0.2 m at the default voxel size, the voxel size of ActiveGS
-_MAX_REGIONS = 1000  # regions tested, first ones first
-_TRIES = 8  # regions tested per cube of side `apart_m`, until one has views
+SIDE = 2  # voxels per side of a cell: 0.2 m at the default voxel size, the voxel size of ActiveGS
+_MAX_REGIONS = 1000  # maximum number of regions tested per decision, in order of priority
+_TRIES = 8  # maximum number of regions tested per cube of side `apart_m`, until one has views
 
 
 @dataclass(frozen=True)
 class Facing(Source):
     """Propose views of regions, nearest first, from free positions within 60 degrees of the region's normal.
 
-    The positions are 0.3 to 2 m away by default. With ``apart_m``, only one region per cube of that side (metres) has
-    views, so that they spread over the known space.
+    A region is a cell of 2 x 2 x 2 voxels or a voxel, chosen by the subclass. The distance of the positions is between
+    ``nearest_m`` and ``farthest_m``. With ``apart_m``, only one region per cube of that side (metres) has views, so
+    that they spread over the known space.
     """
 
     nearest_m: float = 0.3
@@ -39,11 +40,11 @@ class Facing(Source):
         check_ranges(self, {**ranges, "rows": f"[1, {MAX_ROWS}]"})
 
     def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-        """Return the cells that views should face."""
+        """Return which cells the views should face."""
         raise NotImplementedError
 
     def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
-        """Return centres and normals (towards free space) of the regions, in order of priority."""
+        """Return centres and normals (towards free space) of the regions in order of priority: nearest first."""
         volume = context.volume
         free = np.asarray(_coarse(volume.state == FREE).all(axis=-1))
         centres, normals = _facing_free(self.regions(context), free, volume)
@@ -51,7 +52,10 @@ class Facing(Source):
         return centres[order], normals[order]
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return views from up to ``per_region`` random positions per region."""
+        """Return views of the regions from up to ``per_region`` random positions each.
+
+        The cameras look at the centre of the region, and no occupied voxel is between.
+        """
         volume, rng = context.volume, context.rng
         centres, normals = self.foremost(context)
         order = np.arange(len(centres))
@@ -91,7 +95,7 @@ class FrontierFacing(Facing):
     """Propose views that face the frontier: unobserved space next to free space."""
 
     def regions(self, context: SourceContext) -> np.ndarray:
-        """Return the cells of which at least half is unobserved."""
+        """Return which cells [X, Y, Z] are at least half unobserved."""
         return frontier_cells(context.volume)
 
 
@@ -121,14 +125,20 @@ def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] number of previ
 
 
 def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-    """Return the cells of which at least half is unobserved, without the outermost voxels outside the workspace."""
+    """Return which cells are at least half unobserved.
+
+    The outermost layer of voxels is outside the workspace and does not count as unobserved.
+    """
     inner = np.zeros(volume.shape, dtype=bool)
     inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
     return np.asarray(_coarse(inner).mean(axis=-1) >= 0.5)
 
 
 def camera_positions(context: SourceContext) -> np.ndarray:  # [P, 3] metres
-    """Return reachable positions with the clearance of a view, at the heights of the pool, one per cell."""
+    """Return reachable positions for cameras, one per cell of 2 x 2 x 2 voxels.
+
+    They have the clearance of views, and their heights are between the lowest and the highest of the shared pool.
+    """
     volume = context.volume
     low, high = (
         context.start[2] + end for end in (min(context.pool.config.heights_m), max(context.pool.config.heights_m))
@@ -142,7 +152,7 @@ def camera_positions(context: SourceContext) -> np.ndarray:  # [P, 3] metres
 
 
 def _coarse(grid: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [X / 2, Y / 2, Z / 2, 8]
-    """Return the 8 voxels of every complete cell."""
+    """Return the voxel grid as cells of 2 x 2 x 2 voxels, which are the last axis; incomplete cells are cut off."""
     x, y, z = (size // SIDE for size in grid.shape)
     cells = grid[: x * SIDE, : y * SIDE, : z * SIDE].reshape(x, SIDE, y, SIDE, z, SIDE)
     return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, SIDE**3)
@@ -153,7 +163,10 @@ def _facing_free(
     free: np.ndarray,  # [X, Y, Z] bool
     volume: VoxelVolume,
 ) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
-    """Return the centres of cells with free cells among their 26 neighbours, and the mean direction to these."""
+    """Return the centres of ``cells`` next to free cells, and the mean direction to the free ones of 26 neighbours.
+
+    ``free`` are the completely free cells; they are no result themselves. Cells whose mean direction is 0 are left out.
+    """
     at = np.argwhere(cells & ~free)
     padded = np.pad(free, 1)
     towards = np.zeros((len(at), 3))

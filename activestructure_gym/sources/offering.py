@@ -28,7 +28,7 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
     Returns
     -------
     dict of str to Source
-        The sources.
+        The sources by name and options.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
 
 
 def random_of(seed: int, decision: int, name: str) -> np.random.Generator:
-    """Return the random generator of a source at one decision.
+    """Return the random generator of one source for one decision.
 
     Parameters
     ----------
@@ -73,9 +73,9 @@ def offer(
     context: Callable[[str, int], SourceContext],  # name, room
     *,
     rows: int,
-    asks: Iterable[int] = (),  # stages to which a row can switch
+    asks: Iterable[int] = (),  # indices of stages
 ) -> CandidateTable:
-    """Return the candidate table of a stage: its sources in order, then a row per stage in ``asks``.
+    """Return the candidate table of a stage: the views of its sources, then a row that switches to each of ``asks``.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def offer(
     rows : int
         Largest number of rows of the table.
     asks : iterable of int
-        Stages to which a row can switch.
+        Indices of the stages to which a row can switch.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def _checked(
 
 
 def _reachable(proposed: Proposals, context: SourceContext, room: int, source: int) -> CandidateTable:
-    """Return the first ``room`` reachable proposals as rows."""
+    """Return the first ``room`` reachable proposals as rows of the table; ``source`` is the index of their source."""
     poses, distances = np.asarray(proposed.world_from_camera, dtype=np.float64), context.agent.distances
     places = poses[:, :3, 3]
     lengths = distances.at(places) if len(poses) else np.zeros(0, np.float32)

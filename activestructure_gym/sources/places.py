@@ -83,7 +83,7 @@ class Around(Source):
         check_ranges(self, {"radius_m": "(0, 100]", "pitch_deg": "[0, 90]", "rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return more views than rows, since the environment leaves out unreachable ones."""
+        """Return up to 16 random views per row, since the environment leaves out unreachable ones."""
         count, rng = self.rows * _TRIES, context.rng
         offset = rng.standard_normal((count, 3))
         offset *= self.radius_m * rng.random((count, 1)) ** (1 / 3) / np.linalg.norm(offset, axis=1, keepdims=True)
@@ -97,7 +97,7 @@ class Around(Source):
 @SOURCES.register("turns")
 @dataclass(frozen=True)
 class Turns(Source):
-    """Propose views at the position of the agent, with ``count`` yaw angles from the present one."""
+    """Propose views at the position of the agent, with ``count`` evenly spaced yaw angles from the present one."""
 
     count: int = 8
     pitch_deg: float = 0.0
@@ -124,6 +124,6 @@ def directions(yaw: np.ndarray, pitch: np.ndarray) -> np.ndarray:  # [n] radians
 
 
 def looking(places: np.ndarray, along: np.ndarray) -> np.ndarray:  # [n, 3] x2 -> [n, 4, 4] world_from_camera
-    """Return camera poses at the positions with these view directions, without roll."""
+    """Return camera poses without roll at the positions ``places`` (metres) with the view directions ``along``."""
     poses = [look_along(place, direction) for place, direction in zip(places, along)]
     return np.array(poses).reshape(-1, 4, 4)

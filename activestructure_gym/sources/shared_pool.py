@@ -10,12 +10,15 @@ from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Sourc
 @SOURCES.register("pool")
 @dataclass(frozen=True)
 class Pool(Source):
-    """Propose the views of `CandidatePool`: free lattice positions times Fibonacci directions, up to the free rows."""
+    """Propose the views of `CandidatePool`: free lattice positions times Fibonacci directions, then revisits.
+
+    A revisit has the pose of a keyframe. The source fills the rows of the table that the other sources leave free.
+    """
 
     rows: int = MAX_ROWS
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return all open, reachable views or a random draw of them, then the revisits."""
+        """Return the reachable, unvisited views, then the revisits; if the rows do not suffice, a random draw."""
         room = min(context.room, self.rows)
         distances = context.agent.distances
         table = context.pool.offer(context.volume, distances, context.decision, context.revisits, room=room)

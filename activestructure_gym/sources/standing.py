@@ -13,7 +13,7 @@ from activestructure_gym.sources.base import SOURCES, Proposals, Source, SourceC
 class Stay(Source):
     """Propose the present pose, with ``rounds`` rounds of optimisation over all keyframes instead of a path.
 
-    A round has the iterations of one keyframe, and uses the frames between two keyframes.
+    A round has as many iterations as a new keyframe, and costs the frames from one keyframe to the next.
     """
 
     rounds: int = 1
@@ -30,9 +30,10 @@ class Stay(Source):
 @SOURCES.register("finish")
 @dataclass(frozen=True)
 class Finish(Source):
-    """Propose one row that ends the episode. Its ``frames`` are the remaining ones, and its features are 0.
+    """Propose one row that ends the episode.
 
-    It is not offered before the agent has used a frame.
+    In the observation, its cost in frames is the rest of the budget, and its features are 0. The row is not offered in
+    the first frame.
     """
 
     rows: int = 1

@@ -14,9 +14,10 @@ from activestructure_gym.sources.places import directions, looking
 
 @dataclass(frozen=True)
 class OnWheels(Source):
-    """Propose views at the start height, with the same yaw angles at each position.
+    """Propose views at the start height, with the same ``yaws`` evenly spaced yaw angles at each position.
 
-    If not all fit, positions are chosen evenly. Visited views are left out while there are others.
+    If the rows do not suffice for all positions, every n-th by path length is taken. Visited views are left out unless
+    all views are visited.
     """
 
     yaws: int = 12
@@ -26,11 +27,11 @@ class OnWheels(Source):
         check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MAX_ROWS}]"})
 
     def places(self, context: SourceContext) -> np.ndarray:  # [P, 2] metres
-        """Return the horizontal positions for the robot."""
+        """Return the horizontal positions (world) for which views are proposed."""
         raise NotImplementedError
 
     def spent(self, context: SourceContext) -> np.ndarray:  # [S, 4, 4]
-        """Return the visited poses; views within the shared pool's distance and angle of them are left out."""
+        """Return the visited poses; `propose` leaves out views within the pool's distance and angle of them."""
         return context.agent.stops
 
     def propose(self, context: SourceContext) -> Proposals:

@@ -27,8 +27,8 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.splatting.fisher import depth_information, view_information
 
-# The number of first columns of `ViewInformation.numbers` that are summed: 21 for the upper triangle of the 6 x 6 block
-# of mean and log-scale, then opacity logit, colour (sum of squared weights) and sum of weights.
+# The first 24 columns of `ViewInformation.numbers` are summed. They are the 21 entries of the upper triangle of the
+# 6 x 6 block of mean and log-scale, then opacity logit, colour (sum of squared weights) and sum of weights.
 COLUMNS = 24
 RENDERS = 16  # keyframes rendered per decision
 BUDGET_MB = 256.0  # megabytes, maximum memory of the stored contributions

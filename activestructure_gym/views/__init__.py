@@ -1,6 +1,6 @@
-"""Sample candidate views, test which planes each would see, and measure unmapped parts in panoramas.
+"""Sample candidate views, test which planes each would see, and measure unmapped regions in panoramas.
 
-The pool is the same for every policy. No code in this room may read ground truth.
+All policies choose from the same pool of candidates. No code in this package may read ground truth.
 """
 
 from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig

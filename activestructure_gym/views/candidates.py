@@ -1,9 +1,10 @@
-"""Hold the candidate pool (Sec. 3.4): free positions on a lattice times Fibonacci directions, with persistent ids.
+"""Hold the candidate pool (Sec. 3.4): every free lattice position combined with every Fibonacci direction.
 
-The lattice is anchored at the start position, so turning in place is possible from the first step. A view is added when
-its position becomes free with enough clearance. It is removed permanently once visited or found unreachable. Each step
-offers at most `ViewConfig.max_candidates` views. If the pool is larger, a random draw spreads over positions; it
-depends only on seed and step, never on a score.
+The lattice is anchored at the start position, so turning in place is possible from the first step. A candidate keeps
+its id during the episode. It can be offered when its position is known to be free with enough clearance. It is removed
+permanently once it is visited or found unreachable. Each step offers at most `ViewConfig.max_candidates` views. If more
+are reachable, a random subset spread over the positions is offered. The subset depends on seed and step only, never on
+a score.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from activestructure_gym.motion import DistanceMap
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
-_MAX_HEIGHTS = 64
-MAX_STAGES = 16
+_MAX_HEIGHTS = 64  # largest number of entries of ViewConfig.heights_m
+MAX_STAGES = 16  # largest number of entries of ViewConfig.stages
 _RANGES = {
     "lattice_step_m": "[0.05, 100]",
     "heights_m": "[-100, 100]",
@@ -36,23 +37,26 @@ _RANGES = {
 }
 
 
-SHARED_STAGES = (("pool",),)  # offered to all planners in a shared comparison
+SHARED_STAGES = (("pool",),)  # candidate sources of a comparison in which all planners choose from the same views
 
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Configure the candidate pool and the number of views offered."""
+    """Configure the candidate pool, the candidate sources and the number of views offered per step."""
 
     lattice_step_m: float = 0.5  # horizontal spacing of lattice positions, metres (ActiveGAMER's fine stage)
     heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # metres above the start camera; a flying camera can use all
-    directions: int = 15  # K of the Fibonacci lattice (ActiveGAMER's fine stage)
-    max_candidates: int = 256  # maximum rows of the candidate table
+    directions: int = 15  # number K of Fibonacci directions per position (ActiveGAMER's fine stage)
+    max_candidates: int = 256  # maximum rows of the candidate table of one step
     max_revisits: int = 4  # keyframe poses offered in addition, lowest PSNR first (own choice)
-    visited_distance_m: float = 0.3  # a candidate within this distance of a visited pose ...
-    visited_angle_deg: float = 10.0  # ... and this angle of it counts as visited (GauSS-MI's rule)
-    scoring_scale: float = 0.5  # scale of images rendered for features; 0.5 keeps the ranking (groundwork.md)
-    coverage_alpha: float = 0.5  # a pixel is covered if the map's alpha exceeds this (M_c of Sec. 3.4)
-    # Candidate sources, grouped in stages. The first stage is active at the start; a planner can switch to the others.
+    visited_distance_m: float = 0.3  # a candidate within this distance (metres) of a visited pose is removed ...
+    visited_angle_deg: float = 10.0  # ... if its angle to that pose (degrees) is at most this too (GauSS-MI's rule)
+    # Size of the images rendered for features, relative to the camera's images; 0.5 keeps the ranking
+    # (docs/notebook/groundwork.md).
+    scoring_scale: float = 0.5
+    coverage_alpha: float = 0.5  # a pixel is covered if the map's rendered opacity exceeds this (M_c of Sec. 3.4)
+    # Names of candidate sources, grouped in stages. The first stage is active at the start of an episode; a planner can
+    # switch to another one.
     stages: tuple[tuple[str, ...], ...] = SHARED_STAGES
 
     def __post_init__(self) -> None:
@@ -67,22 +71,22 @@ class ViewConfig:
             )
 
 
-_ROWS: Any = None  # filled with the default value in each row
+_ROWS: Any = None  # placeholder: `CandidateTable` replaces it by one default value per row
 
 
 @dataclass(frozen=True)
 class CandidateTable:
-    """Hold the views offered in one step, all reachable in the current volume."""
+    """Hold the n rows offered in one step: views reachable in the current volume, and rows that switch stages."""
 
-    ids: np.ndarray  # [n] int64, the pool's id; -1 for a revisit
+    ids: np.ndarray  # [n] int64 id in the pool; -1 for a revisit
     world_from_camera: np.ndarray  # [n, 4, 4] float64
     path_length: np.ndarray  # [n] float32 path length from the agent, metres
-    revisit: np.ndarray  # [n] bool: a stored keyframe's pose
-    source: np.ndarray = _ROWS  # [n] index of the source; -1 for a row that switches stages
-    look_at: np.ndarray = _ROWS  # [n, 3] metres: point to look at along the path; NaN for none
-    stay: np.ndarray = _ROWS  # [n] rounds of optimisation in place; 0 for a motion
-    ends: np.ndarray = _ROWS  # [n] bool: ends the episode
-    ask: np.ndarray = _ROWS  # [n] stage to switch to; -1 for a view
+    revisit: np.ndarray  # [n] bool: the view is the pose of a stored keyframe
+    source: np.ndarray = _ROWS  # [n] index of the candidate source; -1 for a row that switches stages
+    look_at: np.ndarray = _ROWS  # [n, 3] metres, world: point to look at along the path; NaN if there is none
+    stay: np.ndarray = _ROWS  # [n] rounds of map optimisation at the current pose; 0 for a motion
+    ends: np.ndarray = _ROWS  # [n] bool: choosing the row ends the episode
+    ask: np.ndarray = _ROWS  # [n] index of the stage to switch to; -1 for a view
 
     def __post_init__(self) -> None:
         usual = {"source": 0, "look_at": np.full(3, np.nan), "stay": 0, "ends": False, "ask": -1}
@@ -95,32 +99,32 @@ class CandidateTable:
 
     @classmethod
     def joined(cls, parts: Sequence[CandidateTable]) -> CandidateTable:
-        """Return the rows of all parts, in order."""
+        """Return one table with the rows of all ``parts``, in order."""
         names = [field.name for field in dataclasses.fields(cls)]
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     @property
     def views(self) -> int:
-        """Return the number of views; rows that switch stages follow them."""
+        """Return the number of views. Views come first in the table; rows that switch stages follow."""
         return int((self.ask < 0).sum())
 
 
 class CandidatePool:
-    """Hold all views that can still be chosen. An entry is a (lattice position, direction) pair."""
+    """Hold all views that can still be offered. A view is a (lattice position, direction) pair."""
 
     def __init__(
         self, anchor: np.ndarray, bounds: np.ndarray, config: ViewConfig, seed: int, *, clearance_m: float = 0.3
     ) -> None:
-        """Create the pool around the start position ``anchor`` [3] within ``bounds`` [2, 3] (metres, world).
+        """Create the pool around the start position ``anchor`` [3] within ``bounds`` [2, 3] (metres, world frame).
 
-        ``clearance_m`` is the minimum distance of a candidate to space not known to be free. Raises `InputError` if no
-        height is within the bounds.
+        ``seed`` controls the random subsets. ``clearance_m`` is the minimum distance in metres between a candidate and
+        space not known to be free. Raises `InputError` if no height of ``config`` is within the bounds.
         """
         self.config = config
         self._clearance_m = clearance_m
         self._seed = seed
         step = config.lattice_step_m
-        # Lattice steps from the anchor that stay inside the workspace.
+        # First and last lattice step in x and y, counted from the anchor, that are inside the bounds.
         first = np.ceil((bounds[0, :2] - anchor[:2]) / step).astype(int)
         last = np.floor((bounds[1, :2] - anchor[:2]) / step).astype(int)
         heights = [z for z in config.heights_m if bounds[0, 2] <= anchor[2] + z <= bounds[1, 2]]
@@ -140,24 +144,24 @@ class CandidatePool:
         )
         self.positions = anchor + grid.reshape(-1, 3)  # [P, 3]
         self.directions = fibonacci_directions(config.directions)  # [K, 3]
-        # look_along depends on the direction only; positions are filled in per candidate.
+        # A camera's rotation depends on the view direction only.
         self._rotations = np.stack([look_along(np.zeros(3), d)[:3, :3] for d in self.directions])  # [K, 3, 3]
-        self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # neither visited nor dropped
+        self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # [P, K] neither visited nor removed
 
     def __len__(self) -> int:
-        """Return the number of views neither visited nor dropped, reachable or not."""
+        """Return the number of views that are neither visited nor removed, reachable or not."""
         return int(self._open.sum())
 
     def mark_visited(self, world_from_camera: np.ndarray) -> None:
-        """Remove every view within the visited distance and angle of a camera pose."""
+        """Remove every view that is within both the visited distance and the visited angle of a camera pose [4, 4]."""
         near = np.linalg.norm(self.positions - world_from_camera[:3, 3], axis=1) <= self.config.visited_distance_m
         cosine = self.directions @ world_from_camera[:3, 2]
-        # the tolerance makes a view match itself
+        # The tolerance of 1e-9 absorbs rounding if a view is compared with itself and the angle is 0.
         similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg)) - 1e-9
         self._open[np.ix_(near, similar)] = False
 
     def drop(self, candidate_id: int) -> None:
-        """Remove one view that is unreachable."""
+        """Remove the view with this id, since it is unreachable. A negative id is ignored."""
         if candidate_id >= 0:
             self._open[np.unravel_index(candidate_id, self._open.shape)] = False
 
@@ -166,11 +170,15 @@ class CandidatePool:
         volume: VoxelVolume,
         distances: DistanceMap,
         step: int,
-        revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, lowest PSNR first
+        revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, those with the lowest PSNR first
         *,
-        room: int | None = None,  # maximum rows of the table; None: `ViewConfig.max_candidates`
+        room: int | None = None,  # maximum rows of the table; None means `ViewConfig.max_candidates`
     ) -> CandidateTable:
-        """Return this step's table: reachable open views (a random draw if there are too many), then revisits."""
+        """Return the table of one step: reachable views of the pool, then reachable revisits.
+
+        If more views are reachable than rows remain, the table holds a random subset. ``distances`` gives path lengths
+        from the agent's position; ``step`` is the number of the step and seeds the subset.
+        """
         lengths = np.full(len(self.positions), np.inf, dtype=np.float32)
         clear = volume.clearance_at(self.positions) >= self._clearance_m
         # The agent can turn at its position, whatever the clearance there.
@@ -181,7 +189,8 @@ class CandidatePool:
         reachable = np.isfinite(lengths)
 
         room = self.config.max_candidates if room is None else room
-        revisits = revisit_poses[: min(self.config.max_revisits, room // 2)]  # at least half of the rows are new views
+        # At least half of the rows are for the pool.
+        revisits = revisit_poses[: min(self.config.max_revisits, room // 2)]
         revisit_length = distances.at(revisits[:, :3, 3]) if len(revisits) else np.zeros(0, np.float32)
         revisits, revisit_length = revisits[np.isfinite(revisit_length)], revisit_length[np.isfinite(revisit_length)]
 
@@ -205,21 +214,27 @@ class CandidatePool:
         )
 
     def _draw(self, position: np.ndarray, count: int, step: int) -> np.ndarray:
-        """Return ``count`` sorted indices: one view of every position before a second of any."""
+        """Return the sorted indices of ``count`` randomly drawn views; ``position`` [N] holds their position indices.
+
+        Every position gets its first view before any position gets its second.
+        """
         rng = np.random.default_rng([self._seed, step])
-        order = rng.permutation(len(position))  # random order of the views of a position
-        # Rank of each view among those of its position, in that random order.
+        order = rng.permutation(len(position))  # random order of all views
+        # Rank of each view in that order among the views at the same position.
         by_position = order[np.argsort(position[order], kind="stable")]
         _, start = np.unique(position[by_position], return_index=True)
         counts = np.diff(np.append(start, len(position)))
         rank = np.empty(len(position), dtype=np.int64)
         rank[by_position] = np.arange(len(position)) - np.repeat(start, counts)
-        tie = rng.random(len(self.positions))[position]  # random order of positions
+        tie = rng.random(len(self.positions))[position]  # one random number per position, to order views of equal rank
         return np.sort(np.lexsort((tie, rank))[:count])
 
 
 def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:
-    """Convert to stages, each with at least one source and no duplicates; raise `InputError` otherwise."""
+    """Return the stages as a tuple of tuples of source names.
+
+    Raises `InputError` unless ``value`` is a list of stages, each a list of at least one source without duplicates.
+    """
     if not isinstance(value, list | tuple):
         raise InputError(f"views.stages must be a list of stages, each a list of sources, got {short_repr(value)}")
     stages = tuple(tuple(stage) if isinstance(stage, list | tuple) else stage for stage in value)

@@ -1,7 +1,8 @@
-"""Measure unmapped parts around a position: panoramas of the map, clusters of their open pixels, and their volumes.
+"""Measure unmapped regions around a position in panoramas rendered from the map.
 
-This is ActiveSplat's measure of a Voronoi node ([activesplat, code]) at half its resolution. Its thresholds in pixels
-are for one pixel per degree and are given in degrees here.
+An open pixel is a pixel with low opacity: the map has no surface there. Clusters of open pixels are measured by their
+solid angle and by a volume. This is ActiveSplat's measure of a Voronoi node ([activesplat, code]) at half its image
+resolution. ActiveSplat's thresholds in pixels hold for one pixel per degree, so they are given in degrees here.
 """
 
 from __future__ import annotations
@@ -17,39 +18,40 @@ from scipy.spatial import ConvexHull, QhullError
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 
-DEG_PER_PIXEL = 2.0
-SIDES = 3  # pinhole images of a panorama
-SIDE_DEG = (120.0, 150.0)  # field of view of each, width and height; elevations above 75 degrees are excluded
+DEG_PER_PIXEL = 2.0  # degrees per pixel of a panorama
+SIDES = 3  # number of pinhole images that are joined to one panorama
+# Horizontal and vertical field of view of each image, degrees; elevations beyond 75 degrees are not seen.
+SIDE_DEG = (120.0, 150.0)
 OPEN = 0.8  # a pixel is open if 1 - opacity exceeds this
-NEIGHBOUR_DEG = 5.0  # eps of DBSCAN
-MIN_DEG2 = 25.0  # its minimum neighbourhood, in square degrees
-DILATION_DEG = 15.0  # width of the ellipse that dilates a cluster to include the surface around it
+NEIGHBOUR_DEG = 5.0  # neighbourhood radius of DBSCAN (eps), degrees
+MIN_DEG2 = 25.0  # minimum neighbourhood of a DBSCAN core pixel, square degrees
+DILATION_DEG = 15.0  # diameter of the ellipse that dilates a cluster to include the surrounding surface, degrees
 
 
 @dataclass(frozen=True)
 class Opening:
-    """Hold the size of a cluster of open pixels."""
+    """Hold the measures of one cluster of open pixels."""
 
-    missing: float  # square degrees: sum of 1 - opacity
-    volume: float  # rad^2 m: convex hull of the surrounding surface in (azimuth, elevation, depth)
+    missing: float  # sum of 1 - opacity over the cluster, square degrees
+    volume: float  # volume of the convex hull of the surrounding surface in (azimuth, elevation, depth), rad^2 m
 
 
 def camera() -> PinholeCamera:
-    """Return the camera of one side. Its pixels are not square, so that both axes have the same degrees per pixel."""
+    """Return the camera of one image of a panorama. fx and fy differ to give both axes the same degrees per pixel."""
     width, height = (round(side / DEG_PER_PIXEL) for side in SIDE_DEG)
     focal = 0.5 * np.array([width, height]) / np.tan(0.5 * np.radians(SIDE_DEG))
     return PinholeCamera(width, height, float(focal[0]), float(focal[1]), width / 2.0, height / 2.0)
 
 
 def poses(positions: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N * SIDES, 4, 4] world_from_camera
-    """Return level cameras that look around at each position, clockwise, in the order of the panorama's images."""
+    """Return the poses of ``SIDES`` level cameras at each position, in clockwise order of azimuth."""
     azimuth = -np.arange(SIDES) * np.radians(SIDE_DEG[0])
     looks = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(SIDES)], axis=1)
     return np.stack([look_along(p, look) for p in positions for look in looks]).reshape(-1, 4, 4)
 
 
 def side_by_side(images: np.ndarray) -> np.ndarray:  # [N * SIDES, h, w] -> [N, h, SIDES * w]
-    """Join the images rendered from `poses` to panoramas."""
+    """Join the ``SIDES`` images rendered from the poses of each position to one panorama per position."""
     count, height, width = images.shape
     return images.reshape(count // SIDES, SIDES, height, width).transpose(0, 2, 1, 3).reshape(-1, height, SIDES * width)
 
@@ -57,9 +59,9 @@ def side_by_side(images: np.ndarray) -> np.ndarray:  # [N * SIDES, h, w] -> [N, 
 def clusters(
     mask: np.ndarray,  # [H, W] bool
     radius: float,  # pixels
-    least: int,  # minimum number of pixels within the radius, itself included, of a core pixel
-) -> np.ndarray:  # [H, W] int64: 0 outside, from 1 inside a cluster
-    """Cluster the pixels of a mask with DBSCAN. A border pixel joins the cluster of its nearest core pixel."""
+    least: int,  # minimum number of mask pixels within the radius of a core pixel, including itself
+) -> np.ndarray:  # [H, W] int64 labels: 0 outside all clusters, from 1 inside
+    """Cluster the pixels of a mask with DBSCAN. A border pixel gets the label of its nearest core pixel."""
     reach = int(radius)
     dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disk = dy**2 + dx**2 <= radius**2
@@ -84,7 +86,7 @@ def clusters(
 
 
 def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panoramas [H, W] in 0..1, [H, W] metres
-    """Return the clusters of open pixels. ``depth`` is 0 where nothing is rendered."""
+    """Return the measures of all clusters of open pixels in a panorama. ``depth`` is 0 where nothing is rendered."""
     missing = 1.0 - alpha.astype(np.float64)
     pixel = DEG_PER_PIXEL**2
     labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(MIN_DEG2 / pixel))
@@ -95,9 +97,11 @@ def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panorama
 
 
 def hull_volume(mask: np.ndarray, depth: np.ndarray) -> float:  # [H, W] bool, [H, W] metres -> rad^2 m
-    """Return the volume of the convex hull of (azimuth, elevation, depth) along the outline of the dilated mask.
+    """Return the volume of the convex hull of the surface around a cluster of open pixels.
 
-    0 if fewer than four outline pixels have a rendered depth, or if all points are coplanar.
+    The surface points are the pixels on the outline of the dilated ``mask``, with coordinates azimuth and elevation
+    (radians) and depth (metres). The volume is 0 if fewer than four of them have a rendered depth, or if all are
+    coplanar.
     """
     width = 2 * int(0.5 * DILATION_DEG / DEG_PER_PIXEL) + 1
     ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))

@@ -1,8 +1,8 @@
-"""View an episode in a web page, live or recorded.
+"""Show an episode in a web page, live or recorded.
 
-`Recorder` records what a viewer shows of an episode. `packing` converts it to bytes for the browser, `viewer_page`
-makes the page that draws it, and `LiveView` serves the page during an episode. Shown are the agent's map, planes,
-candidates and images; no ground truth.
+`Recorder` records the states of an episode. `packing` converts them to bytes for the browser, and `viewer_page` makes
+the HTML page that draws them. `LiveView` serves the page during an episode. The page shows the map, planes, candidates
+and images of the agent; it contains no ground truth.
 """
 
 from activestructure_gym.viewer.live import LiveView

@@ -1,4 +1,4 @@
-"""Serve a running episode to a browser, which can pause it and choose the next candidate."""
+"""Serve a running episode to a browser, in which the user can pause it and choose the next candidate."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
 
 LOOPBACK = "127.0.0.1"
-_PATIENCE_S = 15.0  # seconds that a request for news is held open before an empty answer
-_MAX_COMMAND_BYTES = 1000  # maximum bytes of a command
-_MAX_STRANGERS = 64  # maximum connections that have not sent the key; the oldest is closed for a new one
-PACES = (0.0, 1.0, 3.0)  # selectable seconds between two decisions
-_ZLIB_LEVEL = 1  # low: server and browser run on the same machine
+_PATIENCE_S = 15.0  # seconds after which a request for new data gets an empty answer
+_MAX_COMMAND_BYTES = 1000  # larger requests are refused
+_MAX_STRANGERS = 64  # maximum number of connections that have not sent the key; the oldest is closed for a new one
+PACES = (0.0, 1.0, 3.0)  # seconds between two decisions that the page offers
+_ZLIB_LEVEL = 1  # the lowest level: server and browser run on the same machine
 
 
 class LiveView:
-    """Serve a page that shows an episode while it is played.
+    """Serve a page that shows an episode while it runs.
 
-    The caller calls `begin` once per episode, `show` before every decision, and then `wait`. `wait` returns when the
-    episode may continue, with the clicked row, if any. The page's address ``url`` contains a key; viewing and commands
-    need it.
+    The caller calls `begin` once per episode. Before every decision it calls `show` and then `wait`. `wait` returns
+    when the episode may continue, and returns the clicked candidate, if any. The address of the page, ``url``, contains
+    a key without which the server refuses every request.
 
     Parameters
     ----------
     title
         Heading of the page.
     address
-        Address to serve at; 127.0.0.1 is reachable from this machine only.
+        IP address to serve at; 127.0.0.1 is reachable from this machine only.
     port
         Port to serve at; 0 selects a free one.
     chooses
-        Whether candidates can be clicked: `wait` then returns rows.
+        Whether the user can choose a candidate by a click.
     asks
-        Whether `wait` waits for a click.
+        Whether `wait` waits until the user has clicked a candidate; implies ``chooses``.
     paused
         Whether the episode starts paused.
 
@@ -79,16 +79,16 @@ class LiveView:
         self.title, self.chooses, self.asks = title, chooses or asks, asks
         self._key = secrets.token_urlsafe(16)
         self._news = threading.Condition()  # guards all attributes below
-        self._version = 0  # increases with every visible change
+        self._version = 0  # increases with every change that the page shows
         self._episode = 0
         self._recorder: Recorder | None = None
         self._header: dict[str, Any] = {}
         self._state = "exploring"
         self._paused, self._ended, self._closed = paused, False, False
-        self._steps = 0  # decisions allowed while paused
+        self._steps = 0  # number of decisions that may be made while paused
         self._pace = 0.0  # seconds between decisions
-        self._open = False  # whether a click can still make the current decision
-        self._row: int | None = None  # the clicked row
+        self._open = False  # whether a click can still choose the candidate of the current decision
+        self._row: int | None = None  # index of the clicked candidate
         try:
             ip_address(address)
             self._server = _Server((address, port), self)
@@ -104,12 +104,12 @@ class LiveView:
         names = {f"{name}{end}" for name in (host, "localhost") for end in (f":{port}", *[""] * (port == 80))}
         self.hosts = names if ip_address(address).is_loopback else None
         self.url = f"http://{host}:{port}/?key={self._key}"
-        # poll interval in seconds; close() waits this long
+        # close() waits at most this poll interval, in seconds.
         serve = partial(self._server.serve_forever, poll_interval=0.02)
         threading.Thread(target=serve, name="live view", daemon=True).start()
 
     def begin(self, episode: Reconstruction, feature: str = "") -> None:
-        """Start showing an episode; ``feature`` names the feature that colours the candidates."""
+        """Start showing an episode; ``feature`` is the name of the feature that colours the candidates."""
         recorder = Recorder(episode)
         with self._news:
             self._recorder, self._episode, self._ended = recorder, self._episode + 1, False
@@ -118,7 +118,7 @@ class LiveView:
         self._reconstruction = episode
 
     def show(self, phase: str | None = None) -> None:
-        """Show the current state: a decision is due, or the episode has ended."""
+        """Show the state of the episode before a decision or at the end; ``phase`` is the planner's phase, if any."""
         episode = self._reconstruction
         assert self._recorder is not None, "begin() comes first"
         point = {"frames": episode.frames, "known": known_share(episode), "fidelity": fidelity(episode)}
@@ -130,16 +130,16 @@ class LiveView:
             self._changed("exploring")
 
     def chosen(self, row: int) -> None:
-        """Show that candidate ``row`` was chosen."""
+        """Show that the candidate with index ``row`` was chosen."""
         with self._news:
             if self._recorder is not None and self._recorder.moments:
                 self._recorder.choose(row)
                 self._changed("walking" if self.asks else "exploring")
 
     def wait(self) -> int | None:
-        """Wait until the episode may continue; return the clicked row, or None.
+        """Wait until the episode may continue; return the index of the clicked candidate, or None without a click.
 
-        Clicks are accepted only during the wait, since rows belong to one decision.
+        Clicks are accepted only while this method waits, because candidate indices are valid for one decision only.
         """
         with self._news:
             self._open = not self._ended
@@ -149,7 +149,7 @@ class LiveView:
                 self._open = False
 
     def _waited(self) -> int | None:
-        """Implement `wait`; the caller holds the condition."""
+        """Implement `wait`. The caller must hold the condition ``_news``."""
         due = time.monotonic() + self._pace
         while not self._closed:
             if self._row is not None:
@@ -161,19 +161,19 @@ class LiveView:
                 self._set("paused")
             elif time.monotonic() >= due:
                 break
-            # Bounded, so that Ctrl+C interrupts it.
+            # A limited wait, so that Ctrl+C is handled.
             self._news.wait(0.5 if self._paused or self.asks else max(due - time.monotonic(), 0.001))
         self._steps = max(self._steps - 1, 0)
         return None
 
     def end(self) -> None:
-        """Mark the episode as ended; the page stays."""
+        """Show that the episode has ended. The page remains open."""
         with self._news:
             self._ended, self._open = True, False
             self._changed("ended")
 
     def close(self) -> None:
-        """Stop serving; may be called twice."""
+        """Stop the server. A second call does nothing."""
         with self._news:
             if self._closed:
                 return
@@ -191,7 +191,7 @@ class LiveView:
         self._version += 1
         self._news.notify_all()
 
-    # -- what the page asks ----------------------------------------------------------------------------------------
+    # -- called by the request handler -------------------------------------------------------------------------------
 
     def page(self) -> str:
         """Return the page's HTML."""
@@ -207,7 +207,10 @@ class LiveView:
         return secrets.compare_digest(key.encode(), self._key.encode())
 
     def news(self, episode: int, moments: int, version: int) -> bytes | None:
-        """Return the data that the page does not have yet, deflated; None if there are none for a while."""
+        """Return the data that the page lacks, compressed; None if nothing changes within 15 seconds.
+
+        The page has the first ``moments`` recorded states of the episode with number ``episode``, at ``version``.
+        """
         with self._news:
             self._news.wait_for(lambda: self._closed or self._is_news(version), _PATIENCE_S)
             recorder = self._recorder
@@ -238,7 +241,7 @@ class LiveView:
         return self._version != version and self._recorder is not None and bool(self._recorder.moments)
 
     def obey(self, command: dict[str, Any]) -> str:
-        """Execute a command of the page; return an error message, or ""."""
+        """Execute a command sent by the page; return an error message, or an empty string if it was executed."""
         with self._news:
             kind, recorder = command.get("do"), self._recorder
             if kind == "pause":
@@ -265,21 +268,21 @@ class LiveView:
 
 
 def known_share(episode: Reconstruction) -> float:
-    """Return the percentage of the workspace's voxels known to be free or occupied."""
+    """Return the percentage of the voxels inside the workspace that are known to be free or occupied."""
     return round(100.0 * float(1.0 - episode.volume.unobserved[1:-1, 1:-1, 1:-1].mean()), 2)
 
 
 def fidelity(episode: Reconstruction) -> float:
-    """Return the median PSNR in dB over the keyframes, each from its last measurement."""
+    """Return the median PSNR in dB over the keyframes, each with its most recently measured PSNR."""
     return round(float(np.median(episode.mapper.keyframe_psnr(renders=0))), 2)
 
 
 class _Server(ThreadingHTTPServer):
-    """Answer requests in parallel threads, which end with the program."""
+    """Answer each HTTP request in its own thread; the threads end with the program."""
 
     daemon_threads = True
-    request_queue_size = 128  # connections waiting to be accepted
-    allow_reuse_address = os.name != "nt"  # on Windows it would let a second program use a port already in use
+    request_queue_size = 128  # number of connections that may wait to be accepted
+    allow_reuse_address = os.name != "nt"  # on Windows the option would let two programs use the same port
 
     def __init__(self, place: tuple[str, int], view: LiveView) -> None:
         self.address_family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
@@ -289,33 +292,33 @@ class _Server(ThreadingHTTPServer):
         super().__init__(place, _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer on a thread; close the oldest connection without the key if there are too many."""
+        """Answer a connection in a new thread; close the oldest connection without the key if there are too many."""
         with self._counting:
             self._strangers[request] = None
             oldest = next(iter(self._strangers)) if len(self._strangers) > _MAX_STRANGERS else None
         if oldest is not None:
             self.admit(oldest)
             with suppress(OSError):
-                oldest.shutdown(socket.SHUT_RDWR)  # ends the read of its thread
+                oldest.shutdown(socket.SHUT_RDWR)  # ends the read on which its thread waits
         super().process_request(request, client_address)
 
     def admit(self, request: Any) -> None:
-        """Remove a connection from those that have not sent the key."""
+        """Remove a connection from the list of connections that have not sent the key."""
         with self._counting:
             self._strangers.pop(request, None)
 
     def close_request(self, request: Any) -> None:
-        """Close a connection."""
+        """Close a connection and remove it from the list of connections without the key."""
         self.admit(request)
         super().close_request(request)
 
     def server_bind(self) -> None:
-        """Bind without a name lookup of this machine, which can be slow and is not needed."""
+        """Bind the socket without looking up this machine's host name, which can be slow and is not needed."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore pages closed during an answer; report other errors."""
+        """Ignore errors of connections that the browser closed; report all others."""
         if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -326,7 +329,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 15  # seconds without a request before a connection is closed
 
     def do_GET(self) -> None:
-        """Answer with the page or with new data."""
+        """Answer a GET request with the page (``/``) or with new data (``/news``)."""
         path, asked = self._asked()
         if not self._admitted(asked):
             return
@@ -344,7 +347,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.NOT_FOUND, b"there is nothing here")
 
     def do_POST(self) -> None:
-        """Execute a command."""
+        """Execute the command in the body of a POST request to ``/do``."""
         path, asked = self._asked()
         length = self.headers.get("Content-Length", "")
         if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _MAX_COMMAND_BYTES:
@@ -363,7 +366,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(HTTPStatus.CONFLICT if wrong else HTTPStatus.OK, wrong.encode())
 
     def _asked(self) -> tuple[str, dict[str, str]]:
-        """Return the path and the query; both empty for an invalid address."""
+        """Return the path and the query parameters of the request; both are empty for an invalid address."""
         try:
             place = urlsplit(self.path)
         except ValueError:
@@ -371,9 +374,9 @@ class _Handler(BaseHTTPRequestHandler):
         return place.path, {name: values[-1] for name, values in parse_qs(place.query).items()}
 
     def _admitted(self, asked: dict[str, str]) -> bool:
-        """Return whether a request has the key and addresses this server by its own host name.
+        """Return whether a request has the key and addresses this server by its own host name; otherwise refuse it.
 
-        The host check refuses pages from elsewhere whose name was rebound to this machine.
+        The check of the host name prevents DNS rebinding: a foreign page whose host name resolves to this machine.
         """
         view, host, origin = self.server.view, self.headers.get("Host", ""), self.headers.get("Origin")
         known = view.hosts is None or host in view.hosts
@@ -388,16 +391,17 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
-        self.send_header("Referrer-Policy", "no-referrer")  # the address holds the key
+        self.send_header("Referrer-Policy", "no-referrer")  # the address contains the key
         self.send_header("X-Content-Type-Options", "nosniff")
-        if self.server.view.closed:  # otherwise the page would keep sending requests while the program runs
+        # A page of a closed server would otherwise keep its connection and send more requests.
+        if self.server.view.closed:
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 
     def version_string(self) -> str:
-        """Return the program's name without a version, since requests without the key are answered too."""
+        """Return the server name for answers, without a version, because requests without the key get answers too."""
         return "asg"
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Write no log."""
+        """Suppress the log of requests."""

@@ -1,7 +1,7 @@
-"""Pack a film into bytes that a browser unpacks quickly: integers of few bits.
+"""Pack a recorded episode into bytes that a browser unpacks quickly; most numbers become integers of 8 or 16 bits.
 
-Layout: four bytes with the length of a JSON text (little endian), the text, then the arrays, each aligned to four
-bytes. The text gives each array's type, shape and offset, and holds all other data.
+Layout: four bytes with the length of a JSON text (little endian), the text, then the arrays. Each array begins at a
+multiple of four bytes. The text gives each array's type, shape and offset, and holds all other data.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 from activestructure_gym.viewer.recorder import Film, Moment
 
 _TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
-_STEPS = 65535  # steps of a position along each side of the Gaussians' bounding box; frame limit of uint16
-_MAX_GAUSSIANS = 4_000_000  # maximum per page; larger maps are subsampled evenly
-_MIN_LOG, _LOG_STEP = -9.0, 0.05  # log standard deviation: 0.1 mm to 40 m in steps of 5 %
+_STEPS = 65535  # quantisation steps of positions along each side of the bounding box; also the largest frame of uint16
+_MAX_GAUSSIANS = 4_000_000  # of a page; larger maps are subsampled evenly
+_MIN_LOG, _LOG_STEP = -9.0, 0.05  # log of the standard deviation in metres: 0.1 mm to 40 m in steps of 5 %
 
 
 def packed(parts: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> bytes:
-    """Pack named arrays, and other data for the JSON header, in the layout of this module."""
+    """Return named arrays, and other data for the JSON text, as bytes in the layout of this module."""
     places: dict[str, Any] = {}
     body = bytearray()
     for name, array in parts.items():
@@ -36,7 +36,7 @@ def packed(parts: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> bytes:
 
 
 def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return the arrays of a film, and the data that the page needs to decode them."""
+    """Return the quantised arrays of a recorded episode, and the data that the page needs to decode them."""
     arrays, header = _gaussians(film)
     header |= {"bounds": film.bounds.tolist(), "camera": list(film.camera)}
     return {**arrays, **_moments(film.moments, film.poses)}, header
@@ -51,7 +51,7 @@ def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     length = np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-12)
     short = not film.moments or film.moments[-1].frame < _STEPS
     frames = np.uint16 if short else np.int32
-    last = np.iinfo(frames).max  # this value marks Gaussians that were never removed
+    last = np.iinfo(frames).max  # marks Gaussians that were never removed
     arrays = {
         "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
         "scales": np.clip(np.round((live[LOG_SCALE].T - _MIN_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
@@ -91,7 +91,10 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
 
 
 def _shade(scores: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
-    """Return scores relative to the decision's best in 254 steps; 255 if unknown."""
+    """Return the scores as colour indices: 0 for the lower of 0 and the lowest score, 254 for the highest.
+
+    All indices are 255 if a score is missing.
+    """
     if not len(scores) or np.isnan(scores).any():
         return np.full(len(scores), 255, np.uint8)
     low, high = min(float(scores.min()), 0.0), float(scores.max())

@@ -1,4 +1,4 @@
-"""Make the viewer's page: one HTML file that contains the films, or requests live data, and loads nothing else."""
+"""Create the viewer's HTML page: one file without external resources that contains recordings or requests live data."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ _ASSETS = Path(__file__).with_name("assets")
 _TEMPLATES = Environment(
     loader=FileSystemLoader(_ASSETS), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
-# The page loads and sends nothing, except to its live server, whatever text a scene's or policy's name contains.
+# Content security policy: the page loads and sends nothing, whatever text the name of a scene or policy contains. A
+# live page may also connect to its own server.
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def viewer_page(title: str, films: Sequence[str] = (), *, live: bool = False) -> str:
-    """Return the page: one film or two side by side, as base64 of deflated bytes, or a live episode."""
+    """Return the HTML page that shows ``films`` or, with ``live``, a running episode.
+
+    ``films`` are one or two recordings, shown side by side, each as base64 text of deflated bytes.
+    """
     scripts = ("unpack.js", "scene.js", "player.js", "live.js" if live else "films.js")
     return _TEMPLATES.get_template("viewer.html.j2").render(
         policy=f"{_POLICY}; connect-src 'self'" if live else _POLICY,

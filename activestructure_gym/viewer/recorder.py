@@ -1,4 +1,4 @@
-"""Record a running episode for viewing: decisions, poses, and the frames at which Gaussians are added and removed."""
+"""Record an episode for the viewer: decisions, poses, and the frames at which Gaussians are added and removed."""
 
 from __future__ import annotations
 
@@ -18,62 +18,65 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.reconstruction import Reconstruction
 
-_JPEG_QUALITY = 82
-_FIELDS = 14  # rows of the map's parameters
-_CELL = 0.05  # metres: cell size for matching Gaussians of a map that is rebuilt at every keyframe
+_JPEG_QUALITY = 82  # percent
+_FIELDS = 14  # number of parameters per Gaussian
+_CELL = 0.05  # metres: cell size that identifies Gaussians of a map that is rebuilt at every keyframe
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Hold what is visible before one decision; the last one of an episode has no candidates."""
+    """Hold the state before one decision: candidates, planes and images. The last one has no candidates."""
 
-    frame: int  # frames used
-    poses: int  # number of poses; fewer than frames if some frames were spent in place
-    row: int  # the chosen candidate, -1 at the end or before the choice
-    candidates: np.ndarray  # [K, 6] position in metres and unit view direction
-    scores: np.ndarray  # [K] values of the configuration's first feature; NaN if it has none
-    planes: np.ndarray  # [P, 4, 3] metres, corners of the observed part of each plane
-    structural: np.ndarray  # [P] bool
-    tree: np.ndarray  # [E, 2] plane rows joined by the spanning forest
-    centroids: np.ndarray  # [P, 3] metres
-    true: bytes  # JPEG of the last keyframe
-    rendered: bytes  # JPEG of the map rendered at its pose
-    decision: int = 0  # number of the decision, from 0
+    frame: int  # number of frames used
+    poses: int  # number of camera poses so far; below the frames if the agent spent frames at one pose
+    row: int  # index of the chosen candidate; -1 at the end or before the choice
+    candidates: np.ndarray  # [K, 6] position in metres and unit view direction, world
+    scores: np.ndarray  # [K] values of the first configured feature; NaN without features
+    planes: np.ndarray  # [P, 4, 3] metres, world: corners of the rectangle around each plane's observed part
+    structural: np.ndarray  # [P] bool: structural plane (part of the layout)
+    tree: np.ndarray  # [E, 2] indices of the planes joined by each edge of the spanning forest
+    centroids: np.ndarray  # [P, 3] metres, world
+    true: bytes  # JPEG of the last keyframe's image
+    rendered: bytes  # JPEG of the map rendered at that keyframe's pose
+    decision: int = 0  # number of the decision in the episode, from 0
 
     @property
     def size(self) -> int:
-        """Return the approximate bytes sent to a page."""
+        """Return the approximate number of bytes that the state adds to a page."""
         arrays = self.candidates.size + self.planes.size + self.centroids.size + self.tree.size
         return len(self.true) + len(self.rendered) + 4 * arrays
 
 
 @dataclass(frozen=True)
 class Film:
-    """Hold an episode, or its beginning, for viewing."""
+    """Hold the recording of an episode, or of its beginning."""
 
     moments: list[Moment]
-    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame
-    gaussians: np.ndarray  # [14, N] float32 last parameters of all Gaussians that ever existed
-    added: np.ndarray  # [N] int32 frame at which each was added
-    removed: np.ndarray  # [N] int32 frame at which it was removed; above the last frame if never
-    bounds: np.ndarray  # [2, 3] metres, the workspace
-    camera: tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
+    poses: np.ndarray  # [T, 4, 4] world_from_camera
+    gaussians: np.ndarray  # [14, N] float32 last parameters of all Gaussians, including removed ones
+    added: np.ndarray  # [N] int32 frame at which each Gaussian was added
+    removed: np.ndarray  # [N] int32 frame at which each Gaussian was removed; the largest int32 if never
+    bounds: np.ndarray  # [2, 3] metres, lowest and highest corner of the workspace
+    camera: tuple[float, float, float, float, int, int]  # fx, fy, cx, cy in pixels, width, height
 
 
 @dataclass
 class _GaussianHistory:
-    """Record when Gaussians are added and removed, by their ids."""
+    """Record the frames at which Gaussians are added and removed, identified by their ids."""
 
-    frame_of: list[tuple[int, int]] = field(default_factory=list)  # (number of ids assigned so far, frame)
-    gone: list[tuple[np.ndarray, np.ndarray, int]] = field(default_factory=list)  # parameters, ids, frame
+    # Pairs: number of ids assigned up to a frame, and that frame.
+    frame_of: list[tuple[int, int]] = field(default_factory=list)
+    # Removed Gaussians: parameters, ids, frame of removal.
+    gone: list[tuple[np.ndarray, np.ndarray, int]] = field(default_factory=list)
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     parameters: np.ndarray = field(default_factory=lambda: np.zeros((_FIELDS, 0), np.float32))
-    # For a map that is rebuilt as a whole, without persistent ids: its cells, and the first frame of each.
+    # Used for a map that is rebuilt at every keyframe and has no persistent ids: all cells that ever held a Gaussian,
+    # and the first frame of each.
     cells: np.ndarray | None = None  # [M] int64
     cell_frames: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # [M]
 
     def note(self, gaussians: GaussianMap, frame: int) -> None:
-        """Record the current map; called after every keyframe."""
+        """Record the Gaussians present after ``frame`` frames. Called after every keyframe."""
         ids = gaussians.ids[: gaussians.count].copy()
         left = ~np.isin(self.ids, ids)
         if len(ids) and len(left) and left.all() and self.cells is None:
@@ -94,7 +97,7 @@ class _GaussianHistory:
         self.cell_frames = np.concatenate([self.cell_frames, np.full(len(new), frame)])
 
     def gaussians(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] added, [N] removed
-        """Return all Gaussians and their frames of addition and removal, sorted by addition."""
+        """Return present and removed Gaussians with their frames of addition and removal, sorted by addition."""
         last = np.iinfo(np.int32).max
         parameters = np.concatenate([self.parameters, *(block for block, _, _ in self.gone)], axis=1)
         ids = np.concatenate([self.ids, *(ids for _, ids, _ in self.gone)])
@@ -112,7 +115,7 @@ class _GaussianHistory:
 
 
 def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
-    """Return an integer for the grid cell (size `_CELL`) of each Gaussian's mean."""
+    """Return one integer per Gaussian that identifies the grid cell (size `_CELL`) of its mean."""
     x, y, z = np.floor(parameters[MEAN].astype(np.float64) / _CELL).astype(np.int64) + (1 << 20)
     return (x << 42) + (y << 21) + z
 
@@ -120,8 +123,8 @@ def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
 class Recorder:
     """Record a running episode without changing it.
 
-    ``most_bytes`` limits the moments kept, evenly chosen, by the bytes sent to a page; None keeps all. Raises
-    `InputError` for a mapper without Gaussians.
+    ``most_bytes`` limits the size of the states on a page in bytes. If they are larger, only every second, fourth, ...
+    state is kept. None keeps all. Raises `InputError` for a mapper whose map has no Gaussians.
     """
 
     def __init__(self, episode: Reconstruction, *, most_bytes: int | None = None) -> None:
@@ -129,10 +132,10 @@ class Recorder:
             raise InputError("a recording needs a map of Gaussians, and this mapper has another kind of map")
         self.moments: list[Moment] = []
         self._most_bytes, self._bytes = most_bytes, 0
-        self._noted, self.every = 0, 1  # number of moments so far, and the interval at which they are kept
+        self._noted, self.every = 0, 1  # number of states seen so far, and the interval at which they are kept
         self._episode, self._history = episode, _GaussianHistory()
-        self._poses = episode.trajectory  # of this episode, even if the environment starts another one
-        self._lock = threading.Lock()  # films are requested while the episode is played
+        self._poses = episode.trajectory  # of this episode, also after the environment has started another one
+        self._lock = threading.Lock()  # recordings are read while the episode runs
         self._history.note(episode.mapper.map, episode.frames)
         after_keyframes(episode, self._keep)
 
@@ -141,7 +144,10 @@ class Recorder:
             self._history.note(self._episode.mapper.map, self._episode.frames)
 
     def note(self, row: int = -1, *, end: bool = False) -> None:
-        """Record the current state, and the row chosen next if known; the end is always kept."""
+        """Record the current state. ``row`` is the index of the candidate chosen next, or -1.
+
+        ``end`` forces keeping.
+        """
         with self._lock:
             self._history.note(self._episode.mapper.map, self._episode.frames)
             number, self._noted = self._noted, self._noted + 1
@@ -155,11 +161,11 @@ class Recorder:
                 self._bytes = sum(moment.size for moment in self.moments)
 
     def choose(self, row: int) -> None:
-        """Record the row chosen at the last moment."""
+        """Set the index of the candidate chosen at the last recorded state."""
         self.moments[-1] = replace(self.moments[-1], row=row)
 
     def film(self, first: int = 0) -> Film:
-        """Return the recording: all Gaussians, the moments from ``first`` on, and the poses since the moment before."""
+        """Return the recording from state ``first`` on; its poses begin at the state before that one."""
         episode, camera = self._episode, self._episode.config.sensor.camera
         with self._lock:
             gaussians, added, removed = self._history.gaussians()
@@ -176,11 +182,11 @@ class Recorder:
 
 
 def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
-    """Call ``act`` after each keyframe of this episode has been mapped, from now on."""
+    """Call ``act`` after each later keyframe of this episode has been mapped."""
     observe = episode.mapper.observe
 
     def watched(*given: Any, **options: Any) -> Any:
-        """Map the keyframe, then call ``act``."""
+        """Map the keyframe, then call ``act``; return the mapper's report."""
         report = observe(*given, **options)
         act()
         return report
@@ -189,7 +195,7 @@ def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
 
 
 def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
-    """Return the moment that shows an episode's current state."""
+    """Return the current state of an episode; ``row`` is the index of the chosen candidate, -1 if none is chosen."""
     graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
     poses = episode.candidates.world_from_camera[: episode.candidates.views]
     scores = np.full(len(poses), np.nan)
@@ -212,15 +218,15 @@ def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
 
 
 def plane_rectangles(graph: GraphArrays) -> np.ndarray:  # [P, 4, 3] metres
-    """Return the corners of the smallest rectangle around the observed part of each plane, in order.
+    """Return the corners of the smallest rectangle around the observed part of each plane, in order around it.
 
-    A plane without observed cells has its centroid four times.
+    For a plane without observed cells all four corners are its centroid.
     """
     found = np.repeat(np.asarray(graph["centroids"], float).reshape(-1, 1, 3), 4, axis=1)
     for k in range(len(found)):
         cells = np.argwhere(seen_cells(graph, k))
         if len(cells):
-            # All four corners of each cell, so that a single row of cells has a width.
+            # Use all four corners of each cell, so that a single row of cells has a width.
             corners = np.concatenate([cells + offset for offset in ((0, 0), (0, 1), (1, 0), (1, 1))])
             box = cv2.boxPoints(cv2.minAreaRect(corners.astype(np.float32)))
             found[k] = graph["patch_corners"][k] + graph["cell"] * (box @ graph["patch_axes"][k])

@@ -1,8 +1,9 @@
-"""Compile ahead: helper processes compile the kernels of a first episode while this process loads or computes.
+"""Compile kernels ahead of their use: helper processes compile the kernels that the first episode needs.
 
-``first_kernels.txt`` lists the kernels with the types of their arguments, in the order of their first use. This process
-compiles them in that order. Helpers start at the end of the list and skip a kernel that another process compiles. They
-leave only cache files and end with their parent. ``ASG_COMPILE_AHEAD=0`` in the environment switches them off.
+``first_kernels.txt`` lists the kernels with the types of their arguments, in the order of their first use. The main
+process compiles them in that order. Helpers begin at the end of the list and skip kernels that another process
+compiles. They only write cache files, and they end when the main process ends. ``ASG_COMPILE_AHEAD=0`` in the
+environment disables them.
 """
 
 from __future__ import annotations
@@ -32,29 +33,36 @@ from activestructure_gym.cores import core_count
 SWITCH = "ASG_COMPILE_AHEAD"
 MAX_HELPERS = 3  # each needs about 300 MB of memory
 _PACKAGE = __name__.partition(".")[0]
-_helpers: list[subprocess.Popen[bytes] | None] = []  # a process starts them once
+# Started helpers. The list is not empty once this process has tried to start some.
+_helpers: list[subprocess.Popen[bytes] | None] = []
 
 
 class ListedKernel(NamedTuple):
-    """Identify one kernel of the list and the types of its arguments."""
+    """Identify one kernel of the list: module, function name, and argument types as in ``first_kernels.txt``."""
 
     module: str
     function: str
     arguments: str
 
     def is_kept(self) -> bool:
-        """Return whether its machine code is on disk, valid and undamaged; True where none can be kept."""
+        """Return whether the kernel's machine code is on disk, valid and undamaged.
+
+        True if kernels cannot be kept on disk.
+        """
         kernel = getattr(import_module(self.module), self.function)
         holds = getattr(getattr(kernel, "_cache", None), "holds", None)
         return holds is None or bool(holds(signature_of(self.arguments), kernel.targetctx.codegen()))
 
     def compile(self) -> None:
-        """Compile it, or load it where it is on disk."""
+        """Compile the kernel, or load its machine code from disk."""
         getattr(import_module(self.module), self.function).compile(signature_of(self.arguments))
 
 
 def listed_kernels(features: Collection[str] = ()) -> list[ListedKernel]:
-    """Return the kernels of the list, in its order; those of features only if ``features`` names their module."""
+    """Return the kernels of ``first_kernels.txt`` in order.
+
+    Kernels of a feature only if ``features`` names its module.
+    """
     text = Path(__file__).with_name("first_kernels.txt").read_text(encoding="utf-8")
     rows = re.findall(r"^([\w.]+):(\w+)\((.*)\)$", text, re.MULTILINE)
     listed = [ListedKernel(f"{_PACKAGE}.{module}", function, arguments) for module, function, arguments in rows]
@@ -62,7 +70,10 @@ def listed_kernels(features: Collection[str] = ()) -> list[ListedKernel]:
 
 
 def signature_of(text: str) -> tuple[Any, ...]:
-    """Return numba's types for the arguments of a line; a named tuple is written ``module:Class(fields)``."""
+    """Convert the argument types of one line of ``first_kernels.txt`` to numba types.
+
+    A named tuple is written ``module:Class(fields)``.
+    """
 
     def whole(given: Any, kind: Any = None) -> Any:
         return types.BaseTuple.from_types(tuple(map(whole, given)), kind) if isinstance(given, tuple) else given
@@ -75,9 +86,9 @@ def signature_of(text: str) -> tuple[Any, ...]:
 
 
 def start_helpers(kernels: Sequence[ListedKernel] = ()) -> None:
-    """Start processes that compile these kernels, unless they cannot help or another process has started some.
+    """Start helper processes that compile ``kernels``, unless helpers are disabled, useless or already running.
 
-    By default these are the listed kernels of the modules that this process has loaded, without those of features.
+    The default is the listed kernels of all loaded modules, without kernels of features.
     """
     if _helpers:
         return
@@ -87,22 +98,26 @@ def start_helpers(kernels: Sequence[ListedKernel] = ()) -> None:
     if useless or multiprocessing.parent_process() is not None or LOCKS.is_held("helper 0") or not LOCKS.usable:
         return
     wanted = json.dumps(kernels or [each for each in listed_kernels() if each.module in sys.modules])
-    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)  # they find modules where their parent does
+    # Helpers find modules in the same folders as this process.
+    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     for number in range(min(core_count() - 1, MAX_HELPERS)):
-        with suppress(OSError):  # no more processes allowed
+        with suppress(OSError):  # the system allows no more processes
             helper = subprocess.Popen(
                 [sys.executable, "-P", "-c", f"from {__name__} import main; main({number})", wanted],
                 env={**os.environ, "PYTHONPATH": path},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C reaches it through the end of its parent
+                start_new_session=True,  # Ctrl-C does not reach the helper, which ends with its parent instead
             )
-            _helpers.append(helper)  # keeps standard input open: a helper ends when that is closed
+            _helpers.append(helper)  # keeps the helper's standard input open; the helper ends when it is closed
 
 
 def main(number: int) -> None:
-    """Compile the kernels in the JSON list ``sys.argv[1]``, last one first; end when standard input is closed."""
+    """Run helper process ``number``: compile the kernels in the JSON list ``sys.argv[1]``, last one first.
+
+    The process ends when its standard input is closed.
+    """
     kernels = [ListedKernel(*row) for row in json.loads(sys.argv[1])]
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if LOCKS.take(f"helper {number}") and LOCKS.usable:
@@ -114,6 +129,6 @@ def main(number: int) -> None:
 
 def _end_with_parent() -> None:
     sys.stdin.read()
-    _thread.interrupt_main()  # temporary files are removed
-    time.sleep(5.0)  # s; enough unless the main thread hangs
+    _thread.interrupt_main()  # an exception in the main thread, so that temporary files are removed
+    time.sleep(5.0)  # seconds; the main thread has ended by then unless it hangs
     os._exit(1)

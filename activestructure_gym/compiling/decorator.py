@@ -1,4 +1,4 @@
-"""Define the decorator of all kernels."""
+"""Define `kernel`, the decorator of all compiled functions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ PROGRESS.call_for_help = start_helpers
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function with numba at its first call, and keep its machine code on disk.
+    """Return a function that numba compiles at its first call and whose machine code is kept on disk.
 
-    Kernels run without the GIL, and dividing by zero gives infinity or NaN as in numpy. Where nothing can be kept,
-    every process compiles the kernel, and one warning names the remedy.
+    Kernels run without Python's global interpreter lock (GIL). Division by zero gives infinity or NaN, as in numpy. If
+    kernels cannot be kept on disk, every process compiles them, and one warning names the remedy.
 
     Parameters
     ----------
@@ -45,21 +45,21 @@ def kernel(function: Callable[..., Any]) -> Any:
     compile_or_load = dispatcher.compile
 
     def compile_or_load_alone(signature: Any) -> Any:
-        # The lock between threads comes first, as numba itself nests it. Otherwise each of two processes could hold
-        # the lock that a thread of the other waits for.
+        # numba nests its lock between threads outside the lock between processes. This order is kept, because two
+        # processes could otherwise deadlock.
         with global_compiler_lock, PROGRESS.around(name), LOCKS.held(name, PROGRESS.report):
             try:
                 return compile_or_load(signature)
-            except OSError as error:  # disk full, or a quota
+            except OSError as error:  # the disk or a quota is full
                 warn_of_no_cache(str(error))
-                return compile_or_load(signature)  # now it is in memory
+                return compile_or_load(signature)  # the machine code is in memory
 
-    dispatcher.compile = compile_or_load_alone  # numba calls it for every signature it has no machine code for
+    dispatcher.compile = compile_or_load_alone  # numba calls it for every signature without machine code
     return dispatcher
 
 
 def check_compiling() -> None:
-    """Check that numba may compile.
+    """Raise `InputError` if the environment forbids numba to compile.
 
     Raises
     ------

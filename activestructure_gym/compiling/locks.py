@@ -1,6 +1,6 @@
-"""Lock kernels between processes: of several that start together, one compiles a kernel and the others load it.
+"""Lock kernels between processes: one process compiles a kernel, and the others wait and load its file.
 
-The locks are ranges of one file in the cache folder. The system releases them when their process ends.
+Each lock is one byte of a common file in the cache folder. The operating system releases it when its process ends.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ try:
 except ImportError:  # Windows: every process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
-_PATIENCE_S = 120.0  # for one kernel of another process: many times the slowest
-_GLANCE_S = 0.02  # between two tries
-_LOADING_S = 5.0  # loading a kernel takes less; after that another process compiles it
+_PATIENCE_S = 120.0  # longest wait for a kernel that another process compiles, seconds; no kernel needs that long
+_GLANCE_S = 0.02  # seconds between two attempts to take a lock
+_LOADING_S = 5.0  # loading a kernel takes less time, seconds; after that another process is compiling it
 
 
 class Locks:
-    """Hold locks between processes by name; every lock is free where the system or the file system has none."""
+    """Hold named locks between processes. Every lock counts as free if the system has no file locks."""
 
     def __init__(self) -> None:
         self._file: int | None = None
@@ -43,7 +43,8 @@ class Locks:
                     raise OSError("no directory for compiled kernels")
                 path = place / "activestructure_gym-kernels.lock"
                 self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            # Ranges may be beyond the end of the file. If two names share one, a process waits without need.
+            # Locked bytes may be beyond the end of the file. If two names have the same byte, a process waits without
+            # need.
             fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, zlib.crc32(name.encode()))
         except BlockingIOError:
             return False
@@ -52,7 +53,7 @@ class Locks:
         return True
 
     def drop(self, name: str) -> None:
-        """Release the lock."""
+        """Release the lock, which this process must hold."""
         if self.usable and self._file is not None:
             fcntl.lockf(self._file, fcntl.LOCK_UN, 1, zlib.crc32(name.encode()))
 
@@ -65,11 +66,14 @@ class Locks:
 
     @contextmanager
     def held(self, name: str, waiting: Callable[[], None]) -> Iterator[None]:
-        """Wait for the lock and hold it while the block runs; call ``waiting`` while another process compiles."""
+        """Wait for the lock and hold it during the block.
+
+        Call ``waiting`` repeatedly while another process compiles.
+        """
         began = time.monotonic()
         while not self.take(name):
             waited = time.monotonic() - began
-            if waited > _PATIENCE_S:  # the holder is stopped, or the file system keeps locks of ended processes
+            if waited > _PATIENCE_S:  # the holder is stopped, or the file system keeps the locks of ended processes
                 self.usable = False
                 text = f"another process has held the kernel {name} for {waited:.0f} s: it is compiled here too"
                 warnings.warn(text, InputWarning, stacklevel=2)

@@ -1,7 +1,7 @@
-"""Report compiling on standard error; nothing is written while kernels are only loaded.
+"""Report the compilation of kernels on standard error. Nothing is written while kernels are only loaded.
 
-There is one line at the beginning, one every quarter of a minute, and one with the time at the end. Of several
-processes that compile together only the first reports.
+The report has one line at the beginning, one every 15 seconds, and one with the total time at the end. If several
+processes compile at the same time, only the first one reports.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from activestructure_gym.compiling import files
 from activestructure_gym.compiling.locks import LOCKS
 from activestructure_gym.streams import write_line
 
-_EVERY_S = 15.0  # between two lines
-_QUIET_S = 10.0  # without compiling, after which it counts as finished
+_EVERY_S = 15.0  # seconds between two lines
+_QUIET_S = 10.0  # seconds without compilation after which the report ends
 _OURS = __name__.partition(".")[0]
 
 
@@ -30,8 +30,7 @@ _OURS = __name__.partition(".")[0]
 def told_to(listener: Callable[[str], None]) -> Iterator[None]:
     """Call ``listener`` with the name of every kernel that this process compiles inside the block.
 
-    This replaces the progress report: the block writes nothing to standard error. It also starts no helper processes
-    for compiling.
+    This replaces the report: nothing is written to standard error. Inside the block no helper processes are started.
     """
     before, PROGRESS.listener = PROGRESS.listener, listener
     try:
@@ -41,33 +40,38 @@ def told_to(listener: Callable[[str], None]) -> Iterator[None]:
 
 
 def describe(compiled: int, seconds: float, total: int | None = None) -> str:
-    """Return the line of progress: kernels compiled, their total where it is known, and seconds."""
+    """Return a line of the report: number of compiled kernels, of how many if ``total`` is given, and seconds."""
     often = "in every process" if files.not_kept else "once per installation, about a minute on two cores"
     return f"compiling kernels: {compiled} {'so far' if total is None else f'of {total}'}, {seconds:.0f} s ({often})"
 
 
 def conclusion(compiled: int, seconds: float) -> str:
-    """Return the last line."""
+    """Return the last line of the report: number of compiled kernels and seconds."""
     return f"compiled {compiled} kernel{'' if compiled == 1 else 's'} in {seconds:.0f} s"
 
 
 class Progress(event.Listener):
-    """Report kernels that numba compiles, by its events; loading a kernel from disk causes none."""
+    """Report the kernels that numba compiles.
+
+    Numba sends an event per compiled function and none for loading from disk.
+    """
 
     def __init__(self) -> None:
         self.listener: Callable[[str], None] | None = None
         self.call_for_help: Callable[[], None] = lambda: None  # called when a kernel of this package is compiled
-        self._current: str | None = None  # the kernel in work; functions that it calls cause events too
+        # Name of the kernel being compiled; the functions that it calls cause events too.
+        self._current: str | None = None
         self._compiled: set[str] = set()
-        self._seconds, self._last = 0.0, 0.0  # spent so far, and when the last kernel was reported
-        self._stream: Any = None  # all lines go to the first stream: standard error may be replaced later
-        self._open = False  # the last line is still to come
-        self._silent = False  # another process reports
+        # Time spent on compilation so far in seconds, and time.monotonic() of the last compiled kernel.
+        self._seconds, self._last = 0.0, 0.0
+        self._stream: Any = None  # kept for all lines, because sys.stderr may be replaced later
+        self._open = False  # whether the report has begun and not ended
+        self._silent = False  # whether another process reports
         self._lock = threading.Lock()
 
     @contextmanager
     def around(self, name: str) -> Iterator[None]:
-        """Set the kernel that is compiled or loaded while the block runs; may be nested."""
+        """Set the name of the kernel that is compiled or loaded during the block; blocks may be nested."""
         outer, self._current, began = self._current, name, time.monotonic()
         try:
             yield
@@ -77,7 +81,7 @@ class Progress(event.Listener):
                 self._seconds += time.monotonic() - began
 
     def on_start(self, begun: event.Event) -> None:
-        """Report that numba compiles a kernel, or a function that it calls."""
+        """Handle numba's event that compilation of a kernel, or of a function that it calls, starts."""
         if self._current is None:  # a function of another package
             return
         if self.listener is None:
@@ -88,10 +92,13 @@ class Progress(event.Listener):
         self.report()
 
     def on_end(self, ended: event.Event) -> None:
-        """Do nothing: one event of a function is enough."""
+        """Do nothing. The event at the start of a compilation is sufficient."""
 
     def report(self) -> None:
-        """Report that the current kernel is compiled, here or by the process that this one waits for."""
+        """Count the current kernel as compiled, by this process or by another one for which this process waits.
+
+        The first call starts the report.
+        """
         assert self._current is not None
         self._compiled.add(self._current)
         self._last = time.monotonic()
@@ -120,7 +127,7 @@ class Progress(event.Listener):
                 write_line(self._stream, describe(len(self._compiled), self._seconds))
 
     def conclude(self) -> None:
-        """Write the last line, unless it was written."""
+        """Write the last line of the report, unless it has been written."""
         with self._lock:
             if self._open:
                 self._open = False

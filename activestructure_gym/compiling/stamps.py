@@ -1,9 +1,10 @@
-"""Compute the stamp of a kernel: one hash over the files that its machine code was made from.
+"""Compute the stamp of a kernel: one hash over all source files from which its machine code was compiled.
 
-numba builds into a kernel what its functions call and every constant that they read, from any file. So a stamp covers
-whole files: the kernel's own, each file that it imports, and in turn what those of them import that hold compiled code.
-An edit compiles the kernels of its file again, and those of the files that import it. Imports count if they begin a
-line, because a kernel cannot use a later import. Installed packages of others count by their versions (`files`).
+numba compiles the functions that a kernel calls, and every constant that they read, into the kernel. So a stamp covers
+whole files: the file of the kernel, every file that it imports, and in turn the imports of each of these files that
+contains compiled functions. An edit of a file recompiles its kernels and the kernels of all files that import it. Only
+imports at the beginning of a line count, because a kernel cannot use a later import. Installed packages are covered by
+their versions (`files`).
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from contextlib import suppress
 from functools import lru_cache
 from types import FunctionType
 
-_BEGAN = time.time()  # a file that has changed since then may differ from the code of this process
+_BEGAN = time.time()  # a file changed after this time may differ from the code loaded by this process
 _OURS = __name__.partition(".")[0]
 _ROOM = __name__.rpartition(".")[0]
 _COMMENT = re.compile(r"#.*")
 _IMPORT = re.compile(r"^(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|.*)|import\s+([\w.]+))", re.MULTILINE)
-_COMPILED = re.compile(r"\b(numba|njit|kernel|inline|intrinsic)\b")  # too many files are better than too few
+_COMPILED = re.compile(r"\b(numba|njit|kernel|inline|intrinsic)\b")  # an unnecessary file in a stamp is harmless
 
 
 def stamp_of(function: FunctionType) -> bytes | None:  # 32 bytes
-    """Return the stamp of a kernel; None if its machine code must not be kept.
+    """Return the stamp of a kernel; None if its machine code must not be kept on disk.
 
-    That is so if it has no file, if one of the files has changed since this process loaded it, or if the kernel reads
-    variables of an enclosing function, which are in no file.
+    Machine code must not be kept if the kernel has no source file or one of its files has changed since this process
+    loaded it. Nor if the kernel reads variables of an enclosing function, because these are in no file.
     """
     digests = [_read(file)[0] for file in sorted(files_of(function.__code__.co_filename, function.__module__))]
     return hashlib.sha256(b"".join(digests)).digest() if all(digests) and not function.__closure__ else None
@@ -39,7 +40,10 @@ def stamp_of(function: FunctionType) -> bytes | None:  # 32 bytes
 
 @lru_cache(None)
 def files_of(first: str, importer: str) -> set[str]:
-    """Return the source files that the kernels of a file depend on, where ``importer`` is its module."""
+    """Return the source files that the kernels of the file ``first`` depend on.
+
+    ``importer`` is the module of that file.
+    """
     packages, folder = {_OURS, importer.partition(".")[0]}, os.path.dirname(first)
     files, ahead = {first}, [(first, importer)]
     while ahead:
@@ -55,7 +59,7 @@ def files_of(first: str, importer: str) -> set[str]:
 
 
 def _modules(imports: list[tuple[str, ...]], importer: str) -> Iterator[str]:
-    """Yield the loaded modules that the imports of a module name."""
+    """Yield the names of the loaded modules among ``imports``, the import statements of the module ``importer``."""
     package = getattr(sys.modules.get(importer), "__package__", None) or ""
     for source, names, plain in imports:
         with suppress(ImportError):  # relative, in a file that was not imported
@@ -66,9 +70,9 @@ def _modules(imports: list[tuple[str, ...]], importer: str) -> Iterator[str]:
 
 @lru_cache(None)
 def _read(file: str) -> tuple[bytes, list[tuple[str, ...]], bool]:
-    """Return the digest of a file, its imports, and whether others depend on what it imports.
+    """Return the SHA-256 digest of a file, its import statements, and whether their files belong to the stamp too.
 
-    The digest is empty where there is no file or it has changed since this process began.
+    The digest is empty if the file does not exist or has changed since this process started.
     """
     try:
         with open(file, "rb") as source:

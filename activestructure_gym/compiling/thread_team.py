@@ -1,8 +1,8 @@
-"""Run one compiled kernel on a few worker threads together.
+"""Run one compiled kernel on several threads at once.
 
-Raw locks wake a worker in a few microseconds; a thread pool needs about 20, and OpenMP threads spin and break under
-fork. The kernels release the GIL and share their work by atomic tickets, so the team only has to call the same function
-once per thread.
+Raw locks wake a thread in a few microseconds; a thread pool needs about 20, and OpenMP threads wait actively and fail
+after a fork. Kernels release Python's global interpreter lock and divide their work by atomic counters. So the team
+only has to call the same function once per thread.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from collections.abc import Callable
 
 from activestructure_gym.cores import core_count
 
-MAX_THREADS = 8  # an image has too few tiles for more
-_LOAD_IS_FRESH_S = 1.0
-# time.monotonic() from which the load is read again, and whether the machine was crowded at the last reading
+MAX_THREADS = 8  # an image has too few tiles to occupy more
+_LOAD_IS_FRESH_S = 1.0  # seconds for which a reading of the system load is used
+# Time (time.monotonic()) at which the load is read again, and whether the machine was overloaded at the last reading.
 _crowded_until: tuple[float, bool] = (0.0, False)
 
 
 def default_threads() -> int:
-    """Return the number of threads for a kernel: the cores of this process, at most `MAX_THREADS`.
+    """Return the number of threads for a kernel: the cores available to this process, at most `MAX_THREADS`.
 
     ``OMP_NUM_THREADS`` can lower it. On an overloaded machine it is 1, because all threads wait for the slowest one.
-    Results do not depend on it.
+    The results of kernels do not depend on the number of threads.
     """
     cores = core_count()
     wish = os.environ.get("OMP_NUM_THREADS", "")
@@ -33,7 +33,7 @@ def default_threads() -> int:
 
 
 def _machine_is_crowded() -> bool:
-    """Return whether there were more than 1.5 runnable tasks per core over the last minute."""
+    """Return whether the average number of runnable tasks over the last minute was above 1.5 per core."""
     global _crowded_until
     if not hasattr(os, "getloadavg"):
         return False
@@ -59,14 +59,14 @@ class _Worker:
             kernel, arguments = self.job
             try:
                 kernel(*arguments)
-            except BaseException as error:  # handed to the caller by `run`
+            except BaseException as error:  # raised again by `run`
                 self.error = error
             self.job = None
             self.done.release()
 
 
 class ThreadTeam:
-    """Call a kernel on several threads at once, and return when all calls that began have returned.
+    """Call a kernel on several threads at once, and return when all started calls have returned.
 
     The kernel must complete its work with any number of threads.
     """
@@ -79,9 +79,9 @@ class ThreadTeam:
     def run(self, kernel: Callable, arguments: tuple, threads: int) -> None:
         """Call ``kernel(*arguments)`` on up to ``threads`` threads, including the calling one.
 
-        If another Python thread uses the team meanwhile, the calling thread works alone, with the same result.
+        If another Python thread is using the team, only the calling thread runs the kernel, with the same result.
         """
-        if self._process != os.getpid():  # threads do not survive a fork, nor does the state of their locks
+        if self._process != os.getpid():  # threads do not survive a fork, and the state of their locks is lost
             self._workers, self._process, self._busy = [], os.getpid(), _thread.allocate_lock()
         if threads <= 1 or not self._busy.acquire(blocking=False):
             kernel(*arguments)
@@ -97,8 +97,8 @@ class ThreadTeam:
             try:
                 kernel(*arguments)
             finally:
-                # A worker that has not started by now has nothing left to do. Its call is taken back, because a busy
-                # machine might start it late.
+                # The work is complete, so a worker that has not started is not needed. Its call is cancelled, because a
+                # busy machine might start it late.
                 called = [worker for worker in called if not worker.start.acquire(blocking=False)]
                 for worker in called:
                     worker.done.acquire()
@@ -108,7 +108,7 @@ class ThreadTeam:
                 if error is not None:
                     raise error
         finally:
-            if not consistent:  # after Ctrl-C the locks may be in any state; the next call gets new workers
+            if not consistent:  # after Ctrl-C the state of the locks is unknown; the next call gets new workers
                 self._workers = []
             self._busy.release()
 

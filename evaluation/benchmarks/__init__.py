@@ -1,1 +1,1 @@
-"""Measure speeds for `asg bench`, one module per part."""
+"""Measure speeds for ``asg bench``, with one module per benchmark."""

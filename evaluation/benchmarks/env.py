@@ -1,4 +1,4 @@
-"""Measure the steps per second of the environment in one and two processes, and the time of a step by stage."""
+"""Measure the environment's steps per second in one and in two processes, and the time of a step by stage."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
 SCENES = ("apartment?rooms=3",)
-FEATURES = ("pixel", "hole_area")  # default features of a learned policy
-STAGES = ("sensor", "volume", "mapping", "planes", "planning", "features")
+FEATURES = ("pixel", "hole_area")  # computed for every candidate, as by default for a learned policy
+STAGES = ("sensor", "volume", "mapping", "planes", "planning", "features")  # timed stages of a step
 
 
 @dataclass(frozen=True)
 class Round:
-    """Hold times, frames and stages of the steps of one process in one timed round, and the times of its resets."""
+    """Hold the measurements of one process in one timed round of environment steps."""
 
-    wall: np.ndarray  # [steps] seconds
-    processor: np.ndarray  # [steps] seconds
-    frames: int
-    keyframes: int
-    stages: dict[str, float]  # seconds of wall time
-    resets: np.ndarray  # [episodes] seconds of processor time
+    wall: np.ndarray  # [steps] wall time in seconds
+    processor: np.ndarray  # [steps] processor time in seconds
+    frames: int  # number of frames taken in all steps
+    keyframes: int  # number of frames that became keyframes
+    stages: dict[str, float]  # wall time in seconds by stage, summed over the steps
+    resets: np.ndarray  # [episodes] processor time of each reset in seconds
 
 
 def run_env_benchmark(
@@ -47,11 +47,17 @@ def run_env_benchmark(
     seed: int = 0,
     notify: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return rows of speed and rows of stages. One and two processes alternate, for ``rounds`` of ``seconds`` each.
+    """Measure the environment's speed, and return two lists: rows of speed, and rows of time by stage (`_profile`).
 
-    The action is the view with the most `hole_area` per frame, and every fourth action is random. Every process has one
-    thread. Steps per second are medians over the rounds, with minimum and maximum as ``range``. ``per_processor_s``
-    does not depend on the load by other programs.
+    One and two processes alternate for ``rounds`` rounds of ``seconds`` each; every process has one thread. The action
+    is the candidate view with the largest "hole_area", discounted by travel; every fourth action is random. A row of
+    speed holds, for a scene and a number of processes:
+
+    - ``steps_per_s``: median over the rounds, with ``range`` (minimum, maximum)
+    - ``per_processor_s``: steps per second of processor time, which hardly depends on the load by other programs
+    - ``times_one``: steps per second relative to one process, median over the rounds
+    - ``frames_per_step``, ``keyframes_per_step``: means
+    - ``reset_ms``: median processor time of a reset
     """
     speed, profile = [], []
     for scene in scenes:
@@ -86,7 +92,11 @@ def _per_second(parts: Sequence[Round]) -> float:
 
 
 def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
-    """Return processor ms per step and stage: the processor time of a step times the stage's share of wall time."""
+    """Return one row per stage of a step with its share of the wall time and its processor time in ms.
+
+    The processor time of a stage is the processor time of a step times the stage's share of the wall time. The row
+    "reward, encoding" is the time in none of `STAGES`; the row "step" is the whole step.
+    """
     steps = sum(len(part.wall) for part in parts)
     wall, processor = (float(sum(getattr(part, name).sum() for part in parts)) for name in ("wall", "processor"))
     spent = {stage: sum(part.stages.get(stage, 0.0) for part in parts) / wall for stage in STAGES}
@@ -99,7 +109,7 @@ def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
 
 
 class _Player:
-    """Hold a spawned process that plays timed rounds on request."""
+    """Control a spawned process that plays a timed round of the environment after each `begin`."""
 
     def __init__(self, scene: str, preset: Preset, overrides: dict[str, Any], seed: int) -> None:
         context = get_context("spawn")
@@ -115,7 +125,7 @@ class _Player:
         theirs.close()
 
     def __enter__(self) -> _Player:
-        answer = self._pipe.recv()  # sent after a first episode, which loads kernels and scene
+        answer = self._pipe.recv()  # waits for a first episode, which is not timed: it loads kernels and scene
         if isinstance(answer, InputError):
             raise answer
         return self
@@ -152,7 +162,7 @@ def _serve(pipe: Connection, scene: str, preset: Preset, overrides: dict[str, An
 
 
 class Episodes:
-    """Play timed episodes one after the other."""
+    """Play timed episodes of the environment one after the other; each starts with another seed."""
 
     def __init__(self, scene: str, preset: Preset, overrides: Mapping[str, Any], seed: int) -> None:
         from activestructure_gym.envs import ReconstructionEnv
@@ -163,7 +173,7 @@ class Episodes:
         self._seed, self._rng = seed, np.random.default_rng(seed)
 
     def episode(self, until: float = np.inf) -> Round:
-        """Play one episode, or its part until the time ``until`` of `time.perf_counter`."""
+        """Play and measure one episode; end it early when `time.perf_counter` reaches ``until`` (seconds)."""
         from activestructure_gym.policies import travel_discount
 
         began = time.process_time()
@@ -190,7 +200,7 @@ class Episodes:
         )  # fmt: skip
 
     def during(self, seconds: float) -> Round:
-        """Play episodes for ``seconds`` and return their sums."""
+        """Play episodes for ``seconds`` and return their measurements as one `Round`."""
         until, parts = time.perf_counter() + seconds, list[Round]()
         while not parts or time.perf_counter() < until:
             parts.append(self.episode(until))

@@ -1,8 +1,9 @@
-"""Measure the cost per decision of the keyframes' information, which should not grow with their number.
+"""Measure the time per decision that `KeyframeInformation` needs to update the Fisher information of all keyframes.
 
-The map is that of the rasteriser's workload W4: 50k Gaussians seeded in a furnished room. The keyframes look around in
-it at the image size of candidate scoring. Between two decisions some Gaussians are removed and equally many added, as
-in an episode. FisherRF's method is timed for comparison: it computes the information of all keyframes anew.
+The time should not grow with the number of keyframes. The map is that of the rasteriser benchmark's workload W4: 50,000
+Gaussians seeded in a furnished room. The keyframes are images of 80 x 60 pixels from inside the room. Between two
+decisions 200 Gaussians are removed and 200 added. FisherRF's method is timed for comparison: it computes the
+information of all keyframes again.
 """
 
 from __future__ import annotations
@@ -19,21 +20,26 @@ from activestructure_gym.geometry import se3_exp
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 
-CHECKPOINTS = (10, 20, 50, 100, 200)
-_CHANGED = 200  # Gaussians that are removed, and equally many added, between two decisions
+CHECKPOINTS = (10, 20, 50, 100, 200)  # numbers of keyframes
+_CHANGED = 200  # number of Gaussians that are removed and added between two decisions
 
 
 def run_information_benchmark(
     *,
-    checkpoints: Sequence[int] = CHECKPOINTS,  # rising numbers of keyframes
-    repeats: int = 9,
+    checkpoints: Sequence[int] = CHECKPOINTS,  # numbers of keyframes
+    repeats: int = 9,  # number of timed updates
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
-    """Return rows ``{keyframes, gaussians, decision_ms, low_ms, high_ms, all_ms, stored_mb}`` in processor ms.
+    """Return one row per number of keyframes; times are processor times in ms.
 
-    ``decision_ms`` is the median of `KeyframeInformation.update`, with quartiles ``low_ms`` and ``high_ms``.
-    ``all_ms`` is the time of all keyframes anew, ``stored_mb`` the memory of their shares. The numbers of keyframes
-    alternate, so that the load of the machine affects all of them.
+    A row holds:
+
+    - ``keyframes``, ``gaussians``: their numbers
+    - ``decision_ms``, ``low_ms``, ``high_ms``: median and quartiles of the time of `KeyframeInformation.update`
+    - ``all_ms``: time to compute the information of all keyframes again
+    - ``stored_mb``: memory of the stored information per keyframe, in MB
+
+    The numbers of keyframes alternate, so the load of the machine affects all of them alike.
     """
     work, rng = make_workload("W4"), np.random.default_rng(0)
     picture, depth = np.zeros((60, 80, 3), np.uint8), np.ones((60, 80), np.float32)

@@ -1,4 +1,4 @@
-"""Measure the frames per second of the sensor by ray casting and by pyrender on the same views."""
+"""Measure the frames per second of the RGB-D sensor when it renders the same views by ray casting and by pyrender."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.renderer import Renderer, make_renderer, renderer_status
 
-SIZES = ((160, 90), (320, 180), (640, 360))
+SIZES = ((160, 90), (320, 180), (640, 360))  # (width, height) in pixels
 
 
 def benchmark_views(scene: Scene, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
-    """Draw views of an agent: free positions 0.3 m off surfaces, any heading, pitch from 30 deg down to 15 deg up."""
+    """Draw ``count`` camera poses (world_from_camera) in the free space of a scene.
+
+    Positions are at least 0.3 m from surfaces; the heading is uniform, the pitch uniform from 30 deg down to 15 deg up.
+    """
     positions = ground_truth_of(scene).free_space.sample_positions(count, rng, min_clearance=0.3)
     heading, pitch = rng.uniform(-np.pi, np.pi, count), np.radians(rng.uniform(-30.0, 15.0, count))
     directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
@@ -31,11 +34,12 @@ def time_renderers(
     views: np.ndarray,  # [V, 4, 4] world_from_camera
     *,
     repeats: int,
-    supersample: int,
+    supersample: int,  # samples per pixel along each image axis
 ) -> np.ndarray:  # [R, repeats * V] seconds per frame
-    """Render every view ``repeats`` times with all renderers in turn, so that the machine's load affects all of them.
+    """Return the time of every frame when each of R renderers renders each view ``repeats`` times.
 
-    A first round is not timed, since it includes compilation and uploads.
+    The renderers alternate, so the load of the machine affects all of them alike. A first round is not timed, since it
+    includes compilation and uploads.
     """
     seconds = np.empty((len(renderers), repeats + 1, len(views)))
     for repeat in range(repeats + 1):
@@ -51,17 +55,18 @@ def time_renderers(
 def run_sensor_benchmark(
     scenes: Sequence[str | Scene],
     *,
-    sizes: Sequence[tuple[int, int]] = SIZES,  # (width, height)
-    repeats: int = 5,
-    views: int = 10,
-    supersample: int = 2,
+    sizes: Sequence[tuple[int, int]] = SIZES,  # (width, height) in pixels
+    repeats: int = 5,  # timed frames per view
+    views: int = 10,  # number of random views
+    supersample: int = 2,  # samples per pixel along each image axis
     seed: int = 0,
 ) -> list[dict[str, Any]]:
-    """Return one row per scene and size: frames per second of each renderer as median, 10th and 90th percentile.
+    """Return one row per scene and image size: median, 10th and 90th percentile of the frames per second.
 
-    ``ratio`` is the median over frames of pyrender's time divided by ray casting's (above 1: ray casting is faster).
-    If pyrender cannot run, its numbers are None and ``note`` gives the reason. Scenes are specs of `load_scene`; a
-    wrong one raises `InputError`.
+    ``raycast_fps`` and ``pyrender_fps`` are the medians. ``ratio`` is pyrender's time per frame divided by that of ray
+    casting, as the median over frames; above 1, ray casting is faster. If pyrender cannot run, its numbers are None and
+    ``note`` gives the reason. ``scenes`` are scenes or their names for `load_scene`; an unknown name raises
+    `InputError`.
     """
     from activestructure_gym.scenes.library import load_scene
 

@@ -1,8 +1,9 @@
-"""Render tiles in plain torch, as the baseline of the benchmark's ratios.
+"""Render Gaussians in plain torch, as the baseline of the rasteriser benchmark.
 
-It is optimised for a CPU: tiles of 8 pixels, opacity-aware boxes, and batches that fit the cache, of tiles with
-similar numbers of Gaussians. Transmittance is a sum of logarithms, which is a fifth faster than a product, whose
-derivative needs a division. The image equals that of the other backends.
+The code is optimised for a CPU. Tiles have 8 x 8 pixels. The box of a Gaussian depends on its opacity. A batch fits the
+cache and holds tiles with similar numbers of Gaussians. Transmittance is computed as a sum of logarithms, which is a
+fifth faster than a product, because the derivative of a product needs a division. The image equals that of the other
+backends.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ import torch
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, NEAR_PLANE, project_gaussians
 
-_TILE = 8  # pixels
-_PAIRS_AT_ONCE = 500_000
-_MIN_LOG = math.log(MIN_TRANSMITTANCE)
+_TILE = 8  # side of a tile in pixels
+_PAIRS_AT_ONCE = 500_000  # largest number of (pixel, Gaussian) pairs in a batch
+_MIN_LOG = math.log(MIN_TRANSMITTANCE)  # compositing ends below this logarithm of the transmittance
 
 
 def rasterize_torch_tiles(
-    means: torch.Tensor,  # [N, 3]
+    means: torch.Tensor,  # [N, 3] metres, world frame
     quaternions: torch.Tensor,  # [N, 4] wxyz
-    log_scales: torch.Tensor,  # [N, 3]
+    log_scales: torch.Tensor,  # [N, 3] logarithms of metres
     opacity_logits: torch.Tensor,  # [N]
     colors: torch.Tensor,  # [N, 3]
     camera_from_world: torch.Tensor,  # [4, 4]
@@ -31,7 +32,7 @@ def rasterize_torch_tiles(
     max_alpha: float = 0.999,
     with_color: bool = True,
 ) -> torch.Tensor:  # [H, W, 5] colour, accumulated depth, alpha; [H, W, 2] without colour
-    """Render one camera; gradients by autograd."""
+    """Render N Gaussians from one camera; the result is differentiable by autograd."""
     position, inverse, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
     opacity = torch.sigmoid(opacity_logits)
     tiles_x, tiles_y = -(-camera.width // _TILE), -(-camera.height // _TILE)
@@ -71,7 +72,11 @@ def rasterize_torch_tiles(
 
 
 def _entries(position, inverse, depth, opacity, tiles_x, tiles_y):
-    """Return the pairs (tile, Gaussian) whose boxes overlap, ordered by tile and within a tile by depth."""
+    """Return the tile index and the Gaussian index of every pair (tile, Gaussian) in which the Gaussian's box overlaps.
+
+    The pairs are ordered by tile, and within a tile by depth. ``position`` [N, 2] is in pixels, ``inverse`` [N, 3] has
+    the entries xx, xy, yy of the inverse image covariance, ``depth`` [N] is in metres, ``opacity`` [N] is in 0..1.
+    """
     with torch.no_grad():
         extent = 2.0 * torch.log((opacity / MIN_ALPHA).clamp_min(1e-30))
         determinant = inverse[:, 0] * inverse[:, 2] - inverse[:, 1] ** 2

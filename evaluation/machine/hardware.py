@@ -12,7 +12,7 @@ from pathlib import Path
 from activestructure_gym._version import __version__
 from activestructure_gym.cores import core_count
 
-_SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # folders whose code affects no number of a run
+_SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # folders whose code cannot change a number of a run
 
 # Packages whose version can change a number of a run, or how it is displayed.
 PACKAGES = (
@@ -35,7 +35,11 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package, Python and `PACKAGES`; "missing" for packages that are not installed."""
+    """Return the versions of this package, of Python and of each of `PACKAGES`, and the checksum of this package.
+
+    The keys are the names of the packages, "python", and "code" for `code_checksum`. The value of a package that is not
+    installed is "missing".
+    """
     found = {"activestructure-gym": __version__, "code": code_checksum(), "python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -47,9 +51,9 @@ def versions() -> dict[str, str]:
 
 @cache
 def code_checksum() -> str:
-    """Return the SHA-256 over names and contents of this package's Python files that can change a number.
+    """Return the SHA-256, as hex digits, over the names and contents of this package's Python files.
 
-    Code that only displays results (pages, pictures, the command line) is left out.
+    Folders that only display results or measure speed (`_SHOWING`) are left out, since they cannot change a number.
     """
     import activestructure_gym
 
@@ -65,7 +69,10 @@ def code_checksum() -> str:
 
 
 def hardware() -> dict[str, str | int]:
-    """Return processor, number of usable cores, memory and system; no host name and no user name."""
+    """Return the processor name, the number of usable cores, the memory in GiB, the system, and ``OMP_NUM_THREADS``.
+
+    The host name and the user name are left out on purpose.
+    """
     return {
         "processor": _processor(),
         "cores": core_count(),

@@ -1,4 +1,4 @@
-"""Query the processes of this machine: running or not, processor time, members of a session; and end a session."""
+"""Query the processes of this machine (running or not, processor time, members of a session), and end a session."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from functools import cache
 from pathlib import Path
 
 _DYING_S = 1.0  # seconds to wait for killed processes to end
-# Environment of a Python process whose output is read as text: UTF-8 regardless of the locale.
+# Environment variables for a Python process whose output this process reads as text: UTF-8 regardless of the locale.
 UTF_8 = {"PYTHONIOENCODING": "utf-8:backslashreplace"}
 
 
 @cache
 def machine_id() -> str:
-    """Return six hex digits that identify this machine within a cluster without showing its name."""
+    """Return six hex digits that identify this machine within a cluster: a hash of its host name."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 
 
 def processor_seconds() -> float:
-    """Return the processor seconds of this process and of all its descendants, running or ended.
+    """Return the user and system time in seconds of this process and of all its descendants, running or ended.
 
     Without ``/proc``, running descendants are not counted.
     """
@@ -33,8 +33,8 @@ def processor_seconds() -> float:
     spent: dict[int, float] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            # The name may contain blanks and brackets, so fields are counted after the last bracket. There field 0 is
-            # the state, 1 the parent, 11 to 14 the user and system time of the process and of its ended children.
+            # The process name may contain blanks and brackets, so fields are counted from the last bracket. Field 0 is
+            # the state, 1 the parent, 11 and 12 the user and system time in clock ticks, 13 and 14 of ended children.
             fields = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
             process = int(stat.parent.name)
             children.setdefault(int(fields[1]), []).append(process)
@@ -50,7 +50,7 @@ def processor_seconds() -> float:
 
 
 def is_alive(process: int) -> bool:
-    """Return whether a process of this machine is running."""
+    """Return whether a process with this id is running on this machine; on Windows, only this process counts."""
     if os.name != "posix":  # on Windows os.kill(process, 0) would end the process
         return process == os.getpid()
     try:
@@ -63,16 +63,16 @@ def is_alive(process: int) -> bool:
 
 
 def end_session(leader: int) -> list[str]:
-    """Kill all processes in the session of an ended process, and return their names.
+    """Kill all processes of the POSIX session that the process with the id ``leader`` has led until it ended.
 
-    Without ``/proc``, the leader's process group is killed and the list is empty. Daemons in a session of their own are
-    not found.
+    Return the killed processes as "name (id)". Without ``/proc``, the leader's process group is killed and the list is
+    empty. Daemons are not found if they have started a session of their own.
     """
     if os.name != "posix" or leader <= 1:
         return []
     ended: dict[int, str] = {}
     deadline = time.monotonic() + _DYING_S
-    while (found := session_members(leader)) and time.monotonic() < deadline:  # a process may fork before it is killed
+    while (found := session_members(leader)) and time.monotonic() < deadline:  # again, since a process may have forked
         ended |= found
         for process in found:
             with suppress(ProcessLookupError, PermissionError):
@@ -85,7 +85,10 @@ def end_session(leader: int) -> list[str]:
 
 
 def session_members(leader: int) -> dict[int, str]:
-    """Return the names of a session's running processes by id, without its leader; empty without ``/proc``."""
+    """Return {process id: name} of the running processes in the POSIX session of ``leader``, without ``leader``.
+
+    The result is empty on systems without ``/proc``.
+    """
     found = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError, ValueError, IndexError):  # the process has just ended

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 from rich.cells import cell_len, set_cell_size
 
-GAP = 2  # columns between two entries of a line
-_BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end after one of these; after the second set only if necessary
-_MIN_COLUMNS = 8  # if fewer columns remain for the last entry of a row, it is left out
+GAP = 2  # blanks between two columns of a table
+_BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end after a character of `_BREAKS`, and if necessary of `_WITHIN`
+_MIN_COLUMNS = 8  # characters; the last entry of a row is left out if less room remains for it
 
 
 def breaks(text: str, width: int) -> list[int]:
-    """Return the indices at which lines of at most ``width`` columns begin, the first 0.
+    """Return the indices in ``text`` at which lines of at most ``width`` terminal columns begin; the first is 0.
 
     A number is broken only if it is wider than a line.
     """
@@ -32,13 +32,16 @@ def breaks(text: str, width: int) -> list[int]:
 
 
 def folded(text: str, width: int) -> list[str]:
-    """Return ``text`` as lines of at most ``width`` columns."""
+    """Return ``text`` as a list of lines of at most ``width`` terminal columns."""
     starts = breaks(text, width)
     return [text[start:end].strip() for start, end in zip(starts, [*starts[1:], len(text)])]
 
 
 def shortened(text: str, width: int, ellipsis: str = "…") -> str:
-    """Return ``text``, shortened and with an ellipsis if it is wider than ``width`` columns."""
+    """Return ``text``, cut and ended by ``ellipsis`` if it is wider than ``width`` terminal columns.
+
+    The cut is never inside a number. The result is empty if ``width`` is less than the ellipsis.
+    """
     if cell_len(text) <= width:
         return text
     if width < len(ellipsis):
@@ -50,7 +53,7 @@ def shortened(text: str, width: int, ellipsis: str = "…") -> str:
 
 
 def longest_piece(text: str) -> int:
-    """Return the width in columns of the longest part of ``text`` between two places where a line may break."""
+    """Return the width, in terminal columns, of the widest part of ``text`` that cannot be broken into lines."""
     ends = [at for at in range(1, len(text)) if _may_break(text, at, _BREAKS + _WITHIN)]
     return max((cell_len(text[a:b].strip()) for a, b in zip([0, *ends], [*ends, len(text)])), default=0)
 
@@ -58,10 +61,11 @@ def longest_piece(text: str) -> int:
 def aligned(
     rows: Sequence[Sequence[str]], width: int | None, most: Sequence[int] = (), ellipsis: str = "…"
 ) -> Iterator[str]:
-    """Yield the rows as aligned columns; the last entry is shortened to ``width`` columns, unless that is None.
+    """Yield each row as a line of text in which the entries of all rows are aligned in columns.
 
-    ``most`` limits the width of each column; a wider entry moves the following ones to the right. If the other entries
-    fill the line, they are folded into several lines and the last entry is left out.
+    ``width`` is the width of the terminal in characters, None for no limit. The last entry of a row is shortened to
+    fit. If fewer than `_MIN_COLUMNS` characters remain for it, it is left out and the other entries are folded.
+    ``most`` limits the width of each column; a wider entry moves the following entries to the right.
     """
     wide = [max(map(cell_len, column)) for column in list(zip(*rows))[:-1]]
     wide = [min(size, *most[k : k + 1]) if k < len(most) else size for k, size in enumerate(wide)]
@@ -77,7 +81,7 @@ def aligned(
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """Yield the paragraphs and list items of a docstring, each as one line."""
+    """Yield the paragraphs and list items of a docstring, each joined to one line; empty lines stay."""
     lines: list[str] = []
     for line in [*text.splitlines(), ""]:
         if lines and (not line.strip() or line.lstrip().startswith("- ") or line.startswith("    ")):
@@ -90,7 +94,7 @@ def paragraphs(text: str) -> Iterator[str]:
 
 
 def _with_indent(line: str, width: int) -> Iterator[str]:
-    """Yield ``line`` folded to ``width`` columns, with its continuation lines indented."""
+    """Yield ``line`` folded to ``width`` terminal columns; the lines after the first are indented by `GAP` blanks."""
     first, *rest = folded(line, width)
     yield first
     for more in folded(" ".join(rest), width - GAP) if rest else ():
@@ -98,7 +102,7 @@ def _with_indent(line: str, width: int) -> Iterator[str]:
 
 
 def _may_break(text: str, at: int, behind: str = _BREAKS) -> bool:
-    """Return whether a line may end before index ``at``: after a separator that is not part of a number."""
+    """Return whether a line may end before index ``at``: after a character of ``behind`` that is not in a number."""
     if not 0 < at < len(text) or text[at - 1] not in behind or text[at] in behind:
         return False
     digits = text[at - 2 : at - 1].isdigit() and at > 1, text[at].isdigit()
@@ -106,7 +110,7 @@ def _may_break(text: str, at: int, behind: str = _BREAKS) -> bool:
 
 
 def _in_number(text: str, at: int) -> bool:
-    """Return whether the characters before and at index ``at`` belong to one number."""
+    """Return whether the characters at ``at`` - 1 and ``at`` belong to one number."""
     around = text[max(at - 2, 0) : at + 2]
     before, after = text[at - 1 : at], text[at : at + 1]
     digits = before.isdigit(), after.isdigit()

@@ -6,7 +6,7 @@ import os
 
 from activestructure_gym.cores import core_count
 
-# Each library reads its own variable once, when it is loaded.
+# Environment variables for the number of threads; OpenMP, MKL, OpenBLAS and numba read theirs once, when loaded.
 _COUNT_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -26,15 +26,15 @@ def set_passive_waiting() -> None:
 
 
 def worker_environment(slots: int) -> dict[str, str]:
-    """Return the environment for one of ``slots`` parallel processes, each with an equal share of the cores."""
+    """Return the environment variables for one of ``slots`` parallel processes, which share the cores equally."""
     return capped_environment(core_count() // max(1, slots))
 
 
 def capped_environment(threads: int) -> dict[str, str]:
-    """Return the environment for a process with this number of threads, at least 1."""
+    """Return this process's environment variables, changed for a process with ``threads`` threads, at least 1."""
     environment = dict(os.environ)
     environment.update({name: str(max(1, threads)) for name in _COUNT_VARIABLES})
     environment["OMP_WAIT_POLICY"] = "PASSIVE"
     environment["MPLBACKEND"] = "Agg"
-    environment["PYTHONSAFEPATH"] = "1"  # modules of the working directory do not come first, as in this process
+    environment["PYTHONSAFEPATH"] = "1"  # keeps the working directory out of sys.path, as in this process
     return environment

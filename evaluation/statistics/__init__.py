@@ -1,8 +1,8 @@
 """Compute statistics of repeated runs: aggregates, intervals, paired differences and curves.
 
-All functions are pure functions of numbers. A stratum is one scene, and its values are those of the scene's runs.
-Resampling keeps the scenes and draws the runs of each scene with replacement. Definitions: [rliable], with scenes for
-tasks and runs for seeds; percentile bootstrap of [efron1979].
+All functions are pure functions of numbers. The strata are the scenes: one array per scene, with one value per run.
+Resampling keeps the scenes and draws the runs of each scene with replacement. The definitions are of [rliable], with
+scenes in place of tasks and runs in place of seeds. The percentile bootstrap is of [efron1979].
 """
 
 from activestructure_gym.evaluation.statistics.aggregates import (

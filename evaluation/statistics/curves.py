@@ -1,4 +1,4 @@
-"""Compute convergence curves of runs on a common axis, their confidence band, and the area under a curve."""
+"""Interpolate convergence curves of runs on a common axis, and compute their confidence band and the area below."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
 from activestructure_gym.evaluation.statistics.resampling import interval, pooled, stratified_draws
 
-BAND_REPEATS = 1000  # resamples of a band; fewer than for numbers in a table, since a band is only drawn
+BAND_REPEATS = 1000  # bootstrap resamples of a band; fewer than for numbers in a table, since a band is only drawn
 
 
 def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P], [P], [G] -> [G]
-    """Interpolate a curve linearly at every position of ``axis``.
+    """Return the values of the curve (``x``, ``y``) at the positions ``axis``, by linear interpolation.
 
-    Before the first point the curve has the first value. After the last point it has the last value, since the map of a
+    Before the first point the curve has its first value. After the last point it has its last value, since the map of a
     finished episode does not change. Raise `ValueError` if there is no point or ``x`` does not increase strictly.
     """
     if len(x) < 1 or np.any(np.diff(x) <= 0):
@@ -24,9 +24,10 @@ def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P
 
 
 def area_under(x: np.ndarray, y: np.ndarray, budget: float) -> float:
-    """Return the area under a curve from 0 to ``budget``, divided by ``budget``: the mean height, in the units of y.
+    """Return the mean height of the curve (``x``, ``y``) from 0 to ``budget``, in the unit of ``y``.
 
-    Raise `ValueError` if the budget is not above 0.
+    This is the area under the curve divided by ``budget``, which has the unit of ``x``. Raise `ValueError` if
+    ``budget`` is not above 0.
     """
     if not budget > 0:
         raise ValueError(f"the budget must be above 0, got {budget}")
@@ -36,15 +37,15 @@ def area_under(x: np.ndarray, y: np.ndarray, budget: float) -> float:
 
 
 def curve_band(
-    strata: Sequence[np.ndarray],  # one [n, G] per scene: the curves of its runs on one axis
+    strata: Sequence[np.ndarray],  # one array [n, G] per scene: n runs, G positions on a common axis
     statistic: Statistic = mean,
     *,
     repeats: int = BAND_REPEATS,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:  # [G] each
-    """Return the statistic at every position of the axis, and the ends of its pointwise interval.
+    """Return ``statistic`` at every position of the axis, and the lower and upper ends of its pointwise 95 % interval.
 
-    The bootstrap draws whole runs, so a resample uses the same runs at every position. The ends are None if a scene has
-    a single run or ``repeats`` is 0.
+    The bootstrap draws whole runs, so a resample uses the same runs at every position. ``repeats`` is the number of
+    resamples. The ends are None if a scene has a single run or ``repeats`` is 0.
     """
     columns = [pooled([curves[:, place] for curves in strata]) for place in range(strata[0].shape[1])]
     values, sizes = np.stack([column for column, _ in columns]), columns[0][1]  # [G, N]

@@ -11,24 +11,25 @@ from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS,
 
 
 def win_share(ours: np.ndarray, theirs: np.ndarray, tie: float = 0.0) -> np.ndarray:  # [n], [m] -> [n, m]
-    """Return 1 for pairs in which ours is larger, 1/2 for equal ones and 0 otherwise.
+    """Compare each of n values with each of m values: 1 where the value in ``ours`` is larger, 1/2 where equal, else 0.
 
-    Two values are equal if they differ by at most ``tie``. The mean of the result is Mann and Whitney's U / (n m).
+    Two values are equal if they differ by at most ``tie``. The mean of the result is the U of Mann and Whitney divided
+    by n m.
     """
     difference = np.asarray(ours, np.float64)[:, None] - np.asarray(theirs, np.float64)[None, :]
     return 0.5 * (1.0 + np.where(np.abs(difference) > tie, np.sign(difference), 0.0))
 
 
 def probability_of_improvement(
-    ours: Sequence[np.ndarray],  # one [n] per scene; larger is better
-    theirs: Sequence[np.ndarray],  # one [m] per scene, the same scenes
+    ours: Sequence[np.ndarray],
+    theirs: Sequence[np.ndarray],
     *,
-    tie: float = 0.0,  # runs that differ by no more than this are equal
+    tie: float = 0.0,
     level: float = LEVEL,
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> Estimate:
-    """Return P(X > Y) + P(X = Y) / 2 for runs X of ours and Y of theirs on the same scene, averaged over scenes.
+    """Return P(X > Y) + P(X = Y) / 2 for a run X of ``ours`` and a run Y of ``theirs``, averaged over the scenes.
 
     This is rliable's ``probability_of_improvement``. For the interval, the runs of both policies are resampled
     independently within each scene. There is no interval if a scene has a single run of a policy.
@@ -36,11 +37,11 @@ def probability_of_improvement(
     Parameters
     ----------
     ours, theirs
-        One array of runs per scene, the same scenes; larger is better.
+        Values of the runs of two policies: one array per scene, in the same order of scenes. Larger is better.
     tie
         Runs that differ by no more than this are equal.
     level
-        Share of the resampled statistics inside the interval.
+        Confidence level of the interval: the share of the resampled statistics inside it.
     repeats
         Number of resamples.
     seed
@@ -84,7 +85,7 @@ def probability_of_improvement(
 
 @functools.lru_cache(maxsize=64)
 def _weights(sizes: tuple[int, ...], repeats: int, seed: int) -> tuple[np.ndarray, ...]:  # [R, n] each, read-only
-    """Return, for each sample of n runs, the share of each run in each of ``repeats`` resamples."""
+    """Return the share of each run in each of R = ``repeats`` resamples: one array [R, n] per entry n of ``sizes``."""
     rng = np.random.default_rng(seed)
     drawn = tuple(rng.multinomial(size, np.full(size, 1.0 / size), repeats) / size for size in sizes)
     for weights in drawn:

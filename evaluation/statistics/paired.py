@@ -1,4 +1,4 @@
-"""Compare two policies by paired runs: the same scene and seed, hence the same start, noise and candidates."""
+"""Compare two policies by pairs of runs with the same scene and seed, hence the same start, noise and candidates."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Cell = tuple[str, int]  # scene and seed
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Hold the aggregated difference of ours minus theirs, and the numbers of pairs by sign."""
+    """Hold the aggregate of the differences "ours minus theirs" of all pairs, and the number of pairs by sign."""
 
     difference: Estimate
     higher: int  # number of pairs in which ours is larger
-    equal: int
-    lower: int
+    equal: int  # number of pairs that differ by at most the tie
+    lower: int  # number of pairs in which ours is smaller
 
     @property
     def pairs(self) -> int:
-        """Return the number of pairs: cells that both policies have."""
+        """Return the number of pairs."""
         return self.higher + self.equal + self.lower
 
 
@@ -38,18 +38,20 @@ def paired_difference(
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> PairedDifference | None:
-    """Return the statistic of the differences over all common cells; pairs are resampled within each scene.
+    """Aggregate the differences "ours minus theirs" over all common cells; a cell is a scene and a seed.
+
+    For the interval, the pairs are resampled within each scene.
 
     Parameters
     ----------
     ours, theirs
-        A number per (scene, seed).
+        The value of each run of a policy, by cell (scene, seed).
     statistic
         Aggregate of the differences: `mean`, `median` or `interquartile_mean`.
     tie
         Pairs that differ by no more than this count as equal.
     level
-        Share of the resampled statistics inside the interval.
+        Confidence level of the interval: the share of the resampled statistics inside it.
     repeats
         Number of resamples.
     seed
@@ -58,7 +60,7 @@ def paired_difference(
     Returns
     -------
     PairedDifference or None
-        None if they have no cell in common. Cells that only one of them has are ignored.
+        None if there is no common cell. Cells of only one policy are ignored.
 
     Examples
     --------

@@ -10,7 +10,7 @@ import numpy as np
 
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
 
-LEVEL = 0.95
+LEVEL = 0.95  # confidence level of intervals
 REPEATS = 5000  # resamples; with another seed, an end of the interval moves by about 1 % of the interval's width
 
 
@@ -20,12 +20,12 @@ class Estimate:
 
     value: float
     low: float | None  # lower end of the interval; None if a scene has a single run
-    high: float | None
-    runs: int
+    high: float | None  # upper end of the interval; None if a scene has a single run
+    runs: int  # number of runs, over all scenes
 
     @property
     def has_interval(self) -> bool:
-        """Return whether there is an interval: every scene has at least two runs."""
+        """Return whether there is an interval, which needs at least two runs of every scene."""
         return self.low is not None and self.high is not None
 
     def excludes(self, value: float = 0.0) -> bool:
@@ -34,27 +34,27 @@ class Estimate:
 
 
 def estimate(
-    strata: Sequence[np.ndarray],  # one [n] per scene, n >= 1
+    strata: Sequence[np.ndarray],
     statistic: Statistic = mean,
     *,
     level: float = LEVEL,
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> Estimate:
-    """Return the statistic of all runs, with its percentile interval.
+    """Return a statistic of all runs with its interval, by the stratified percentile bootstrap.
 
     Equal ``strata`` give equal intervals. The draws depend only on the numbers of runs and on ``seed``, so different
-    metrics of the same runs are resampled in the same way. With few runs per scene the intervals are too narrow, by a
+    metrics of the same runs are resampled in the same way. With n runs per scene, the intervals are too narrow by a
     factor of about sqrt((n - 1) / n).
 
     Parameters
     ----------
     strata
-        One array [n] per scene, n at least 1.
+        One array [n] per scene, with the values of its n runs, n at least 1.
     statistic
         Aggregate of all runs: `mean`, `median` or `interquartile_mean`.
     level
-        Share of the resampled statistics inside the interval.
+        Confidence level of the interval: the share of the resampled statistics inside it.
     repeats
         Number of resamples.
     seed
@@ -86,12 +86,12 @@ def estimate(
 
 
 def interval(resampled: np.ndarray, level: float = LEVEL) -> np.ndarray:  # [..., R] -> [2, ...]
-    """Return the percentiles below and above which (1 - ``level``) / 2 of the resampled statistics are."""
+    """Return the ends of the central interval that holds the share ``level`` of R resampled statistics."""
     return np.percentile(resampled, [50 * (1 - level), 50 * (1 + level)], axis=-1)
 
 
 def pooled(strata: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Return all values [N], scene after scene, and the number of runs of each scene.
+    """Concatenate the values of all scenes to one array [N], and return it with the number of runs of each scene.
 
     Raise `ValueError` if there is no scene or a scene has no runs.
     """
@@ -103,9 +103,10 @@ def pooled(strata: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[int, ...]]:
 
 @functools.lru_cache(maxsize=64)
 def stratified_draws(sizes: tuple[int, ...], repeats: int, seed: int) -> np.ndarray:  # [R, N] int64, read-only
-    """Return one resample per row, as indices into the pooled values.
+    """Return R = ``repeats`` resamples, one per row, as indices into the N pooled values of all scenes.
 
-    Each scene's part of a row holds as many draws with replacement as the scene has runs.
+    ``sizes`` is the number of runs of each scene. The part of a row for a scene with n runs holds n of its runs, drawn
+    with replacement.
     """
     rng = np.random.default_rng(seed)
     starts = np.cumsum((0, *sizes[:-1]))

@@ -1,4 +1,4 @@
-"""Define the configuration of a training run; equal configurations train equal networks on one machine."""
+"""Define the configuration of a training run; on one machine, equal configurations train equal networks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WORLD_RANGES = {
     "episodes_per_layout": "[1, 100000]",
 }
 _RANGES = {
-    "seed": "[0, 4294967295]",  # range that all libraries accept
+    "seed": "[0, 4294967295]",  # the range of seeds that numpy and torch both accept
     **dict.fromkeys(("validation_layouts", "episodes"), "[1, 1000000]"),
     **dict.fromkeys(("validate_every", "epochs", "iterations", "ppo_epochs"), "[1, 10000000]"),
     **dict.fromkeys(("batch", "ppo_batch", "steps"), "[1, 1000000]"),
@@ -47,16 +47,16 @@ _RANGES = {
 class WorldConfig:
     """Hold the settings of the training episodes."""
 
-    layouts: int = 240  # procedural apartments; by GenNBV their number matters most
-    rooms: tuple[int, ...] = (1, 2, 3)  # rooms per layout, in turn
+    layouts: int = 240  # number of procedural apartments; GenNBV found that this number matters most
+    rooms: tuple[int, ...] = (1, 2, 3)  # numbers of rooms; consecutive layouts take them in turn
     preset: Preset = "fast"
-    frames: int | None = None  # frame budget; None = the preset's
-    overrides: tuple[tuple[str, Any], ...] = ()  # changes of the preset's fields
+    frames: int | None = None  # frame budget of an episode; None: that of the preset
+    overrides: tuple[tuple[str, Any], ...] = ()  # (field, value) pairs that replace fields of the preset
     features: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the network reads
-    max_planes: int = 64
-    noise: bool = True  # sensor noise, drawn anew in every episode
+    max_planes: int = 64  # rows of the plane table in an observation
+    noise: bool = True  # whether every episode draws its own sensor noise
     episodes_per_layout: int = 2  # consecutive episodes of the expert; in PPO an env has one layout per iteration
-    reward: Reward = "rate"
+    reward: Reward = "rate"  # see `learning_reward`
 
     def __post_init__(self) -> None:
         for name in ("rooms", "features"):
@@ -74,43 +74,43 @@ class WorldConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Hold the method, its world and its constants; raise `InputError` for wrong values."""
+    """Hold the learning method, the settings of its episodes and its constants; raise `InputError` for wrong values."""
 
     method: Method = "bc"
     seed: int = 0
     world: WorldConfig = field(default_factory=WorldConfig)
-    planes: int = 32  # this and the next three: see NetworkConfig
+    planes: int = 32  # ``planes`` to ``use_planes`` are fields of `NetworkConfig`
     candidates: int = 48
     rounds: int = 2
     use_planes: bool = True
-    validation_layouts: int = 36  # one episode on each
+    validation_layouts: int = 36  # number of layouts for validation, with one episode on each
     validate_every: int = 10  # epochs, or PPO iterations
     # Methods that learn from an expert:
-    teacher: str = ORACLE  # one of WITH_TRUTH, or the feature that a greedy expert maximises
+    teacher: str = ORACLE  # the expert: one of WITH_TRUTH, or a feature, for an expert that maximises it greedily
     episodes: int = 480  # episodes of the expert
-    explore: float = 0.25  # share of steps with a random action, so that states off the expert's path are in the data
-    # Temperature of the soft labels, relative to the best candidate's score. At 0.04 a view with 9/10 of the best score
-    # has a twelfth of its probability. PPO from such a checkpoint starts with these probabilities.
+    explore: float = 0.25  # share of random actions, so the data contain states that the expert does not reach itself
+    # Temperature of the soft labels, relative to the best candidate's score. At 0.04, a candidate with 0.9 of the best
+    # score has a twelfth of the best one's probability. PPO from such a checkpoint starts with these probabilities.
     temperature: float = 0.04
-    mirror: bool = True  # reflect half of the states, drawn anew in every epoch
+    mirror: bool = True  # in every epoch, reflect a random half of the states
     weight_decay: float = 1e-4
-    bins: int = 15  # bins of the ordinal targets (VIN-NBV)
+    bins: int = 15  # ranks of the ordinal targets, as in VIN-NBV
     epochs: int = 60
     batch: int = 64  # states
     # PPO; constants without a comment are from docs/notebook/groundwork.md, "Networks over candidates":
     iterations: int = 40
     envs: int = 8  # environments, each with one layout per iteration
-    steps: int = 128  # per env and iteration
+    steps: int = 128  # steps per env and iteration
     ppo_epochs: int = 4
-    ppo_batch: int = 256  # steps; gradients of small batches are mostly noise
-    gamma: float = 0.3  # nearly greedy, after Hestia: with more, later rewards are credited to the wrong view
+    ppo_batch: int = 256  # steps per batch; gradients of small batches are mostly noise
+    gamma: float = 0.3  # nearly greedy, as in Hestia: with a larger discount factor, wrong views get later rewards
     gae_lambda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003
     target_kl: float = 0.05
-    critic_first: int = 2  # first iterations, in which only the critic learns if PPO starts from a checkpoint
-    learning_rate: float | None = None  # None: 1e-3; for PPO 5e-5 from a checkpoint, else 3e-4
-    start: str | None = None  # checkpoint to start PPO from, with its checksum: FILE@1a2b3c4d
+    critic_first: int = 2  # first iterations of PPO from a checkpoint, in which only the critic learns
+    learning_rate: float | None = None  # None: 1e-3 for bc and rank, 5e-5 for PPO from a checkpoint, 3e-4 for other PPO
+    start: str | None = None  # checkpoint from which PPO starts, with its checksum: FILE@1a2b3c4d
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -124,7 +124,7 @@ class TrainingConfig:
         self._network(self.world.features)
 
     def network(self) -> NetworkConfig:
-        """Return the shape of the network, with an input for every column of its features."""
+        """Return the configuration of the network; a feature with several columns has one input per column."""
         return self._network(feature_columns(*self.world.features))
 
     def _network(self, features: tuple[str, ...]) -> NetworkConfig:
@@ -132,7 +132,7 @@ class TrainingConfig:
 
     @property
     def rate(self) -> float:
-        """Return the learning rate in use."""
+        """Return ``learning_rate``, or the default of the method if it is None."""
         if self.learning_rate is not None:
             return self.learning_rate
         return 1e-3 if self.method != "ppo" else 5e-5 if self.start else 3e-4
@@ -143,14 +143,14 @@ class TrainingConfig:
         return self.iterations if self.method == "ppo" else self.epochs
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the configuration as a dictionary for JSON."""
         content = dataclasses.asdict(self)
         content["world"]["overrides"] = dict(self.world.overrides)
         return content
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> TrainingConfig:
-        """Return the configuration that `as_dict` described; raise `InputError` for other content."""
+        """Return the configuration of a dictionary from `as_dict`; raise `InputError` for other content."""
         values = dict(content)
         world = values.pop("world", None)
         for part, kind, given in (("run", cls, values), ("world", WorldConfig, world)):
@@ -174,5 +174,5 @@ def _check_kinds(config: Any, *, texts: Sequence[str], flags: Sequence[str]) -> 
 
 
 def _fixed(value: Any) -> Any:
-    """Return lists as tuples, since JSON has no tuples."""
+    """Convert lists, also nested ones, to tuples; JSON turns tuples into lists."""
     return tuple(map(_fixed, value)) if isinstance(value, list | tuple) else value

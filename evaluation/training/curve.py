@@ -1,4 +1,4 @@
-"""Draw the log of a training run: training loss or reward, and validation score."""
+"""Draw the learning curves of a training run: the training loss or reward, and the validation score."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _VALIDATION = ("validation/normalised", "validation: 0 = random, 1 = oracle")
 
 
 def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | None:
-    """Return an SVG file with two charts of a run's log, or None if no row has a number to draw."""
+    """Return an SVG with two charts over the epochs or iterations: training loss or reward, and validation score.
+
+    ``rows`` are the lines of ``log.jsonl``. Return None if no row has a number to draw.
+    """
     unit = "iteration" if method == "ppo" else "epoch"
     charts, names = [], []
     for index, (key, label) in enumerate((_TRAINING.get(method, _LOSS), _VALIDATION)):
@@ -26,7 +29,7 @@ def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | N
             continue
         x, y = np.array(points, np.float64).T
         name = "validation" if key.startswith("validation/") else "training"
-        holds = (0.0, 1.0) if name == "validation" else ()  # a fixed range, or small changes look large
+        holds = (0.0, 1.0) if name == "validation" else ()  # the axis always shows 0 and 1, so small changes look small
         line = Line(name, index, x, y)
         charts.append(line_chart([line], title=f"{method}: {label}", x_label=unit, y_label=label, y_includes=holds))
         names.append(name)

@@ -1,7 +1,7 @@
-"""Collect and load demonstrations: episodes of an expert with its scores of every candidate in every state.
+"""Collect and load demonstrations: episodes of an expert, with its scores of all candidates in every state.
 
-The methods bc and rank learn from them. There is one file per layout, written atomically, so that collecting can be
-resumed. The content of a file depends only on the configuration and the file's number.
+The methods bc and rank learn from demonstrations. Each file holds the episodes on one layout. A file is written
+atomically, so collecting can be resumed. Its content depends only on the configuration and the file's number.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ _DESCRIPTION = "demonstrations.json"
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Hold states in the order of their visit, episode after episode."""
+    """Hold the N states of all episodes, in the order in which the expert visited them."""
 
-    observations: dict[str, np.ndarray]  # every entry of USED_KEYS, [N, ...]
-    scores: np.ndarray  # [N, K] scores of the expert, at least 0; 0 in rows without a candidate
+    observations: dict[str, np.ndarray]  # one array [N, ...] per entry of USED_KEYS
+    scores: np.ndarray  # [N, K] expert's scores of K candidates, at least 0; 0 in rows without a candidate
     rewards: np.ndarray  # [N] reward of the step from this state
     ends: np.ndarray  # [N] bool: the last state of its episode
 
@@ -53,7 +53,7 @@ class Demonstrations:
         return len(self.scores)
 
     def returns(self, gamma: float) -> np.ndarray:  # [N]
-        """Return the discounted sums of rewards to the end of each episode."""
+        """Return, for every state, the discounted sum of the rewards from it to the end of its episode."""
         result, following = np.zeros(len(self.rewards)), 0.0
         for n in range(len(self.rewards) - 1, -1, -1):
             following = self.rewards[n] + gamma * (0.0 if self.ends[n] else following)
@@ -62,7 +62,7 @@ class Demonstrations:
 
 
 def description(config: TrainingConfig) -> dict[str, Any]:
-    """Return the settings that the demonstrations depend on."""
+    """Return the settings of a training run on which its demonstrations depend."""
     whole = config.as_dict()
     return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
 
@@ -70,10 +70,10 @@ def description(config: TrainingConfig) -> dict[str, Any]:
 def collect(
     config: TrainingConfig, directory: Path, *, workers: int = 1, notify: Callable[[int, int], None] = lambda *_: None
 ) -> int:
-    """Write the missing files of ``directory`` and return their number.
+    """Play the episodes whose files ``directory`` lacks, write these files, and return their number.
 
-    ``notify`` is called with the numbers of existing files and of all files. Raises `InputError` if the directory holds
-    demonstrations of other settings.
+    ``workers`` is the number of processes. ``notify`` is called with the number of existing files and the number of all
+    files. Raise `InputError` if the directory holds demonstrations of other settings.
     """
     directory.mkdir(parents=True, exist_ok=True)
     check_description(config, directory)
@@ -101,7 +101,7 @@ def check_description(config: TrainingConfig, directory: Path) -> None:
 
 
 def load(config: TrainingConfig, directory: Path) -> Demonstrations:
-    """Load all files; raise `InputError` if a file is missing or made with other settings."""
+    """Load all demonstrations; raise `InputError` if a file is missing, damaged or of other settings."""
     check_description(config, directory)
     numbers = range(-(-config.episodes // config.world.episodes_per_layout))
     missing = [number for number in numbers if not _file(directory, number).is_file()]
@@ -116,7 +116,7 @@ def load(config: TrainingConfig, directory: Path) -> Demonstrations:
 
 
 def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
-    """Return the arrays of a file; raise `InputError` if `record` cannot have written them."""
+    """Return the arrays of a file by name; raise `InputError` if their names, shapes or types are wrong."""
     try:
         arrays = read_npz(file)
         check_arrays(arrays, _layout(config))
@@ -128,7 +128,7 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
-    """Return the schema of a file's arrays: N states, K rows of candidates, and ``max_planes`` planes."""
+    """Return the expected shapes and types of a file's arrays, for N states and K rows of candidates."""
     planes, features, columns = config.world.max_planes, len(config.network().features), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
         "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_COLUMNS)),
@@ -142,7 +142,7 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
-    """Play the expert's episodes on one layout and return the arrays of file ``number``."""
+    """Play the episodes of file ``number``, which are on one layout, and return the file's arrays by name."""
     world = config.world
     extra = () if config.teacher in WITH_TRUTH else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.features, *extra))

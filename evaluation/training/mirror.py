@@ -1,4 +1,4 @@
-"""Augment data by reflection: views have the same values in an observation and in its mirror image."""
+"""Augment training data by reflection: a candidate has the same score in an observation and in its mirror image."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 
 
 def mirrored(observation: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
-    """Reflect the states selected by ``which`` [B] bool in the plane y = 0 of the world; return all B states.
+    """Reflect the states with ``which`` [B] true in the world's plane y = 0, and return all B states.
 
-    The image's x axis is reflected too, so that the camera keeps a proper rotation: S R diag(-1, 1, 1) with
-    S = diag(1, -1, 1), whose quaternion is (z, y, x, w) of R's (w, x, y, z). In the camera's heading frame every y
-    changes its sign. Features, costs and visibility do not change.
+    The image's x axis is reflected too, so the camera keeps a proper rotation: R becomes S R diag(-1, 1, 1) with
+    S = diag(1, -1, 1), and its quaternion (w, x, y, z) becomes (z, y, x, w). In the camera's heading frame, every y
+    coordinate changes its sign. Features, costs and visibility do not change.
     """
     result, flip = dict(observation), which[:, None]
     pose = observation["pose"]

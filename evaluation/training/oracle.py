@@ -1,7 +1,7 @@
-"""Compute the one-step oracle: the unseen surface that every candidate would show, from ground truth.
+"""Compute the one-step oracle: from ground truth, the surface that every candidate view would show for the first time.
 
-It gives labels for training, and an upper bound for one-step planners. Since it reads ground truth, it is not
-registered as a policy, and no observation contains its results.
+The oracle gives labels for training, and an upper bound for planners that look one step ahead. Since it reads ground
+truth, it is not registered as a policy, and no observation contains its results.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from activestructure_gym.policies import travel_discount
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.candidates import Candidates
 
-_SAMPLES = 4000  # evenly spread samples of the observable surface; 4 samples are a thousandth of it
-_SIGHT_MARGIN = 2e-3  # metres before a sample at which a ray ends, as for the observable surface itself
-_NOTHING = 1e-6  # below this score the nearest candidate is chosen
+_SAMPLES = 4000  # number of evenly spread sample points on the observable surface
+_SIGHT_MARGIN = 2e-3  # metres; a visibility ray ends this far before its sample, as for the observable surface itself
+_NOTHING = 1e-6  # if no score is above this, the nearest candidate is chosen
 
 
 def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observable surface, 0 in empty rows
-    """Return the share of the observable surface that a view from each candidate would show for the first time.
+    """Return the share of the observable surface that the view of each of K candidates would show for the first time.
 
-    Views on the path to the candidate are not counted. Visibility is exact and has no sensor noise. Changes no state.
+    Views on the path to the candidate are not counted. Visibility is exact, without sensor noise. The environment is
+    not changed.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     poses = reconstruction.candidates.world_from_camera
@@ -51,9 +52,10 @@ def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observ
 
 
 def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per frame, 0 in empty rows
-    """Return the share of the observable surface that the keyframes on the path to each candidate add, per frame.
+    """Return, for each of K candidates, the share of the surface that the path to it would newly show, per frame.
 
-    The path is planned in the current volume, and its last keyframe is the candidate. Changes no state.
+    The path is planned in the current volume. All keyframes on it are counted; the last one is the candidate. The
+    environment is not changed.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     sensor, found = reconstruction.config.sensor, np.zeros(env.action_space.n)
@@ -69,7 +71,7 @@ def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per
 
 
 def _unseen(env: ReconstructionEnv) -> tuple[np.ndarray, int]:  # [U, 3]
-    """Return the samples of the observable surface that no keyframe has seen, and the number of all samples."""
+    """Return the surface samples [U, 3] (metres, world) that no keyframe has seen, and the number of all samples."""
     coverage = env.coverage
     step = max(1, len(coverage.points) // _SAMPLES)
     sampled = np.asarray(coverage.points[::step], np.float64)
@@ -77,10 +79,10 @@ def _unseen(env: ReconstructionEnv) -> tuple[np.ndarray, int]:  # [U, 3]
 
 
 def expert_scores(teacher: str, env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K] >= 0
-    """Return an expert's scores of all candidates; 0 in rows without a candidate.
+    """Return an expert's scores of all K candidates; 0 in rows without a candidate.
 
-    For "oracle-way" the score is the true new surface along the path, per frame. For "oracle" it is the true new
-    surface of the view, and for the name of a feature that feature, times the travel discount of all greedy planners.
+    ``teacher`` names the expert. "oracle-way" scores by `newly_seen_per_frame`. "oracle" scores by `newly_seen` times
+    the travel discount of all greedy planners. The name of a feature scores by that feature times the travel discount.
     """
     if teacher == ORACLE_WAY:
         return newly_seen_per_frame(env)
@@ -91,7 +93,7 @@ def expert_scores(teacher: str, env: ReconstructionEnv, observation: dict[str, n
 
 
 def discounted(gain: np.ndarray, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K] >= 0
-    """Return the gain times the travel discount; 0 in rows without a candidate."""
+    """Multiply the gains [K] of the candidates by their travel discounts; 0 in rows without a candidate."""
     return np.maximum(gain, 0.0) * travel_discount(observation) * Candidates(observation).valid
 
 
@@ -101,5 +103,5 @@ def expert_choice(scores: np.ndarray, observation: dict[str, np.ndarray]) -> int
 
 
 def oracle_greedy(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
-    """Return the choice of the reference policy: the "oracle" expert's best candidate."""
+    """Return the row of the candidate that the "oracle" expert chooses; this is the reference policy."""
     return expert_choice(expert_scores(ORACLE, env, observation), observation)

@@ -1,4 +1,4 @@
-"""Spread calls over spawned processes of one thread each, which end with this process."""
+"""Distribute function calls over spawned processes with one thread each, which end when this process ends."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 
 def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
-    """Make all calls in ``workers`` processes, or in this one if ``workers`` is 1; yield the number of finished calls.
+    """Call ``function`` with every tuple of arguments in ``calls``, and yield the number of finished calls after each.
 
-    The first error, or Ctrl-C, ends all processes at once and is raised; calls must write their files atomically.
+    The calls run in ``workers`` processes, or in this process if ``workers`` is 1. The first error, or Ctrl-C, ends all
+    processes at once and is raised. Therefore ``function`` must write its files atomically.
     """
     if workers <= 1 or len(calls) <= 1:
         for done, call in enumerate(calls, start=1):
@@ -27,7 +28,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             yield done
         return
     with single_threaded_children():
-        # A child forked from a process that used threads of numba or torch would hang, so processes are spawned.
+        # Spawned, not forked: a fork of a process that has used threads of numba or torch would hang.
         pool = ProcessPoolExecutor(min(workers, len(calls)), get_context("spawn"), initializer=follow_parent)
         try:
             waiting = [pool.submit(function, *call) for call in calls]
@@ -39,7 +40,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
                 "a worker process was killed, perhaps because memory ran out: use fewer --workers"
             ) from error
         except BaseException:
-            # Calls in the pool's queue cannot be cancelled, so its processes are ended.
+            # Calls that are in the pool's queue already cannot be cancelled, so the processes are ended.
             for process in list(pool._processes.values()):  # public only from Python 3.14 on
                 process.terminate()
             raise
@@ -49,7 +50,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
 
 @contextmanager
 def single_threaded_children() -> Iterator[None]:
-    """Set the environment so that processes started in the block use one thread each."""
+    """Set environment variables during the ``with`` block by which processes started in it use one thread each."""
     before = dict(os.environ)
     os.environ.update(capped_environment(1))
     try:
@@ -60,16 +61,16 @@ def single_threaded_children() -> Iterator[None]:
 
 
 def one_thread() -> None:
-    """Limit OpenCV to one thread in this process; it reads no environment variable."""
+    """Limit OpenCV to one thread in this process; no environment variable does this."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def follow_parent() -> None:
-    """End this process when its parent ends, and leave Ctrl-C to the parent.
+    """Prepare a worker process: end it when its parent ends, ignore Ctrl-C, and use one thread in OpenCV.
 
-    The pool itself does not notice a killed parent, since its workers keep its pipes open.
+    The pool does not detect a killed parent, since the workers keep its pipes open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
@@ -80,4 +81,4 @@ def follow_parent() -> None:
 
 def _end_with(parent: Any) -> None:
     parent.join()
-    os._exit(1)  # without cleaning up
+    os._exit(1)  # at once: sys.exit would end only this thread

@@ -1,8 +1,9 @@
-"""Train with PPO of stable-baselines3, in iterations that depend only on the seed, their number and the weights.
+"""Train with PPO of stable-baselines3, in iterations that can be repeated exactly.
 
-Every iteration begins with new episodes, each env on a layout of its own; every layout is used once before any is used
-again. A running episode cannot be saved, and with new episodes it need not be: a killed run loses one iteration, which
-is repeated exactly. The cost is one unfinished episode per env and iteration.
+An iteration depends only on the seed, its number, and the weights and optimiser state before it. It begins with new
+episodes, because a running episode cannot be saved. So a killed run loses one iteration, which is repeated exactly. The
+cost is one unfinished episode per env and iteration. In an iteration each env has its own layout. The layouts are used
+in turn.
 """
 
 from __future__ import annotations
@@ -38,21 +39,21 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 
 
 def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
-    """Return the envs in this process, or each in its own spawned process; both give equal results."""
-    # A child forked from a process that used threads of numba or torch would hang, so processes are spawned.
+    """Make a vector of environments, in this process or each in its own spawned process; both give equal results."""
+    # Spawned, not forked: a fork of a process that has used threads of numba or torch would hang.
     if processes:
         return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method="spawn")
     return DummyVecEnv(list(makers))
 
 
 def in_its_own_process(make: MakeEnv) -> gym.Env[Any, Any]:
-    """Return the env, in a process that ignores Ctrl-C, which its parent handles."""
+    """Make an environment in a worker process, with one thread; Ctrl-C is ignored, since the parent handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return on_one_thread(make)
 
 
 def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
-    """Return the env, after limiting this process to one thread."""
+    """Limit OpenCV to one thread in this process, then make an environment."""
     one_thread()
     return make()
 
@@ -60,7 +61,10 @@ def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
 def train_ppo(
     config: TrainingConfig, envs: VecEnv, run: TrainingRun, validate: Validate, notify: Notify = lambda *_: None
 ) -> CandidateNetwork:
-    """Train from the run's position to the last iteration; return the network."""
+    """Train a network by PPO from the first unfinished iteration of ``run`` to the last, and return the network.
+
+    ``validate`` scores a network, and ``notify`` is called with the number of finished iterations and the log row.
+    """
     torch.manual_seed(config.seed)
     model = PPO(
         CandidatePolicy,
@@ -86,7 +90,7 @@ def train_ppo(
         from activestructure_gym.policies.learned import learned_from
 
         policy.begin_from(learned_from(config.start).checkpoint)
-        # The start checkpoint is validated too: fine-tuning replaces it only by a better one.
+        # The start checkpoint is validated too, so the best checkpoint is never worse than it.
         run.timing.switch("validating")
         row = dict(validate(policy.network))
         run.begin_with(row, policy.network)
@@ -116,7 +120,7 @@ def train_ppo(
 
 
 class _Watch(BaseCallback):
-    """Switch the stopwatch from collecting to updating at the end of a rollout."""
+    """Switch the stopwatch of a run from "collecting" to "updating" when PPO has collected its steps."""
 
     def __init__(self, timing: Timing) -> None:
         super().__init__()
@@ -130,7 +134,10 @@ class _Watch(BaseCallback):
 
 
 def _seed_everything(seed: int, iteration: int, envs: VecEnv) -> None:
-    """Seed the envs and the global generators: stable-baselines3 draws actions by torch and batches by numpy."""
+    """Seed the envs and the global generators of Python, numpy and torch for one iteration.
+
+    stable-baselines3 draws actions by torch and batches by numpy.
+    """
     one, two, three, four = (int(n) for n in np.random.SeedSequence([seed, iteration]).generate_state(4))
     random.seed(one)
     np.random.seed(two)  # noqa: NPY002
@@ -144,7 +151,7 @@ def _let_learn(network: CandidateNetwork, *, critic_only: bool) -> None:
 
 
 def _row(model: PPO) -> dict[str, float]:
-    """Return the numbers that stable-baselines3 logs, and the rewards of the iteration."""
+    """Return the log row of an iteration: the training statistics of stable-baselines3, and mean rewards."""
     row = {name: float(value) for name, value in model.logger.name_to_value.items() if name.startswith("train/")}
     model.logger.name_to_value.clear()
     rewards, starts = model.rollout_buffer.rewards, model.rollout_buffer.episode_starts
@@ -156,7 +163,11 @@ def _row(model: PPO) -> dict[str, float]:
 
 
 def whole_episodes(rewards: np.ndarray, starts: np.ndarray) -> tuple[float, float] | None:  # both [steps, envs]
-    """Return mean reward and steps of the episodes that ended in the iteration, or None if none ended."""
+    """Return the mean reward and the mean number of steps of the episodes that are followed by another one.
+
+    ``rewards`` and ``starts`` [steps, envs] are of one iteration; ``starts`` is 1 at the first step of an episode.
+    Return None if there is no such episode.
+    """
     totals, lengths = list[float](), list[int]()
     for earned, begins in zip(rewards.T, starts.T):
         bounds = np.flatnonzero(begins)

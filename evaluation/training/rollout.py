@@ -1,4 +1,4 @@
-"""Play one episode of a policy or the oracle and compute the area under its coverage curve; no map is measured."""
+"""Play one episode of a policy or the oracle, and compute the area under its coverage curve."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from activestructure_gym.evaluation.training.training_env import make_env
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies import Policy
 
-Choose = Callable[[ReconstructionEnv, dict[str, np.ndarray]], int]
+Choose = Callable[[ReconstructionEnv, dict[str, np.ndarray]], int]  # (environment, observation) -> row of a candidate
 
 
 @dataclass(frozen=True)
 class Played:
-    """Hold the coverage curve of an episode over the frames spent."""
+    """Hold the coverage of an episode as a curve over the number of frames taken."""
 
-    frames: tuple[int, ...]  # frames spent after the start and after every step
-    coverage: tuple[float, ...]  # share of the observable surface, 0..1
-    budget: int
+    frames: tuple[int, ...]  # number of frames taken so far, at the start and after every step
+    coverage: tuple[float, ...]  # share of the observable surface that is seen, 0..1, at the same times
+    budget: int  # frame budget of the episode
 
     @property
     def auc(self) -> float:
@@ -33,7 +33,10 @@ class Played:
 
 
 def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None = None) -> Played:
-    """Play one whole episode from the pose ``start`` [4, 4], or from a pose drawn by ``seed``."""
+    """Play one whole episode with the actions of ``choose``, and return its coverage curve.
+
+    It begins at the pose ``start`` [4, 4] (world_from_camera), or at a pose drawn by ``seed``.
+    """
     observation, info = env.reset(seed=seed, options=None if start is None else {"start_pose": start})
     frames, coverage = [int(info["frames"])], [env.coverage.share]
     ended = not observation["action_mask"].any()
@@ -48,7 +51,7 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | 
 def play_policy(
     world: WorldConfig, truth: GroundTruth, policy: Policy, seed: int, start: np.ndarray | None = None
 ) -> Played:
-    """Play one episode of a policy, without sensor noise."""
+    """Play one episode of ``policy`` in the scene ``truth``, without noise; ``seed`` and ``start`` are as in `play`."""
     env = make_env(world, truth, features=policy.required_features)
     policy.bind(env.config.features)
     policy.reset(seed)
@@ -56,15 +59,15 @@ def play_policy(
 
 
 def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:
-    """Play one episode of the one-step oracle."""
+    """Play one episode of the one-step oracle in the scene ``truth``; ``seed`` and ``start`` are as in `play`."""
     return _closed(make_env(world, truth, features=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:
-    """Return (mean - mean of random) / (mean of oracle - mean of random): 0 is random, 1 is the one-step oracle.
+    """Normalise the mean of ``values`` such that the mean of random choice is 0 and that of the one-step oracle is 1.
 
-    It is a ratio of means over the same episodes, since the denominator of a single episode may be almost 0. It is NaN
-    if the means of the two references are equal.
+    The arguments are scores of the same episodes. The means are normalised instead of each score, since the references
+    may be almost equal in a single episode. The result is NaN if the means of the references are equal.
     """
     floor, ceiling = float(np.mean(random)), float(np.mean(oracle))
     return (float(np.mean(values)) - floor) / (ceiling - floor) if ceiling != floor else float("nan")

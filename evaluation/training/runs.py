@@ -1,10 +1,10 @@
-"""Read and write the directory of a training run.
+"""Read and write the directory of a training run. A unit is an epoch, or for PPO an iteration.
 
 - ``config.json``: configuration, versions and machine
-- ``state.safetensors``: weights, optimiser and position; replaced atomically
+- ``state.safetensors``: weights, optimiser and number of finished units; replaced atomically
 - ``best.safetensors``, ``best.json``: checkpoint with the best validation score, loaded by `learned:DIRECTORY`
 - ``last.safetensors``, ``last.json``: checkpoint of the last unit, written at the end
-- ``log.jsonl``: one line per unit (epoch or PPO iteration), without times; unit 0 is the start of PPO
+- ``log.jsonl``: one line per unit, without times; unit 0 is the checkpoint from which PPO started
 - ``curve.svg``: chart of the log
 - ``timing.json``: seconds of each part of the run, and the machine
 - ``tensorboard/``: the log for TensorBoard, if it is installed
@@ -12,7 +12,7 @@
 - ``references.json``: scores of random and the oracle on the validation layouts
 
 The random numbers of a unit depend only on the seed and the unit's number. Its log line is written before its state.
-Therefore a run that was killed and resumed ends with the same weights and the same log as an uninterrupted run.
+Therefore a killed and resumed run ends with the same weights and the same log as an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -49,17 +49,20 @@ LOG = "log.jsonl"
 CURVE = "curve.svg"
 TIMING = "timing.json"
 BEST, LAST = "best.safetensors", "last.safetensors"
-SCORE = "validation/auc"  # number that selects the best checkpoint
-_META = "training"
+SCORE = "validation/auc"  # entry of a log row by which the best checkpoint is chosen
+_META = "training"  # metadata entry of the state file: position, best score and facts as JSON
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # state of Adam and AdamW per parameter
-_MAX_STATE_BYTES = 3 * MAX_WEIGHT_BYTES  # bytes: the weights and two moments of each
+_MAX_STATE_BYTES = 3 * MAX_WEIGHT_BYTES  # largest state file: the weights, and two moments per weight
 _BEGIN_AGAIN = "begin the run again in another --out"
 _ROW = table({"unit": number(0, whole=True)}, others=maybe(number()))
 _STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number()), "facts": table()})
 
 
 def read_config(directory: Path) -> TrainingConfig:
-    """Return the configuration of a run; raise `InputError` if it is missing, damaged, or names code without trust."""
+    """Read the configuration of the training run in ``directory``.
+
+    Raise `InputError` if it is missing or damaged, or if it names a plugin whose code the user has not trusted.
+    """
     file = directory / CONFIG
     if not file.exists():
         raise InputError(f"'{directory}' holds no training run to go on with: it has no {CONFIG}")
@@ -76,14 +79,17 @@ def read_config(directory: Path) -> TrainingConfig:
 
 
 class TrainingRun:
-    """Open the directory of a new or a stopped run. The caller must hold the lock of the directory meanwhile."""
+    """Open the directory of a new or a stopped training run, and write its files.
+
+    The caller must hold the directory's lock while the object is in use.
+    """
 
     def __init__(self, directory: Path, config: TrainingConfig) -> None:
         directory.mkdir(parents=True, exist_ok=True)
         refuse_links(directory, _TENSORBOARD)
         self.directory, self.config = directory, config
-        self.position = 0  # finished units
-        self.best: float | None = None
+        self.position = 0  # number of finished units
+        self.best: float | None = None  # best validation score so far
         self.facts: dict[str, Any] = {}  # further counters of the method
         self._tensors: dict[str, torch.Tensor] = {}
         if (directory / CONFIG).is_file():
@@ -103,7 +109,10 @@ class TrainingRun:
         return self._tensors
 
     def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
-        """Load the saved state into module and optimiser; raise `InputError` if it does not fit them."""
+        """Load the saved weights into ``module`` and the saved moments into ``optimizer``.
+
+        Raise `InputError` if their names or shapes do not fit.
+        """
         weights = {name.removeprefix("module."): v for name, v in self._tensors.items() if name.startswith("module.")}
         expected = {name: value.shape for name, value in module.state_dict().items()}
         if {name: value.shape for name, value in weights.items()} != expected:
@@ -134,29 +143,32 @@ class TrainingRun:
     def finish_unit(
         self, row: Mapping[str, float], network: CandidateNetwork, tensors: Mapping[str, torch.Tensor], **facts: Any
     ) -> None:
-        """Log a unit, keep its checkpoint if it is the best, and save the state."""
+        """Log the unit that has just ended, write its checkpoint if it is the best, and save the state.
+
+        ``row`` is its line of the log, and ``tensors`` are the weights and the state of the optimiser.
+        """
         self.keep_if_best(row, network, self.position + 1)
         self.position += 1
         self._log(row)
-        if self.ended:  # before the state: a run whose state is saved as ended has this checkpoint
+        if self.ended:  # written before the state, so a run whose state says that it has ended has this checkpoint
             self._checkpoint(LAST, row, network, self.position)
         self._save(tensors, facts)
         self.timing.save()
 
     def begin_with(self, row: Mapping[str, float], network: CandidateNetwork) -> None:
-        """Log the network that the first unit starts from, and keep it as a checkpoint."""
+        """Log the network from which PPO starts as unit 0, and write it as the best checkpoint so far."""
         self.keep_if_best(row, network, 0)
         self._log(row)
 
     def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
-        """Write the best checkpoint if ``row`` has a validation score above the best so far."""
+        """Write the network as the best checkpoint if ``row`` has a validation score above the best so far."""
         score = row.get(SCORE)
         if score is not None and (self.best is None or score > self.best):
             self.best = score
             self._checkpoint(BEST, row, network, position)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows of the log."""
+        """Return the rows of the log, one per unit."""
         file = self.directory / LOG
         if not file.is_file():
             return []
@@ -200,7 +212,7 @@ class TrainingRun:
         self._replace(STATE, save(self._tensors, {_META: json.dumps(meta)}))
 
     def _replace(self, name: str, content: bytes) -> None:
-        """Write a file atomically."""
+        """Write ``content`` atomically to the file ``name`` of the directory."""
         with replaced(self.directory / name, durable=True) as file:
             file.write(content)
 
@@ -225,7 +237,7 @@ class TrainingRun:
         return InputError(f"'{self.directory / STATE}' is damaged: {reason}; {_BEGIN_AGAIN}")
 
     def _cut_log(self) -> None:
-        """Remove the lines of units whose state was not saved; these units are repeated."""
+        """Remove the log lines of units after the last saved state, since these units are repeated."""
         if not (self.directory / LOG).is_file():
             return
         kept = [row for row in self.rows() if row["unit"] <= self.position] if self.position else []
@@ -233,20 +245,20 @@ class TrainingRun:
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """Return the moments and counters of an optimiser under flat names, for a safetensors file."""
+    """Return the state of an optimiser as tensors with names such as "optimizer.3.exp_avg", for a safetensors file."""
     state = optimizer.state_dict()["state"]
     return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
 
 
 def module_tensors(module: torch.nn.Module) -> dict[str, torch.Tensor]:
-    """Return copies of a module's weights under flat names."""
+    """Return copies of a module's weights, with names such as "module.critic.bias", for a safetensors file."""
     return {f"module.{name}": value.detach().clone() for name, value in module.state_dict().items()}
 
 
 def _tensorboard_writer(directory: Path, done: int) -> Any:
-    """Return TensorBoard's writer, or None if it is not installed; the log has the same numbers.
+    """Return TensorBoard's writer for ``directory``, or None if TensorBoard is not installed.
 
-    Rows after the first ``done`` units are purged, since these units are repeated.
+    Its numbers are also in the log. Rows after the first ``done`` units are removed, since these units are repeated.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter

@@ -1,7 +1,7 @@
-"""Score policies by coverage on test layouts and on any scenes, normalised between random and the oracle.
+"""Score policies by the area under the coverage curve, on test layouts and on any scenes.
 
-Maps are not measured, in contrast to `asg compare`. Every policy plays the same episodes, so intervals are of paired
-differences.
+The area is normalised: 0 is the mean of random choice, 1 that of the one-step oracle. Maps are not measured, in
+contrast to `asg compare`. All policies play the same episodes, so their differences are paired.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from activestructure_gym.evaluation.training.process_pool import spread
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth
 
-RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references: 0 and 1 of the normalised area
+RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references, with the normalised area 0 and 1
 LAYOUTS = "held-out layouts"
 _EPISODES = "episodes"
 RECORD = "score.json"
@@ -45,34 +45,38 @@ _AGAIN, _ELSEWHERE = "delete it, and the episode is played again", "choose anoth
 class Cell:
     """Define one episode, which every policy plays."""
 
-    scene: str
+    scene: str  # name for `load_scene`
     seed: int
-    group: str  # group of episodes with a common mean
-    start: int | None = None  # number of the start, see `start_pose`; None: drawn by the seed
+    group: str  # the test layouts, or a scene; scores are averaged over a group
+    start: int | None = None  # number of the start pose, see `start_pose`; None: drawn by the seed
 
     @property
     def file(self) -> str:
-        """Return the name of the file with the results."""
-        mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # different scene files may have the same label
+        """Return the name of the file that holds all policies' results of the episode."""
+        mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # since different scenes may have the same label
         start = "" if self.start is None else f"--start{self.start}"
         return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}{start}.json"
 
 
 @dataclass(frozen=True)
 class Row:
-    """Hold the scores of a policy in a group of episodes."""
+    """Hold the scores of a policy over a group of episodes."""
 
     policy: str
     group: str
-    episodes: int
-    auc: float  # mean coverage over the frame budget, %
-    normalised: Estimate
-    leads: tuple[Estimate | None, ...] = ()  # normalised, difference from each baseline; None for the baseline itself
+    episodes: int  # number of episodes
+    auc: float  # area under the coverage curve, as the mean coverage over the frame budget, in %
+    normalised: Estimate  # the area, where random choice is 0 and the oracle is 1
+    leads: tuple[Estimate | None, ...] = ()  # normalised area minus each baseline's; None for the baseline itself
     starts: int = 0  # number of different pairs of scene and start pose
 
 
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
-    """Return one episode per test layout, and one per scene and seed; the n-th seed has the scene's n-th start."""
+    """Define the episodes: one per test layout, and one per scene and seed.
+
+    ``layouts`` is the number of test layouts, and ``rooms`` the numbers of rooms that they take in turn. The n-th seed
+    begins at the n-th start pose of a scene. Raise `InputError` if there is no episode.
+    """
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
     labels = scene_labels(dict.fromkeys(scenes, ""))
     for spec in scenes:
@@ -84,14 +88,18 @@ def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequ
 
 def play_cells(
     world: WorldConfig,
-    policies: Sequence[str],  # names by `canonical_policy`
+    policies: Sequence[str],  # names in the form that `canonical_policy` returns
     todo: Sequence[Cell],
     directory: Path,
     *,
     workers: int = 1,
     notify: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
-    """Play the episodes that ``directory`` lacks; an episode is written after all policies have played it."""
+    """Play the episodes ``todo`` whose results ``directory`` lacks, in ``workers`` processes.
+
+    An episode's file is written after all policies have played it. ``notify`` is called with the number of finished
+    episodes and the number of all. Raise `InputError` if the directory holds results of other conditions.
+    """
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
     conditions |= {"starts": "in turn", "version": __version__}
@@ -110,7 +118,7 @@ def play_cells(
 
 
 def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_from_camera
-    """Return a scene's start poses in turn; each further round is turned left by 90 degrees.
+    """Return start pose ``number`` of a scene; numbers beyond its start poses repeat them, turned left by 90 degrees.
 
     Poses drawn by seed would repeat: 20 episodes would begin at about 12 of a scene's 16 start poses.
     """
@@ -123,7 +131,11 @@ def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_fro
 
 
 def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], baselines: Sequence[str] = ()) -> list[Row]:
-    """Return one row per group and policy, including the references."""
+    """Return one row per group of episodes and policy, including random choice and the oracle.
+
+    ``played`` are episodes whose results are in ``directory``. ``baselines`` are the policies that `Row.leads` compares
+    with.
+    """
     rows = []
     for group in dict.fromkeys(cell.group for cell in played):
         own = [cell for cell in played if cell.group == group]
@@ -150,14 +162,14 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
 
 
 def headings(rows: Sequence[Row], baselines: Sequence[str] = ()) -> list[str]:
-    """Return the headings of the table's columns."""
+    """Return the column headings of the table of ``rows``; each baseline has a column of differences."""
     short = short_policies([row.policy for row in rows])
     names = [short.get(baseline, baseline) for baseline in baselines]
     return ["episodes on", "policy", "n", "starts", "AUC (%)", "normalised", *(f"minus {name}" for name in names)]
 
 
 def entries(rows: Sequence[Row]) -> list[list[str]]:
-    """Return the rows of the table as texts."""
+    """Return the cells of the table as texts, row by row."""
     short = short_policies([row.policy for row in rows])
     lines = []
     for row in rows:
@@ -167,7 +179,7 @@ def entries(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
-    """Return the table as Markdown."""
+    """Return the table of ``rows`` as Markdown."""
     head = [escaped(heading) for heading in headings(rows, baselines)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for group, policy, *others in entries(rows):
@@ -177,7 +189,7 @@ def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
 
 
 def words(estimate: Estimate | None) -> str:
-    """Format an estimate with its interval."""
+    """Format an estimate with three decimals and its interval: "0.512 [0.480, 0.544]"; None gives an empty text."""
     if estimate is None:
         return ""
     if not estimate.has_interval:
@@ -186,7 +198,7 @@ def words(estimate: Estimate | None) -> str:
 
 
 def short_policy(spec: str) -> str:
-    """Shorten the path of a checkpoint to its last two parts; return other names unchanged."""
+    """Shorten the path in ``learned:PATH@CHECKSUM`` to its last two parts; return other names of policies unchanged."""
     family, colon, place = spec.partition(":")
     if family != "learned" or not colon:
         return spec
@@ -194,7 +206,7 @@ def short_policy(spec: str) -> str:
 
 
 def short_policies(specs: Sequence[str]) -> dict[str, str]:
-    """Return distinct short names of policies; equal short paths get the checksum of the checkpoint appended."""
+    """Return a short name for each policy; the checksum of a checkpoint is appended if two short names are equal."""
     short = {spec: short_policy(spec) for spec in specs}
     names = list(short.values())
     return {
@@ -217,11 +229,11 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     return Estimate(value, float(low), float(high), runs)
 
 
-_loaded: dict[str, GroundTruth] = {}  # cache of the last scene in this process
+_loaded: dict[str, GroundTruth] = {}  # the scene that this process loaded last, by name
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
-    """Play one episode by every policy whose result is missing, and write the results."""
+    """Play one episode with every policy whose result is missing, and write the results to ``directory``."""
     from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy

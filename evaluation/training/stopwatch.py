@@ -1,4 +1,4 @@
-"""Measure the seconds of a training run and write ``timing.json``; no other file of a run holds times."""
+"""Measure the time of each part of a training run, and write ``timing.json``; no other file of a run holds times."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _CHECK = table({
 
 
 class Timing:
-    """Add up the seconds of the parts of a run, over all its sittings.
+    """Add up the wall time and the processor time of each part of a training run, over all its sittings.
 
-    Processor seconds are those of this process and all its descendants.
+    A sitting lasts from a start of the run to its end or its interruption. Processor time includes all descendants of
+    this process. All times are in seconds.
     """
 
     def __init__(self, file: Path) -> None:
@@ -31,14 +32,14 @@ class Timing:
         try:
             found = read_json(file, _CHECK)
             self._parts = {name: dict(values) for name, values in found["parts"].items()}
-        except InputError:  # missing or damaged; times are not results
+        except InputError:  # missing or damaged: begin from 0, since times are not results
             found, self._parts = {}, {}
         self._sittings = int(found.get("sittings", 0)) + 1
         self._part: str | None = None
         self._began = (0.0, 0.0)
 
     def switch(self, part: str | None) -> None:
-        """Count the time from now on for ``part``: collecting, updating or validating; None stops the watch."""
+        """Add the time from now on to ``part``: "collecting", "updating" or "validating"; None stops the watch."""
         at = time.monotonic(), processor_seconds()
         if self._part is not None:
             values = self._parts.setdefault(self._part, {"wall_s": 0.0, "processor_s": 0.0})
@@ -47,12 +48,12 @@ class Timing:
         self._part, self._began = part, at
 
     def count(self, part: str, steps: int) -> None:
-        """Add environment steps, or states that were learnt from, to the count of ``part``."""
+        """Add ``steps`` (environment steps, or states used for training) to the count of ``part``."""
         values = self._parts.setdefault(part, {"wall_s": 0.0, "processor_s": 0.0})
         values["steps"] = int(values.get("steps", 0)) + steps
 
     def save(self) -> None:
-        """Write the file, without stopping the watch."""
+        """Write the times to the file, without stopping the watch."""
         self.switch(self._part)
         parts = {}
         for name, values in self._parts.items():

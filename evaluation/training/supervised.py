@@ -1,4 +1,4 @@
-"""Learn from an expert: behaviour cloning with soft labels, and ranking with ordinal targets."""
+"""Train on demonstrations of an expert: behaviour cloning with soft labels, or ranking with ordinal targets."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from activestructure_gym.evaluation.training.runs import (
 from activestructure_gym.evaluation.training.targets import bin_edges, ordinal, soft_labels, standardised
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
 
-Validate = Callable[[CandidateNetwork], Mapping[str, float]]
-Notify = Callable[[int, Mapping[str, float]], None]
+Validate = Callable[[CandidateNetwork], Mapping[str, float]]  # scores a network; returns entries of a log row
+Notify = Callable[[int, Mapping[str, float]], None]  # called with the number of finished units and the log row
 
-_CRITIC_WEIGHT = 0.5  # weight of the squared value error, whose gradients reach only the critic
+_CRITIC_WEIGHT = 0.5  # weight of the critic's squared error in the loss; its gradients reach only the critic
 
 
 class OrdinalRanks(nn.Module):
-    """Compute CORAL's loss: one score and a threshold b_k per border of ranks, P(rank > k) = sigmoid(score + b_k).
+    """Compute the CORAL loss of ordinal ranks ([cao2020]): P(rank > k) = sigmoid(score + b_k) with thresholds b_k.
 
-    The probabilities are in the order of the ranks, since all borders share one score ([cao2020]).
+    Since all thresholds share one score, P(rank > k) falls with k once the thresholds do.
     """
 
     def __init__(self, bins: int) -> None:
         super().__init__()
-        # A score of 0 gives the probabilities of bins with equal mass.
+        # With these thresholds, a score of 0 gives every rank the same probability.
         above = 1.0 - torch.arange(1, bins) / bins
         self.thresholds = nn.Parameter(torch.log(above / (1.0 - above)))  # [bins - 1]
 
     def forward(self, scores: Tensor, ranks: Tensor) -> Tensor:  # [M], [M] int64 -> scalar
-        """Return the mean over the scores of the summed binary cross-entropies of all borders."""
+        """Return the loss of M scores and their ranks: cross-entropy, summed over thresholds, averaged over scores."""
         above = (ranks[:, None] > torch.arange(len(self.thresholds))).to(scores.dtype)
         logits = scores[:, None] + self.thresholds
         return functional.binary_cross_entropy_with_logits(logits, above, reduction="none").sum(1).mean()
@@ -50,7 +50,10 @@ class OrdinalRanks(nn.Module):
 def train_supervised(
     config: TrainingConfig, data: Demonstrations, run: TrainingRun, validate: Validate, notify: Notify = lambda *_: None
 ) -> CandidateNetwork:
-    """Train from the run's position to the last epoch; return the network."""
+    """Train a network on ``data`` from the first unfinished epoch of ``run`` to the last, and return the network.
+
+    ``validate`` scores a network, and ``notify`` is called with the number of finished epochs and the log row.
+    """
     torch.manual_seed(config.seed)
     model = nn.ModuleDict({"network": CandidateNetwork(config.network())})
     if config.method == "rank":

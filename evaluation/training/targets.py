@@ -1,4 +1,4 @@
-"""Compute training targets from the scores of an expert: probabilities, or ordinal ranks."""
+"""Compute training targets from an expert's scores of N states x K candidates: probabilities, or ordinal ranks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import numpy as np
 
 
 def soft_labels(scores: np.ndarray, valid: np.ndarray, temperature: float) -> np.ndarray:  # [N, K] x2 -> [N, K]
-    """Return softmax(score / (largest score x temperature)) over the valid candidates; equal if all scores are 0."""
+    """Return softmax(score / (largest score x temperature)) over the valid candidates of each state.
+
+    The probabilities of a state are equal if all its scores are 0. Invalid candidates have the probability 0.
+    """
     scores = np.where(valid, scores, -np.inf)
     most = np.maximum(scores.max(axis=1, keepdims=True), 0.0)
     with np.errstate(invalid="ignore"):
@@ -16,9 +19,9 @@ def soft_labels(scores: np.ndarray, valid: np.ndarray, temperature: float) -> np
 
 
 def standardised(scores: np.ndarray, valid: np.ndarray) -> np.ndarray:  # [N, K] x2 -> [N, K]
-    """Return z-scores over the valid candidates of each state; 0 if all scores are equal.
+    """Return the z-scores over the valid candidates of each state; 0 for invalid ones, and if all scores are equal.
 
-    Scores fall during an episode, and only their order within a state matters (VIN-NBV).
+    Standardising per state removes the decrease of scores during an episode (VIN-NBV).
     """
     count = valid.sum(axis=1, keepdims=True)
     mean = np.where(valid, scores, 0.0).sum(axis=1, keepdims=True) / count
@@ -29,10 +32,10 @@ def standardised(scores: np.ndarray, valid: np.ndarray) -> np.ndarray:  # [N, K]
 
 
 def bin_edges(values: np.ndarray, bins: int) -> np.ndarray:  # [V] -> [bins - 1], rising
-    """Return the borders between bins of equal mass; borders coincide if many values are equal."""
+    """Return the borders that divide ``values`` into bins of equal counts; borders coincide for many equal values."""
     return np.quantile(values, np.arange(1, bins) / bins)
 
 
 def ordinal(values: np.ndarray, edges: np.ndarray) -> np.ndarray:  # any shape -> the same, int64 in 0 .. len(edges)
-    """Return the number of borders below each value."""
+    """Return the ordinal rank of each value: the number of borders ``edges`` below it."""
     return np.searchsorted(edges, values, side="left").astype(np.int64)

@@ -1,4 +1,4 @@
-"""Define the training environment, which draws layout, start pose and sensor noise from the seed of an episode."""
+"""Define the training environment, which draws the layout, the start pose and the sensor noise of an episode."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.scenes import load_scene
 
-_PERFECT_SHARE = 0.3  # share of episodes without sensor noise, as in comparisons
-_DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
-_NOISE_RANGE = (0.5, 2.0)  # multiples of a Kinect's noise
-_RATE_FRAMES = 5.0  # frames; constant of the common travel discount 1 / (1 + frames / 5)
-# Features that do not depend on colours.
-_COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")
-_SURFACE_SAMPLES = 12_000  # samples of a layout's surface, a quarter of the default, for a quarter of the time
-STARTS = 16  # start poses without a candidate before another layout is drawn
+_PERFECT_SHARE = 0.3  # share of episodes without sensor noise; comparisons have none
+_DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")  # settings drawn by `draw_noise`
+_NOISE_RANGE = (0.5, 2.0)  # multiples of the Kinect depth noise
+_RATE_FRAMES = 5.0  # frames; constant of the travel discount 1 / (1 + frames / 5) of all greedy planners
+_COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")  # independent of colours
+_SURFACE_SAMPLES = 12_000  # sample points on a layout's surface: a quarter of the default, for a quarter of the time
+STARTS = 16  # number of start poses without a candidate after which another layout is drawn
 
 
 def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> ReconstructionConfig:
-    """Return the configuration of episodes without noise, with ``features`` or by default the world's."""
+    """Return the configuration of training episodes without sensor noise.
+
+    ``features`` replaces the features of ``world``. Raise `InputError` if the overrides of ``world`` set the features,
+    or set noise that every episode draws.
+    """
     changes: dict[str, Any] = {"features": tuple(world.features if features is None else features)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
     if world.noise and drawn:
@@ -45,10 +48,9 @@ def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> R
 
 
 def sees_colour(config: ReconstructionConfig) -> bool:
-    """Return whether observation or reward of a learned policy depend on the colours of the scene.
+    """Return whether the observations or rewards of a learned policy depend on the colours of the scene.
 
-    Map optimisation, tracking and revisits, which are chosen by the rendering error of keyframes, use colours. Some
-    features do as well.
+    Map optimisation, tracking, revisits and some features use colours. (Revisits are chosen by rendering errors.)
     """
     mapper = config.mapper
     optimised = mapper.iterations > 0 or mapper.tracking.iterations > 0 or config.views.max_revisits > 0
@@ -58,12 +60,12 @@ def sees_colour(config: ReconstructionConfig) -> bool:
 def learning_layouts(
     world: WorldConfig, use: str, count: int, features: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """Return the layouts for ``use``, without light and textures if nothing depends on colours."""
+    """Return the names of ``count`` layouts for ``use``; they have no light and textures if `sees_colour` is false."""
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, features)))
 
 
 def learning_truth(spec: str) -> GroundTruth:
-    """Load a layout with fewer surface samples than in a comparison."""
+    """Load the layout ``spec`` with `_SURFACE_SAMPLES` sample points, fewer than in a comparison."""
     return GroundTruth(load_scene(spec), _SURFACE_SAMPLES)
 
 
@@ -74,10 +76,11 @@ def make_env(
     features: Sequence[str] | None = None,
     noise: dict[str, Any] | None = None,
 ) -> ReconstructionEnv:
-    """Make the environment of one scene. An episode never ends at a coverage, which is ground truth.
+    """Make the environment of one scene; ``noise`` is a result of `draw_noise`, or None for no sensor noise.
 
-    Coverage is computed without sensor noise. At 6 m and twice a Kinect's noise the depth error is as large as the
-    tolerance of the reward, and repeated views would be rewarded as new surface.
+    An episode never ends at a given coverage, since coverage is ground truth. The reward's coverage is computed without
+    sensor noise. Otherwise repeated views would be rewarded as new surface: at 6 m and twice the Kinect's noise, the
+    depth error is as large as the reward's tolerance.
     """
     config = replaced(world_config(world, features), {"sensor": noise or {}})
     return ReconstructionEnv(
@@ -86,7 +89,7 @@ def make_env(
 
 
 def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the fields of the sensor's configuration for one episode."""
+    """Draw the sensor noise of one episode, as fields of the sensor's configuration."""
     perfect, multiplier, holes = rng.random() < _PERFECT_SHARE, rng.uniform(*_NOISE_RANGE), rng.random() < 0.5
     if perfect:
         return {"depth_noise": "none"}
@@ -94,21 +97,21 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env_reward: float) -> float:
-    """Return the reward of a step for PPO.
+    """Return the reward of one step for PPO.
 
     Parameters
     ----------
     kind
-        "rate": 20 share / (1 + frames / 5), the score of greedy planners, suited to a short horizon. "auc": 20 share
+        "rate": 20 share / (1 + frames / 5), like the score of greedy planners, for a short horizon. "auc": 20 share
         left, whose sum over an episode is 20 times the area under the curve of gained coverage. "env": ``env_reward``.
     share
-        Share of the surface that the step saw for the first time, 0..1.
+        Share of the surface that the step showed for the first time, 0..1.
     frames
-        Frames that the step took.
+        Number of frames of the step.
     left
-        Mean share of the frame budget that was left during the step, 0..1.
+        Share of the frame budget that is left, 0..1, as the mean of before and after the step.
     env_reward
-        Reward of the environment, which counts metres instead of frames.
+        Reward of the environment, whose cost is in metres instead of frames.
     """
     if kind == "rate":
         return 20.0 * share / (1.0 + frames / _RATE_FRAMES)
@@ -118,11 +121,11 @@ def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env
 
 
 class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
-    """Play episodes on random layouts, with the observation entries that a learned policy reads.
+    """Play training episodes on random layouts; observations hold only the entries that a learned policy reads.
 
-    A reset with a seed draws a new layout, or takes the layout of ``options={"layout": number}``. Resets without a seed
-    keep the layout, since building one takes as long as several episodes. The end of the frame budget terminates an
-    episode, since the budget is part of the observation.
+    A reset with a seed draws a new layout, or takes layout n of ``options={"layout": n}``. A reset without a seed keeps
+    the layout, since building one takes as long as several episodes. An episode whose frame budget ends counts as
+    terminated and not as truncated, since the budget is part of the observation.
     """
 
     observation_space: spaces.Dict
@@ -140,13 +143,13 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode."""
+        """Begin an episode; ``seed`` and ``options`` choose the layout as described above."""
         super().reset(seed=seed)
         observation: dict[str, np.ndarray] = {}
         drawn, attempts = int(self.np_random.integers(len(self.layouts))), 0
         if seed is not None or self._truth is None:
             self._truth = learning_truth(self.layouts[(options or {}).get("layout", drawn)])
-        while not observation or not observation["action_mask"].any():  # no candidate: another start
+        while not observation or not observation["action_mask"].any():  # without a candidate, draw another start
             if attempts and attempts % STARTS == 0:
                 self._truth = learning_truth(self.layouts[int(self.np_random.integers(len(self.layouts)))])
             attempts += 1
@@ -158,7 +161,7 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         return self._used(observation), {"action_mask": info["action_mask"]}
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Move to candidate ``action`` and return the training reward."""
+        """Move to the candidate of row ``action``; the reward is that of `learning_reward`."""
         assert self.env is not None, "reset() comes first"
         observation, reward, terminated, truncated, info = self.env.step(action)
         frames, self._frames = info["frames"] - self._frames, info["frames"]

@@ -1,4 +1,4 @@
-"""Validate a network on layouts that are not used for training, between random choice and the one-step oracle."""
+"""Score a network on validation layouts, relative to random choice and to the one-step oracle."""
 
 from __future__ import annotations
 
@@ -22,13 +22,16 @@ from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
 from activestructure_gym.policies.random import Random
 
-_SEED = 1000  # seed of the first episode; every layout has the next one, and so a different start pose
+_SEED = 1000  # seed of the first layout's episode; layout n has the seed 1000 + n, and so another start pose
 _FILE = "references.json"
 _PLAYED = {name: schema.each(schema.number(0, 1)) for name in ("random", "oracle")}
 
 
 def network_choice(network: CandidateNetwork) -> Choose:
-    """Return a function that chooses the network's best candidate; the env needs the network's features in order."""
+    """Return a function that chooses the candidate with the network's highest score.
+
+    The features of the environment must be those of the network, in the same order.
+    """
 
     def choose(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
         with torch.no_grad():
@@ -52,7 +55,10 @@ class Validation:
         self._references: dict[str, list[float]] = {}
 
     def __call__(self, network: CandidateNetwork) -> dict[str, float]:
-        """Return ``validation/auc``, and ``validation/normalised`` = (auc - random) / (oracle - random)."""
+        """Return ``validation/auc``, the mean area under the coverage curve, and ``validation/normalised``.
+
+        The latter is (auc - random) / (oracle - random), with the mean areas of the references.
+        """
         self._prepare()
         areas = []
         for number, truth in enumerate(self._truths):

@@ -1,4 +1,4 @@
-"""Convert poses from named conventions of axes to this project's.
+"""Convert camera poses from named conventions of axes to this project's convention.
 
 The camera of this project has x to the right, y down and z forward, and its world has z up. The conventions are:
 
@@ -21,22 +21,22 @@ Axes = Literal["opencv", "opengl", "habitat", "ros"]
 AXES: tuple[str, ...] = get_args(Axes)
 USUAL = {"habitat": "habitat"}  # default convention by format; that of all other formats is "opencv"
 
-# The columns are the axes of this project's camera, expressed in those of the named convention.
+# Rotations [3, 3] from this project's camera frame to the camera frame of each convention.
 _OPENGL = np.diag([1.0, -1.0, -1.0])
 _ROS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _THEIRS_FROM_OURS = {"opencv": np.eye(3), "opengl": _OPENGL, "habitat": _OPENGL, "ros": _ROS}
-_UP_FROM_HABITAT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) to (x, -z, y)
+_UP_FROM_HABITAT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # world y up to z up
 
 
 def in_our_axes(
-    poses: np.ndarray,  # [T, 4, 4] as a file has them
+    poses: np.ndarray,  # [T, 4, 4] as read from a file: world_from_camera, or camera_from_world if ``inverted``
     axes: str,
     *,
-    inverted: bool = False,  # the file maps world to camera
+    inverted: bool = False,
 ) -> np.ndarray:  # [T, 4, 4] world_from_camera
-    """Return the poses in this project's axes; poses that have them already are copied bit by bit.
+    """Convert poses in the convention ``axes`` to this project's convention.
 
-    Raise `InputError` if ``axes`` is not one of `AXES`.
+    Poses of "opencv" that are not inverted are copied unchanged. Raise `InputError` if ``axes`` is not one of `AXES`.
     """
     if axes not in AXES:
         raise unknown_name("convention of axes", axes, AXES)
@@ -50,12 +50,12 @@ def in_our_axes(
 
 
 def begun_at(
-    poses: np.ndarray,  # [T, 4, 4] world_from_camera of any world
-    start: np.ndarray,  # [4, 4] world_from_camera
-) -> np.ndarray:  # [T, 4, 4]
-    """Move a trajectory rigidly such that its first pose is ``start``.
+    poses: np.ndarray,  # [T, 4, 4] world_from_camera, in any world frame
+    start: np.ndarray,  # [4, 4] world_from_camera, in the frame of the scene
+) -> np.ndarray:  # [T, 4, 4] world_from_camera, in the frame of the scene
+    """Move a trajectory rigidly such that its first pose becomes ``start``.
 
-    This places files whose world frame is that of their first camera.
+    This is for files whose world frame is the first camera's frame.
     """
     moved = (start @ invert_rigid(poses[0])) @ poses
     moved[0] = start

@@ -11,24 +11,24 @@ from scipy.spatial.transform import Rotation
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.trajectories.axes import AXES, in_our_axes
 
-# Largest share of poses outside the free space that is not an error (own choice). Free space is one region with room
-# for a body, but a hand-held camera can have been in a narrower corner.
+# Largest share of poses outside the free space that is accepted (own choice). It is not 0, because the free space has
+# room for the agent's body, and a hand-held camera can have been in a narrower corner.
 TOLERATED = 0.02
-# Limits of the cosine between the image's up direction and the world's: 60 and 45 degrees (own choice). Below
-# `_TILTED`, cameras are on their side or upside down, usually because of a wrong convention. Above `_UPRIGHT`, a
-# convention can be suggested.
+# Limits of the cosine between the image's up direction and the world's up direction: 60 and 45 degrees (own choice).
+# If the median is below `_TILTED`, the cameras are on their side or upside down, and the convention is probably wrong.
+# Only a convention with a median above `_UPRIGHT` is suggested.
 _TILTED, _UPRIGHT = 0.5, 0.7
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Hold how well a trajectory fits a scene if its file is read in one convention."""
+    """Hold how well the poses of a file fit a scene if they are read in one convention of axes."""
 
-    axes: str
-    inverted: bool
+    axes: str  # convention, one of `AXES`
+    inverted: bool  # whether the poses are read as camera_from_world
     outside: int  # number of poses in walls, in furniture or outside the rooms
     poses: int  # number of all poses
-    upright: float  # -1..1, median cosine between the image's up and the world's
+    upright: float  # -1..1, median cosine between the image's up direction and the world's up direction
     lowest: float  # 10th percentile of the same cosine
 
     @property
@@ -38,14 +38,15 @@ class Fit:
 
     @property
     def words(self) -> str:
-        """Return the convention as command-line options."""
+        """Return the convention as options of ``asg replay-trajectory``."""
         return f"--axes {self.axes}" + (" --inverted" if self.inverted else "")
 
 
 def fit_of(clearance_at: Callable[[np.ndarray], np.ndarray], poses: np.ndarray, axes: str, inverted: bool) -> Fit:
-    """Return how well ``poses`` [T, 4, 4] from a file fit the scene if they have the given convention.
+    """Return how well ``poses`` [T, 4, 4], as read from a file, fit a scene if they have the convention ``axes``.
 
-    ``clearance_at`` maps positions [N, 3] to clearances [N], which are 0 outside the free space.
+    ``clearance_at`` maps positions [N, 3] in metres to distances [N] from obstacles, which are 0 outside the free space
+    of the scene. If ``inverted``, the poses are camera_from_world.
     """
     ours = in_our_axes(poses, axes, inverted=inverted)
     return _measured(clearance_at, ours, axes, inverted)
@@ -59,12 +60,12 @@ def _measured(clearance_at: Callable[[np.ndarray], np.ndarray], ours: np.ndarray
 
 def likeliest(
     clearance_at: Callable[[np.ndarray], np.ndarray],
-    poses: np.ndarray,  # [T, 4, 4] as a file has them
+    poses: np.ndarray,  # [T, 4, 4] as read from a file
 ) -> Fit | None:
-    """Return the fit of the most likely convention, or None if none fits.
+    """Return the fit of the most likely convention of ``poses``, or None if no convention fits.
 
-    A convention fits if the poses are inside the free space and the cameras are upright. Camera-to-world conventions
-    are preferred, then the most upright cameras.
+    A convention fits if the poses are inside the free space and the cameras are upright. world_from_camera is preferred
+    to camera_from_world, then the convention with the most upright cameras. ``clearance_at`` is as in `fit_of`.
     """
     fits = [fit_of(clearance_at, poses, axes, inverted) for inverted in (False, True) for axes in AXES]
     good = [fit for fit in fits if fit.inside and fit.upright > _UPRIGHT]
@@ -72,7 +73,7 @@ def likeliest(
 
 
 def with_w_first(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T, 4, 4]
-    """Return the poses of a file with quaternions w x y z, given its poses as read with the order x y z w."""
+    """Correct poses whose quaternions are stored as w x y z but were read as x y z w."""
     turned = poses.copy()
     read = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     turned[:, :3, :3] = Rotation.from_quat(np.roll(read, -1, axis=1)).as_matrix()
@@ -81,18 +82,19 @@ def with_w_first(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T, 4, 4]
 
 def checked(
     clearance_at: Callable[[np.ndarray], np.ndarray],
-    poses: np.ndarray,  # [T, 4, 4] as in the file
-    placed: np.ndarray,  # [T, 4, 4] world_from_camera, converted and moved to the start if one is given
+    poses: np.ndarray,  # [T, 4, 4] as read from the file
+    placed: np.ndarray,  # [T, 4, 4] world_from_camera of the same poses, in the frame of the scene
     axes: str,
     inverted: bool,
     name: str,  # of the trajectory, for error messages
     *,
     quaternions: bool = False,  # whether the file stores rotations as quaternions
 ) -> Fit:
-    """Return how well a trajectory fits the scene; raise `InputError` if it leaves the free space or is upside down.
+    """Return how well a trajectory fits a scene; raise `InputError` if it leaves the free space or is upside down.
 
-    The message names a convention that fits, or the order w x y z of quaternions if that fits better. Tilted cameras
-    inside the free space are an error only if one of these makes them upright.
+    ``axes`` and ``inverted`` are the convention in which ``poses`` were converted to ``placed``. The error message
+    names a convention that fits, or the order w x y z of quaternions if that fits better. Tilted cameras inside the
+    free space are an error only if such a change makes them upright. ``clearance_at`` is as in `fit_of`.
     """
     found = _measured(clearance_at, placed, axes, inverted)
     steady = found.upright >= _TILTED and (found.lowest >= 0 or not quaternions)

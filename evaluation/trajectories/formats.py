@@ -1,4 +1,4 @@
-"""Read camera poses from files of other programs, in the axes of the file.
+"""Read camera poses from files of other programs, without a conversion of their axes.
 
 - ``tum``: ``timestamp tx ty tz qx qy qz qw`` per line, ``#`` before comments ([tum_rgbd], file formats).
 - ``nice_slam``: 16 numbers per line, a 4 x 4 matrix row by row; or the folder with ``traj.txt`` ([nice_slam, code]).
@@ -34,10 +34,10 @@ from activestructure_gym.scenes.loaders.scannet import axis_alignment
 Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
 QUATERNIONS = frozenset({"tum", "habitat"})  # formats with quaternions, in the order x y z w
-MAX_POSES = 200_000  # largest number per file
-_MAX_BYTES = 64 << 20  # largest size of a text file
-_BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line
-_WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}
+MAX_POSES = 200_000  # largest number of poses in a file
+_MAX_BYTES = 64 << 20  # largest size of a text file, 64 MiB
+_BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # format by the number of numbers per line
+_WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}  # numbers per line by format
 _SCANNETPP = "pose_intrinsic_imu.json"
 _IN_FOLDERS = {
     "nice_slam": "traj.txt",
@@ -46,8 +46,8 @@ _IN_FOLDERS = {
     "scannetpp": f"iphone/{_SCANNETPP}",
     "npz": "trajectory.npz",
 }
-_RIGID = 1e-3  # largest deviation of R R^T from the identity; files have 4 to 18 digits
-_MAX_COORDINATE_M = 1e6  # metres
+_RIGID = 1e-3  # largest accepted entry of |R R^T - I|, since some files have only 4 digits
+_MAX_COORDINATE_M = 1e6  # metres; a larger coordinate is an error
 
 _POSES: schema.Check = schema.each(
     schema.table(
@@ -61,9 +61,10 @@ _POSES: schema.Check = schema.each(
 
 
 def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, str]:
-    """Return the path and the format of the trajectory at ``place``, which is a file or a folder.
+    """Find the trajectory at ``place``, a file or a folder, and return its path and its format.
 
-    The path is a file, or for a ScanNet scan the folder of its poses. Raise `InputError` if there is none.
+    ``kind`` is one of `FORMATS`; "auto" detects the format. The returned path is a file, or for a ScanNet scan the
+    folder of its pose files. Raise `InputError` if there is no trajectory.
     """
     if kind not in FORMATS:
         raise unknown_name("trajectory format", kind, FORMATS)
@@ -88,11 +89,11 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
 
 
 def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:  # [T, 4, 4] float64
-    """Return the poses of a trajectory in the axes of the file.
+    """Read the poses of the trajectory at ``place``, without a conversion of their axes.
 
-    With ``auto``, the format follows from the file extension or the numbers per line. Rotations with few digits are
-    replaced by the nearest exact ones. Raise `InputError` if the file cannot be read, or if a pose is not a rigid
-    motion.
+    ``kind`` is one of `FORMATS`; "auto" detects the format from the file extension or the numbers per line. A matrix
+    that is only approximately a rotation, because of few digits, is replaced by the nearest rotation. Raise
+    `InputError` if the file cannot be read, or if a pose is not a rigid motion.
     """
     path, kind = find_file(place, kind)
     if kind == "npz":
@@ -116,7 +117,7 @@ def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of a ``trajectory.npz``; raise `InputError` if it cannot be read or has no poses."""
+    """Return all arrays of a ``trajectory.npz`` by name; raise `InputError` if it cannot be read or has no poses."""
     try:
         arrays = read_npz(path)
     except OSError as error:
@@ -142,9 +143,10 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the number and the words of every line that is neither empty nor a comment; commas separate words too.
+    """Return the line number and the words of each line of a text file, without empty lines and comments.
 
-    At most `MAX_POSES` + 1 lines are returned, which is enough to detect files that are too long.
+    Words are separated by blanks or commas. At most `MAX_POSES` + 1 lines are returned, which is enough to detect files
+    that are too long.
     """
     words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
     lines = ((number, line) for number, line in words if line and not line[0].startswith("#"))
@@ -213,17 +215,14 @@ def _habitat(path: Path) -> np.ndarray:
 
 
 def pose_files(folder: Path) -> list[Path]:
-    """Return the pose files of a ScanNet scan in numerical order, at most `MAX_POSES` + 1."""
+    """Return the files ``<number>.txt`` in the ``pose`` folder of a ScanNet scan by number, at most `MAX_POSES` + 1."""
     numbered = {int(file.stem): file for file in folder.glob("*.txt") if file.stem.isascii() and file.stem.isdigit()}
     return [numbered[number] for number in sorted(numbered)][: MAX_POSES + 1]
 
 
 def scan_text(folder: Path) -> Path:
-    """Return the text file of the ScanNet scan to which this folder of poses belongs.
-
-    It holds the axis alignment that is applied to the poses.
-    """
-    # abspath does not follow a symbolic link: the scan's other files are next to the link, not to its target.
+    """Return the path of a ScanNet scan's text file with the axis alignment, given the scan's folder of poses."""
+    # abspath does not follow symbolic links: if the folder is a link, the scan's other files are next to the link.
     scan = Path(os.path.abspath(folder)).parent
     return scan / f"{scan.name}.txt"
 
@@ -252,7 +251,11 @@ def _scannetpp(path: Path) -> np.ndarray:
 
 
 def _known(poses: np.ndarray, path: Path) -> np.ndarray:
-    """Return the finite poses, and warn about the others; ScanNet writes infinite poses where tracking was lost."""
+    """Return only the finite poses, and warn about the others.
+
+    ScanNet writes infinite poses where tracking was lost. ``path`` is for messages. Raise `InputError` if no pose is
+    finite.
+    """
     known = np.isfinite(poses).all(axis=(1, 2))
     if not known.any():
         raise InputError(f"none of the {len(poses)} poses of '{path}' is known (all are infinite or no number)")

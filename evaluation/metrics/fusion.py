@@ -1,11 +1,11 @@
 """Fuse depth images into a triangle surface by truncated signed distances (TSDF) on sparse blocks of voxels.
 
-Source: [curless1996], with projective distances and equal weights. Only blocks near a measured surface are stored;
-every image that observes a stored block is integrated into it.
+Source: [curless1996], with distances measured along the optical axis and equal weights. A block has 8 x 8 x 8 voxels.
+Only blocks near a measured surface are stored. Every image that observes a stored block is integrated into it.
 
-The blocks are fused in parts to bound the memory. A part also contains the neighbouring blocks that follow its own in
-x, y or z: their first voxels complete the cells at the border. So there are no cracks between parts, and every triangle
-belongs to exactly one part.
+The blocks are fused in parts to bound the memory. Each part also contains the next blocks in positive x, y and z: their
+first voxels complete the cells at the border. So there are no cracks between parts, and every triangle belongs to
+exactly one part.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from activestructure_gym.evaluation.metrics.fusion_kernels import (
 )
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-MAX_BLOCKS = 20_000_000  # limit of stored blocks, 160 MB of keys; about 290,000 m^2 with voxels of 2 cm
-_ROOM = 320  # initial buffer in triangles per block: enough for an oblique plane through its centre
+MAX_BLOCKS = 20_000_000  # limit of stored blocks: 160 MB of keys, about 290,000 m^2 with voxels of 2 cm cut at 6 cm
+_ROOM = 320  # triangles per block in the initial buffer: enough for an oblique plane through the block
 _CHUNK = 64  # blocks per task of a thread
 _PIECE = 32 * _CHUNK  # blocks per yielded array of triangles: 30 MB
 _PART = 50_000  # blocks fused at a time, without their neighbours: 200 MB
@@ -40,27 +40,31 @@ _IMAGES = 64  # images read or rendered at a time
 _KEPT_IMAGES = 256 << 20  # bytes; if the images need more, they are rendered again for every part
 _KEPT_TRIANGLES = 512 << 20  # bytes; if the triangles need more, they are computed again at each call of `pieces`
 _MAX_CELLS = 20_000_000  # blocks in the bounding box of one image; more means that its depths are invalid
-_BITS = 21  # bits per axis of a block's index in its key
+_BITS = 21  # bits per axis in the integer key of a block, see `_keys_of`
 
-_AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])  # offsets of a block and its 7 following neighbours
+# Offsets of the block itself and its 7 neighbours in positive x, y and z.
+_AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])
 
 
 class FusedSurface:
-    """Extract the zero level of the fused distances in all voxel cells whose eight corners were observed.
+    """Fuse depth images and extract the zero level of the fused distances as triangles.
+
+    Only voxel cells whose eight corners were measured contain triangles.
 
     Parameters
     ----------
     draw
-        Return the depth images [n, H, W] float32 at the given poses [n, 4, 4]: metres along the optical axis,
-        0 = no surface. It is called repeatedly for the same poses if all images together are too large to keep.
+        Function that returns the depth images [n, H, W] float32 at poses [n, 4, 4] world_from_camera: metres along the
+        optical axis, 0 = no surface. It is called repeatedly for the same poses if all images together are too large to
+        keep.
     camera
         The camera of all images.
     world_from_camera
-        [K, 4, 4] poses of all images.
+        [K, 4, 4] poses of all images, metres.
     voxel
         Side length of a voxel in metres.
     truncation
-        Truncation distance in metres.
+        Truncation distance in metres; larger distances count as this distance.
 
     Raises
     ------
@@ -84,17 +88,21 @@ class FusedSurface:
         self._images: np.ndarray | None = None
         if 4 * len(self._poses) * camera.height * camera.width <= _KEPT_IMAGES:
             self._images = np.ascontiguousarray(draw(self._poses), np.float32)
-        self._bounds = np.tile([[[np.inf] * 3, [-np.inf] * 3]], (len(self._poses), 1, 1))  # [K, 2, 3] metres
-        self._keys = self._marked()  # [B] rising: by x, then y, then z
+        # [K, 2, 3] metres: lower and upper corner of the box around the measured points of every image
+        self._bounds = np.tile([[[np.inf] * 3, [-np.inf] * 3]], (len(self._poses), 1, 1))
+        self._keys = self._marked()  # [B] sorted
         self._pieces: list[np.ndarray] | None = None
 
     @property
     def blocks(self) -> int:
-        """Return the number of stored blocks."""
+        """Return the number of stored blocks of 8 x 8 x 8 voxels."""
         return len(self._keys)
 
     def pieces(self) -> Iterator[np.ndarray]:  # [T, 3, 3] float32 metres, the corners of triangles
-        """Yield the triangles in pieces, in the order of their blocks; every call yields the same ones."""
+        """Yield the corners of the triangles in world coordinates, in arrays for at most 2,048 blocks.
+
+        The triangles are ordered by the keys of their blocks. Every call yields the same arrays.
+        """
         if self._pieces is not None:
             yield from self._pieces
             return
@@ -111,7 +119,10 @@ class FusedSurface:
             self._pieces = kept
 
     def _marked(self) -> np.ndarray:  # [B] int64
-        """Return the keys of all blocks that meet the truncation band around an observed point."""
+        """Return the sorted keys of all blocks within the truncation distance of a measured point, along its ray.
+
+        Also compute ``_bounds``, the bounding box of every image.
+        """
         keys = np.zeros(0, np.int64)
         for first in range(0, len(self._poses), _IMAGES):
             images = np.arange(first, min(first + _IMAGES, len(self._poses)))
@@ -126,19 +137,23 @@ class FusedSurface:
         return keys
 
     def _marked_by(self, depth: np.ndarray, images: np.ndarray) -> np.ndarray:  # [n] int64
-        """Return the keys of the blocks near the points of these images; split the images if they are far apart."""
+        """Return the keys of the blocks near the measured points of some images.
+
+        ``depth`` [n, H, W] holds the images in metres, and ``images`` [n] their indices. If they cover distant places,
+        the images are split into halves, so that no large grid of blocks is allocated.
+        """
         seen = np.isfinite(self._bounds[images]).all(axis=(1, 2))
         depth, images = depth[seen], images[seen]
         if not len(images):
             return np.zeros(0, np.int64)
         block = SIDE * self._voxel
         low, high = self._bounds[images, 0].min(axis=0), self._bounds[images, 1].max(axis=0)
-        first = np.floor(low / block).astype(np.int64) - 1  # a margin of one block for rounding
+        first = np.floor(low / block).astype(np.int64) - 1  # one more block, against rounding
         shape = np.floor(high / block) - first + 2.0
         if float(shape.prod()) > _MAX_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
             if len(images) == 1:
                 raise InputError(f"a depth image spans {(high - low).round(1)} m; expected a scene in metres")
-            half = len(images) // 2  # the images may show places far apart
+            half = len(images) // 2
             parts = [self._marked_by(depth[part], images[part]) for part in (slice(half), slice(half, None))]
             return np.concatenate(parts)
         marked = np.zeros(tuple(shape.astype(int)), np.bool_)
@@ -151,11 +166,11 @@ class FusedSurface:
         return np.ascontiguousarray(self._draw(self._poses[images]), np.float32)
 
     def _part(self, own: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the triangles of the blocks with the keys ``own`` [n]."""
+        """Fuse the blocks with the keys ``own`` [n] and yield their triangles in arrays [T, 3, 3], metres."""
         after = own[:, None] + _keys_of(_AFTER, about=0)  # [n, 8]
         keys = np.unique(after[_rows_of(after, self._keys) >= 0])
         rows = _rows_of(after, keys)
-        # The origin is a multiple of the block size, so the grid does not depend on the other observations.
+        # The origin is a multiple of the block size, so the voxel grid is the same for all sets of images.
         block = SIDE * self._voxel
         first = np.floor(self._bounds[:, 0].min(axis=0) / block).astype(np.int64) - 1
         origin, places = first * block, _places_of(keys) - first
@@ -179,7 +194,10 @@ class FusedSurface:
                 yield np.concatenate(list(pool.map(extract, starts)))
 
     def _integrate(self, fused: Blocks, origin: np.ndarray, pool: ThreadPoolExecutor) -> None:
-        """Integrate all images that can observe the blocks."""
+        """Add the measurements of all images that can observe the blocks to ``fused``.
+
+        ``origin`` [3] is the world position in metres of the lower corner of the block with index (0, 0, 0).
+        """
         block = SIDE * self._voxel
         low, high = origin + fused.places.min(axis=0) * block, origin + (fused.places.max(axis=0) + 1) * block
         near = np.flatnonzero(self._reaches(low, high))
@@ -196,10 +214,14 @@ class FusedSurface:
             list(pool.map(partial(integrate, depth, tiles, *rest), own))
 
     def _reaches(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:  # [K] bool
-        """Return which images can observe a box: it meets the bounding box of the camera and its observed points."""
+        """Return which images can observe a box with the corners ``low`` and ``high`` [3], metres, world.
+
+        The box must meet the bounding box of the image's camera centre and measured points.
+        """
         eyes = self._poses[:, :3, 3]
         lower, upper = np.minimum(self._bounds[:, 0], eyes), np.maximum(self._bounds[:, 1], eyes)
-        # Upper bound on a pixel's width at the farthest point; half of it extends beyond the point at its centre.
+        # Upper bound in metres on the width of a pixel at the farthest point. The bounds contain the centres of the
+        # pixels only, so half a pixel may be outside.
         wide = np.linalg.norm(upper - lower, axis=1) / min(self._camera.fx, self._camera.fy)
         spare = (SIDE * self._voxel + wide)[:, None]
         return np.isfinite(self._bounds).all(axis=(1, 2)) & ((lower - spare <= high) & (upper + spare >= low)).all(
@@ -208,7 +230,10 @@ class FusedSurface:
 
 
 def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> None:
-    """Raise `InputError` if a completely observed surface of ``area`` m^2 needs more blocks than can be fused."""
+    """Raise `InputError` if a completely observed surface of ``area`` m^2 needs more than `MAX_BLOCKS` blocks.
+
+    ``scene`` is its name for the message; ``voxel`` and ``truncation`` are in metres.
+    """
     blocks = _blocks_for(area, voxel, truncation)
     if blocks <= MAX_BLOCKS:
         return
@@ -223,7 +248,7 @@ def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> No
 
 
 def _blocks_for(area: float, voxel: float, truncation: float) -> float:
-    """Return the approximate number of blocks that meet the truncation band around a surface of ``area`` m^2."""
+    """Return the approximate number of blocks within ``truncation`` metres of a surface of ``area`` m^2."""
     block = SIDE * voxel
     return area / block**2 * (1.0 + 2.0 * truncation / block)
 
@@ -236,18 +261,22 @@ def triangle_areas(corners: np.ndarray) -> np.ndarray:  # [T] m^2
 
 
 def _keys_of(places: np.ndarray, about: int = 1 << (_BITS - 1)) -> np.ndarray:  # [..., 3] -> [...] int64
-    """Return integer keys of block indices, ordered by x, then y, then z."""
+    """Return one integer key per block index (x, y, z) with 21 bits per axis; keys sort by x, then y, then z.
+
+    ``about`` is added to each coordinate, so that negative indices have keys. With 0 the result is the difference of
+    two keys whose indices differ by ``places``.
+    """
     x, y, z = np.moveaxis(places + about, -1, 0)
     return (x << 2 * _BITS) + (y << _BITS) + z
 
 
 def _rows_of(wanted: np.ndarray, keys: np.ndarray) -> np.ndarray:  # [...], [N] rising -> [...] int32
-    """Return the row of each wanted key in ``keys``, -1 for missing keys."""
+    """Return the row of each ``wanted`` key in the sorted ``keys``, -1 for missing keys."""
     rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1).astype(np.int32)
     return np.where(keys[rows] == wanted, rows, np.int32(-1))
 
 
 def _places_of(keys: np.ndarray) -> np.ndarray:  # [N] -> [N, 3] int64
-    """Return the block indices of keys."""
+    """Return the block indices (x, y, z) of integer keys; the inverse of `_keys_of`."""
     mask = (1 << _BITS) - 1
     return np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - (1 << (_BITS - 1))

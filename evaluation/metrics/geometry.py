@@ -11,7 +11,7 @@ import numpy as np
 from activestructure_gym.evaluation.metrics.nearest import PointTree
 from activestructure_gym.evaluation.metrics.streams import StreamedSum, batched
 
-_BATCH = 1 << 21  # points per search tree or query: 300 MB
+_BATCH = 1 << 21  # points per search tree or query, which need 300 MB
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,19 @@ class SurfaceSamples:
 
     @property
     def disc_radius(self) -> float:  # metres
-        """Return the radius of a disc with twice the area of one sample; random discs cover 86 % of the surface."""
+        """Return the radius of a disc with twice the area of the surface per sample.
+
+        Discs of this size around random samples cover 86 % of the surface (1 - exp(-2)).
+        """
         return float(np.sqrt(2.0 * self.area / (np.pi * max(len(self.points), 1))))
 
     @cached_property
     def discs(self) -> PointTree:
-        """Return a search tree over the samples as flat discs, normal to their normals, which approximate the surface.
+        """Return a search tree over flat discs around the samples, perpendicular to their normals.
 
-        For points exactly on the surface, the distance to the nearest sample is biased by half the sample spacing:
-        3.4 cm with 200,000 samples on 900 m^2. The distance to the nearest disc has a twentieth of this bias. At an
-        open edge a disc can extend beyond the surface by its radius.
+        The discs approximate the surface. For points exactly on the surface, the distance to the nearest sample is
+        biased by half the sample spacing: 3.4 cm with 200,000 samples on 900 m^2. The distance to the nearest disc has
+        a twentieth of this bias. At an open edge a disc can extend beyond the surface by its radius.
         """
         return PointTree(self.points, self.normals, self.disc_radius)
 
@@ -71,7 +74,10 @@ def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  #
 
 
 def streamed_distances(queries: np.ndarray, pieces: Iterable[np.ndarray]) -> np.ndarray:  # [Q] metres
-    """Return the `nearest_distances` to points that are given in pieces [n, 3], in bounded memory."""
+    """Return the distance from each query [Q, 3] to the nearest of points given in pieces [n, 3], in bounded memory.
+
+    All coordinates are in metres. The distance is inf if there are no points.
+    """
     nearest = NearestPoints(queries)
     for batch in batched(pieces, _BATCH):
         nearest.add(batch)
@@ -79,17 +85,18 @@ def streamed_distances(queries: np.ndarray, pieces: Iterable[np.ndarray]) -> np.
 
 
 class NearestPoints:
-    """Compute the distances from fixed places [Q, 3] to the nearest of points that are added in batches."""
+    """Compute the distance from each of fixed places [Q, 3] to the nearest of all points added so far, in metres."""
 
     def __init__(self, places: np.ndarray) -> None:
         self._places = np.asarray(places, np.float64).reshape(-1, 3)
         self.distances = np.full(len(self._places), np.inf)  # [Q] metres
 
     def add(self, points: np.ndarray) -> None:
-        """Add points [P, 3] and update the distances."""
+        """Add points [P, 3] in metres and update ``distances``."""
         if not len(points):
             return
-        # The distance to the bounding box is a lower bound; the factor allows for rounding.
+        # Search only for places that are nearer to the bounding box of the new points than to all earlier points. The
+        # factor allows for rounding.
         apart = np.maximum(np.maximum(points.min(axis=0) - self._places, self._places - points.max(axis=0)), 0.0)
         ask = np.linalg.norm(apart, axis=1) * (1.0 - 1e-9) < self.distances
         found = PointTree(points).query(self._places[ask])[0]
@@ -97,7 +104,7 @@ class NearestPoints:
 
 
 def completion_distances(surface: SurfaceSamples, reconstructed: np.ndarray) -> np.ndarray:  # [S] metres
-    """Return the distance from each true sample to the nearest reconstructed point."""
+    """Return the distance from each sample of the true surface to the nearest ``reconstructed`` point [P, 3]."""
     return nearest_distances(surface.points, reconstructed)
 
 
@@ -143,11 +150,11 @@ def geometry_scores(
 
 def streamed_scores(
     pieces: Iterable[np.ndarray],  # [n, 3] metres, world, finite
-    count: int,  # of points in all pieces together
+    count: int,  # number of points in all pieces together
     surface: SurfaceSamples,
     *,
     threshold_m: float,
-    to_samples: bool,
+    to_samples: bool,  # whether to compute ``sample_accuracy_cm``
 ) -> GeometryScores:
     """Return the `geometry_scores` of points that are given in pieces, bit-identical and in bounded memory."""
     real = np.isfinite(surface.points).all(axis=1)

@@ -1,8 +1,8 @@
-"""Compute LPIPS with AlexNet, version 0.1 ([lpips]), with weights that the user supplies.
+"""Compute LPIPS (learned perceptual image patch similarity, [lpips]) with AlexNet, version 0.1.
 
-The weights are two files, identified by their SHA-256: torchvision's AlexNet, and the five linear layers of lpips
-0.1.4. They are searched in ``ASG_LPIPS_WEIGHTS`` (or ``--lpips-weights``), by default among the checkpoints of torch's
-hub. Files with another checksum are never used. Without weights LPIPS is not computed.
+The user supplies the weights in two files: torchvision's AlexNet, and the five linear layers of lpips 0.1.4. The files
+are identified by their SHA-256. They are searched in ``ASG_LPIPS_WEIGHTS`` (or ``--lpips-weights``), by default among
+the checkpoints of torch's hub. Files with another checksum are never used. Without weights LPIPS is not computed.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ Distance = Callable[[np.ndarray, np.ndarray], float]
 class WeightFile:
     """Describe a published file of weights."""
 
-    what: str
-    usual_name: str
+    what: str  # description in messages
+    usual_name: str  # name under which it is published
     sha256: str
     size: int  # bytes
 
@@ -58,11 +58,11 @@ PUBLISHED = (
 # (layer of torchvision's AlexNet, stride, padding, whether max pooling precedes it)
 _LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # normalisation of images in [-1, 1]
-_EPSILON = 1e-8  # added to squared lengths
+_EPSILON = 1e-8  # added to the squared lengths of feature vectors, which are divided by their lengths
 
 
 class Lpips:
-    """Compare images with the loaded network."""
+    """Compute the LPIPS distance of two images with the weights of AlexNet (``backbone``) and of lpips (``heads``)."""
 
     def __init__(self, backbone: dict[str, torch.Tensor], heads: dict[str, torch.Tensor]) -> None:
         import torch
@@ -101,10 +101,10 @@ class Lpips:
 
 
 def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED) -> tuple[list[Path], str]:
-    """Return the files with the expected checksums and an empty text, or no files and a text about the missing ones.
+    """Return the files with the expected checksums, and an empty text.
 
-    ``place`` is a folder, or one of the two files in a common folder. None means the checkpoints of torch's hub. Raise
-    `InputError` if ``place`` does not exist.
+    If a file is missing, return no files, and a text that names the missing files. ``place`` is the folder of the
+    files, or one of them. None means the checkpoints of torch's hub. Raise `InputError` if ``place`` does not exist.
     """
     if place is None:
         folder = _hub_directory() / "checkpoints"
@@ -137,7 +137,10 @@ def _hub_directory() -> Path:
 
 
 def load(paths: list[Path]) -> Lpips:
-    """Load the network from its two files without unpickling; raise `InputError` for files that are not weights."""
+    """Load the network from its two files; raise `InputError` for files that are not weights.
+
+    Only tensors are unpickled, so a file cannot run code.
+    """
     import torch
 
     content = []
@@ -151,10 +154,10 @@ def load(paths: list[Path]) -> Lpips:
 
 @contextmanager
 def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
-    """Yield the LPIPS distance of two images, or None and store the reason in ``notes["lpips"]``.
+    """Yield the function that computes the LPIPS distance of two images [H, W, 3] with values in [0, 1].
 
-    Within the block torch uses one thread per call: views are measured in parallel threads, and a sum that is split
-    over threads can differ between machines.
+    Without weights yield None, and store the reason in ``notes["lpips"]``. Within the block torch uses one thread per
+    call: views are measured in parallel threads, and a sum that is split over threads can differ between machines.
     """
     network, reason = _network(os.environ.get(VARIABLE) or None)
     if network is None:
@@ -172,7 +175,7 @@ def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
 
 
 def weights_name() -> str | None:
-    """Return the first digits of both checksums for the result file; None without weights."""
+    """Return the first 8 digits of both SHA-256 checksums for the result file; None without weights."""
     network, _ = _network(os.environ.get(VARIABLE) or None)
     return None if network is None else "+".join(file.sha256[:8] for file in PUBLISHED)
 

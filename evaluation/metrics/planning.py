@@ -8,21 +8,21 @@ import numpy as np
 
 from activestructure_gym.evaluation.statistics import area_under, on_axis
 
-# Measures that a point of a curve can have. The last point has those of the finished map.
+# Measures in a point of a convergence curve. The last point holds the measures of the finished map.
 CURVE_MEASURES = (
     "completion_ratio", "tsdf_completion_ratio", "observed", "psnr", "depth_l1_cm", "precision", "accuracy_cm"
 )  # fmt: skip
 LEVELS = (80, 85, 90, 95)  # % of the observable surface
-_HALF = 0.5  # share of the frame budget after which frames count as late
-LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # measure: name of its slope in the second half
+_HALF = 0.5  # the late part of an episode begins at this share of the frame budget
+LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # measure: score of its change in the late part
 
 Curve = Sequence[Mapping[str, float | None]]
 
 
 def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | None], dict[str, str]]:
-    """Return the planning scores of a curve, and the reason for each score that is None.
+    """Return the planning scores of a curve by name, and a reason by name for each score that is None.
 
-    A point of the curve has ``frames`` and the measures taken there. The scores are:
+    Each point of the curve holds ``frames``, the frames used so far, and some of `CURVE_MEASURES`. The scores are:
 
     - ``frames_to_L``: frames until L % of the observable surface were observed, interpolated linearly.
     - ``observed_area``: mean observed share in % from frame 0 to the budget; after the end the last value counts.
@@ -48,7 +48,10 @@ def planning_scores(curve: Curve, frame_budget: int) -> tuple[dict[str, float | 
 
 
 def first_reaching(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
-    """Return the first x at which a piecewise linear curve [P] reaches ``level``; None if it never does."""
+    """Return the first x at which the piecewise linear curve through ``x`` and ``y`` [P] reaches ``level``.
+
+    Return None if the curve stays below ``level``. ``x`` is increasing.
+    """
     reached = np.flatnonzero(y >= level)
     if not len(reached):
         return None
@@ -59,9 +62,9 @@ def first_reaching(x: np.ndarray, y: np.ndarray, level: float) -> float | None:
 
 
 def late_rate(frames: np.ndarray, values: np.ndarray, frame_budget: int) -> float | None:
-    """Return the change of a curve [P] per 100 frames from half the budget to its last point.
+    """Return the change of ``values`` [P] per 100 frames, from half the frame budget to the last point.
 
-    Return None if the last point is not after half the budget.
+    ``frames`` [P] holds the frames at the points. Return None if the last point is not after half the budget.
     """
     half = _HALF * frame_budget
     if not len(frames) or frames[-1] <= half:
@@ -71,7 +74,10 @@ def late_rate(frames: np.ndarray, values: np.ndarray, frame_budget: int) -> floa
 
 
 def _points(curve: Curve, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frames and values of the points that have the measure; of points with equal frames the last."""
+    """Return the frames [P], increasing, and the values [P] of a measure at the points that hold it.
+
+    If several points have equal frames, the last one counts.
+    """
     found = {float(p["frames"] or 0): value for p in curve if (value := p.get(measure)) is not None}
     frames = sorted(found)
     return np.array(frames, np.float64), np.array([found[f] for f in frames], np.float64)

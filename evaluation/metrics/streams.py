@@ -6,11 +6,11 @@ from collections.abc import Generator, Iterable, Iterator
 
 import numpy as np
 
-_LEAF = 1 << 16  # numbers that one call of `np.sum` adds
+_LEAF = 1 << 16  # longest stretch of numbers that one call of `np.sum` adds
 
 
 def batched(pieces: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
-    """Yield the rows of all pieces in arrays of ``size`` rows; the last array can be shorter."""
+    """Yield the rows of all pieces [n, ...] in arrays of ``size`` rows; the last array can be shorter."""
     waiting, rows = list[np.ndarray](), 0
     for piece in pieces:
         for start in range(0, len(piece), size):
@@ -28,8 +28,8 @@ def batched(pieces: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
 class StreamedSum:
     """Sum ``count`` numbers that are given in pieces; the result is bit-identical to `np.sum` of all of them.
 
-    numpy splits a long array into halves, sums each half recursively, and adds the two sums. So only one short stretch
-    of numbers is kept at a time.
+    numpy splits a long array into halves, sums each half recursively, and adds the two sums. The same halves are used
+    here, and only one short stretch of numbers is kept at a time.
     """
 
     def __init__(self, count: int) -> None:
@@ -38,7 +38,7 @@ class StreamedSum:
         self._waiting, self._rows = list[np.ndarray](), 0
         self._wanted = 0
         self._go_on(None)
-        self.add(np.zeros(0))  # completes a sum of zero numbers
+        self.add(np.zeros(0))  # completes the sum if ``count`` is 0
 
     def add(self, numbers: np.ndarray) -> None:
         """Add the next numbers [n], float64."""
@@ -66,7 +66,7 @@ class StreamedSum:
 
 
 def _added(count: int) -> Generator[int, np.ndarray, float]:
-    """Yield the length of each stretch, receive its numbers, and return the sum of all."""
+    """Return the sum of ``count`` numbers as a generator: yield the length of the next stretch, receive its numbers."""
     if count <= _LEAF:
         return float((yield count).sum())
     half = count // 2

@@ -16,12 +16,13 @@ _ROUNDING = 1e-12  # largest relative difference between two sums of the same ar
 
 
 class SurfacePoints:
-    """Sample points uniformly by area on a surface; equal triangles give equal points.
+    """Sample points uniformly by area on a surface of triangles; the same triangles always give the same points.
 
     Parameters
     ----------
     triangles
-        Return the triangles in pieces [n, 3, 3], metres. It is called once at construction and once for the points.
+        Function that returns the corners of the triangles in pieces [n, 3, 3], metres. It is called once at
+        construction, once for the points, and once more if the exact area is needed before the points.
     per_m2
         Points per square metre.
     least
@@ -30,7 +31,7 @@ class SurfacePoints:
 
     def __init__(self, triangles: Callable[[], Iterable[np.ndarray]], *, per_m2: float, least: int) -> None:
         self._triangles, self._count = triangles, 0
-        self._end = 0.0  # sum of all areas, added sequentially
+        self._end = 0.0  # m^2, sum of all areas, added one after the other
         sums = []
         for piece in triangles():
             areas = triangle_areas(piece)
@@ -40,13 +41,13 @@ class SurfacePoints:
         self._area: float | None = None
         about = math.fsum(sums)
         counts = {math.ceil(per_m2 * about * (1.0 + off)) for off in (-_ROUNDING, _ROUNDING)}
-        # If rounding of the sum could change the number of points, use numpy's order of summation.
+        # If the rounding of the sum could change the number of points, add the areas in numpy's order.
         wanted = counts.pop() if len(counts) == 1 else math.ceil(per_m2 * self.area)
         self.count = max(least, wanted) if self._end > 0.0 else 0
 
     @property
     def area(self) -> float:  # m^2
-        """Return the total area of all triangles, in numpy's order of summation."""
+        """Return the total area of all triangles, added in numpy's order."""
         if self._area is None:
             total = StreamedSum(self._count)
             for piece in self._triangles():
@@ -55,7 +56,7 @@ class SurfacePoints:
         return self._area
 
     def pieces(self) -> Iterator[np.ndarray]:  # [n, 3] metres
-        """Yield the points in pieces."""
+        """Yield the sampled points in pieces."""
         if not self.count:
             return
         draws, total, end, count = _Draws(self.count, self._end), StreamedSum(self._count), 0.0, 0
@@ -70,11 +71,15 @@ class SurfacePoints:
             drawn, u, v = draws.below(end if count < self._count else math.inf)
             faces = np.minimum(np.searchsorted(ends, drawn, side="right"), len(ends) - 1)
             yield on_triangles(piece[faces], u, v)
-        self._area = total.value  # cached, because it is known here without a further pass
+        self._area = total.value  # cached: it is available here without a further pass over the triangles
 
 
 class _Draws:
-    """Draw the random numbers of `samples_by_area` in pieces: three consecutive sequences of one generator."""
+    """Draw the random numbers of `samples_by_area` in pieces.
+
+    `samples_by_area` draws three arrays of ``count`` numbers from one generator, one after the other. Here three copies
+    of the generator begin where these arrays begin. ``total`` is the area of the surface in m^2.
+    """
 
     def __init__(self, count: int, total: float) -> None:
         self._count, self._total = count, total
@@ -84,7 +89,10 @@ class _Draws:
         self._at, self._ahead = 0, np.zeros(0)
 
     def below(self, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the next positions on the cumulative area that are below ``end``, and two more numbers for each."""
+        """Return the next places below ``end`` on the cumulative area, and two uniform random numbers for each.
+
+        The three arrays are [n]; the places and ``end`` are in m^2, the random numbers in [0, 1).
+        """
         ahead = [self._ahead]
         while self._at < self._count and not (len(ahead[-1]) and ahead[-1][-1] >= end):
             number = np.arange(self._at, min(self._at + _AT_ONCE, self._count))
@@ -97,7 +105,7 @@ class _Draws:
 
 
 def _running(areas: np.ndarray, before: float) -> np.ndarray:
-    """Return the cumulative sums of ``areas``, starting from the sum ``before``."""
+    """Return the cumulative sums of ``areas`` [n], added to the sum ``before``; all in m^2."""
     if not len(areas):
         return np.array([before])
     return np.cumsum(np.concatenate([[before], areas]))[1:]

@@ -1,4 +1,4 @@
-"""Thin point sets to voxels and match them as ActiveGAMER does, which gives two sets of equal size."""
+"""Thin point sets to one point per voxel, and match reconstructed with true points as ActiveGAMER does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ def nearest_per_voxel(
     points: np.ndarray,  # [N, 3] metres
     size: float,  # metres
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] indices into points, [K, 3] centres of their voxels
-    """Return the point nearest to the centre of each occupied voxel, the first of equal ones; the grid starts at 0."""
+    """Return for each occupied voxel the point that is nearest to its centre; of equally near points the first.
+
+    The voxels are cubes of side ``size``, aligned with the origin of the coordinates.
+    """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
@@ -32,11 +35,11 @@ def matched_distances(
     true: np.ndarray,  # [G, 3] metres: thinned points of the true surface
     centres: np.ndarray,  # [G, 3] metres: voxel centres of the true points
 ) -> tuple[np.ndarray, np.ndarray]:  # [G], [G] metres
-    """Return the distances from matched points to the true points, and from the true points to the matched points.
+    """Return the distance from each match to the nearest true point, and from each true point to the nearest match.
 
-    Each true point is matched with the reconstructed point nearest to its voxel centre. A reconstructed point can be
-    matched several times or never. So a floater (a point far from the true surface) counts only where no other point is
-    nearer to a true voxel.
+    The match of a true point is the reconstructed point nearest to its voxel centre. A reconstructed point can be the
+    match of several true points, or of none. So a floater (a point far from the true surface) counts only
+    where no other point is nearer to a true voxel.
     """
     if not len(points) or not len(true):
         return np.full(len(true), np.inf), np.full(len(true), np.inf)

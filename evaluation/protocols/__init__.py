@@ -1,4 +1,7 @@
-"""Protocols: what is measured, against what, with which constants. Result files name protocol and parameters."""
+"""Define evaluation protocols: the metrics of a finished map, their reference data, and their constants.
+
+Result files contain the name and the parameters of the protocol.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +56,10 @@ def get_protocol(name: str) -> EvaluationProtocol:
 
 
 def protocol_from(parameters: Mapping[str, Any], file: object = "") -> EvaluationProtocol:
-    """Return the protocol that `parameters()` described in a ``file``.
+    """Return the protocol with the ``parameters`` that a result file contains, see `EvaluationProtocol.parameters`.
 
-    Raises `InputError` if no protocol here measures it, or if its name is code of an untrusted file.
+    ``file`` is the path of the result file, for messages. Raise `InputError` if this version has no such protocol, or
+    if the name would import code and the file is not trusted.
     """
     values: dict[str, Any] = dict(parameters)
     name, version = values.pop("name", None), values.pop("version", None)
@@ -76,7 +80,7 @@ def protocol_from(parameters: Mapping[str, Any], file: object = "") -> Evaluatio
 
 def _named(name: str, protocol: EvaluationProtocol) -> EvaluationProtocol:
     if protocol.name != name:
-        object.__setattr__(protocol, "name", name)  # which the class of a plug-in does not know
+        object.__setattr__(protocol, "name", name)  # the class of a plug-in does not contain it
     return protocol
 
 

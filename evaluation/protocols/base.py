@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Hold the camera and the poses of an episode. A protocol reads only these and the map."""
+    """Hold the camera and the poses of an episode; a protocol reads only these and the map."""
 
     camera: PinholeCamera
     start: np.ndarray  # [4, 4] world_from_camera of the first frame
@@ -27,7 +27,7 @@ class CameraPath:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
-        """Create the path from the arrays of ``trajectory.npz``, already checked by `run_files.check_trajectory`."""
+        """Create the path from the arrays of a ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
         poses = arrays["world_from_camera"]
         width, height = (int(side) for side in arrays["image_size"])
         return cls(
@@ -53,7 +53,11 @@ class EvaluationProtocol(Protocol):
         """Return name, version and all constants for the result file."""
 
     def truth(self, known: GroundTruth) -> Any:
-        """Return the reference data of a scene, cached by the scene's content."""
+        """Return the reference data of the scene with the ground truth ``known``, cached by the scene's content."""
 
     def evaluate(self, gaussians: GaussianMap, truth: Any, path: CameraPath | None = None) -> dict[str, Any]:
-        """Return all metrics of a finished map; an undefined one is None and ``notes`` has its reason."""
+        """Return all metrics of a finished map by name.
+
+        ``truth`` is the result of the method `truth`, and ``path`` holds the poses of the episode, if there are any. An
+        undefined metric is None, and the entry ``notes`` has the reason.
+        """

@@ -1,4 +1,4 @@
-"""Create held-out views: the true images and depths with which renderings of a finished map are compared."""
+"""Create held-out views: true colour and depth images that are compared with renderings of a finished map."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LAYOUT = {"world_from_camera": ("f8", 3), "rgb": ("u1", 4), "depth": ("f4", 3)}
 
 @dataclass(frozen=True)
 class HeldOutViews:
-    """Hold views of the true scene that no planner has seen."""
+    """Hold true images of a scene at poses that planners do not get."""
 
     camera: PinholeCamera
     world_from_camera: np.ndarray  # [V, 4, 4]
@@ -43,9 +43,9 @@ def free_space_views(
     camera: PinholeCamera,
     supersample: int = 4,  # 4 x 4 rays per pixel, against aliasing in the true images
 ) -> HeldOutViews:
-    """Draw ``count`` views uniformly in the scene's free space; every run on this scene gets the same ones.
+    """Draw ``count`` views uniformly in the scene's free space, equal in every run on this scene.
 
-    The first n views do not depend on ``count``. They are rendered once and cached by the scene's content. Raise
+    The first n views do not depend on ``count``. The images are rendered once and cached by the scene's content. Raise
     `InputError` for a scene without free space, and for more than 1024 views.
     """
     if count > _POSES_DRAWN:
@@ -57,7 +57,10 @@ def free_space_views(
 
 
 def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, supersample: int) -> HeldOutViews:
-    """Render the scene at ``poses`` [V, 4, 4] world_from_camera; the result is cached by content and poses."""
+    """Render the scene at ``poses`` [V, 4, 4] world_from_camera, with ``supersample`` rays per pixel and axis.
+
+    The result is cached by the scene's content and the poses.
+    """
     digest = hashlib.sha256(np.ascontiguousarray(poses, dtype="<f8").tobytes()).hexdigest()[:16]
     key = f"posed-views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{digest}-{camera}-{supersample}"
     arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample), _LAYOUT)
@@ -67,8 +70,8 @@ def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, super
 def roomiest_circle(space: FreeSpace) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
     """Return a horizontal circle of at most 1 m radius around the free point that is farthest from all surfaces.
 
-    The circle keeps the clearance of held-out views. If that would make the radius less than half of the centre's
-    clearance, the radius is half of it.
+    The radius is the clearance of this point minus 0.3 m (the clearance of held-out views), but at least half of the
+    clearance.
     """
     voxel = np.unravel_index(int(space.clearance.argmax()), space.clearance.shape)
     clearance = float(space.clearance[voxel])
@@ -94,7 +97,7 @@ def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
 def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
     seed = int(known.scene.content_hash[:16], 16)
     positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
-    # Uniform directions on a band of the sphere: the height of a uniform point on a sphere is uniform.
+    # Directions are uniform on a band of the unit sphere. The height of such a point is uniform (Archimedes).
     height = np.sin(np.radians(_MAX_PITCH_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
     azimuth = directions.uniform(0.0, 2.0 * np.pi, _POSES_DRAWN)[:count]
     across = np.sqrt(1.0 - height**2)
@@ -103,7 +106,7 @@ def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
     return np.stack([look_along(place, direction) for place, direction in zip(places, looking)])
 
 
-# Number of poses that are always drawn; the first ``count`` are used. So fewer views are a subset of more views.
+# So many poses are always drawn, and the first ``count`` are used. So the first n views do not depend on ``count``.
 _POSES_DRAWN = 1024
 
 

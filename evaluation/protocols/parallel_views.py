@@ -14,8 +14,9 @@ T = TypeVar("T")
 def measure_views(measure: Callable[[int], T], count: int) -> list[T]:
     """Return ``[measure(0), ..., measure(count - 1)]``, computed in parallel with one thread per view.
 
-    Views are independent, so the result does not depend on the number of threads. One thread per view is faster than
-    all threads on one view, because no thread waits for the slowest tile of an image.
+    ``measure`` is called with the index of a view. Views are independent, so the result does not depend on the number
+    of threads. One thread per view is faster than all threads on one view, because no thread waits for the slowest tile
+    of an image.
     """
     threads = min(thread_cap(), count)
     if threads <= 1:

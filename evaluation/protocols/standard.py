@@ -48,10 +48,10 @@ class Truth:
 
     surface: SurfaceSamples
     views: HeldOutViews
-    scene: Scene | None = None  # its mesh decides visibility; without it ``observed`` is undefined
+    scene: Scene | None = None  # with the mesh for tests of visibility; without it ``observed`` is None
 
 
-# Samples and views must fit into the memory; SSIM needs 11 x 11 pixels.
+# Samples and views must fit into memory; SSIM needs 11 x 11 pixels.
 _RANGES = {
     "opacity_threshold": "[0, 1)",
     "threshold_m": "(0, 1000]",
@@ -79,8 +79,8 @@ class StandardProtocol:
     threshold_m
         Metres. Completion ratio, precision and F-score count distances strictly below it.
     surface_samples
-        Samples on the whole mesh; those visible from free space (about half) are the true surface. Also the minimum
-        number of points on the TSDF surface.
+        Samples on the whole mesh. The samples visible from free space (about half) represent the true surface.
+        Also the minimum number of points on the TSDF surface.
     views
         Number of held-out views.
     view_width, view_height, view_fov_deg
@@ -99,10 +99,10 @@ class StandardProtocol:
     tsdf_image_width
         Width in pixels of the fused depth images, which have the sensor's field of view.
     tsdf_samples_per_m2
-        Minimum density of points on the TSDF surface. At 400 points per m^2, 1 % of all places have no point within
-        6 cm by chance.
+        Minimum density of points on the TSDF surface. At a tenth of the default, 400 points per m^2, 1 % of all places
+        have no point within 6 cm by chance.
     sight_margin_m
-        Metres in front of a sample in which the mesh does not block a keyframe's line of sight.
+        Metres. Mesh within this distance in front of a sample does not block the line of sight from a keyframe.
     """
 
     name: ClassVar[str] = "standard"
@@ -165,11 +165,13 @@ class StandardProtocol:
         return Truth(surface, views, known.scene)
 
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
-        """Return all metrics of a finished map. ``views`` lists the image metrics per view; the others are means.
+        """Return all metrics of a finished map by name.
 
-        Geometry metrics with the prefix ``tsdf_`` are of the TSDF surface, which needs the ``path``; those without are
-        of the Gaussians' means. ``observed`` is the share of the surface (%) that a keyframe saw, mapped or not; it
-        needs the ``path`` too. An undefined metric is None, and ``notes`` has its reason.
+        Image metrics are means over the held-out views; the entry ``views`` lists them for each view. Geometry metrics
+        with the prefix ``tsdf_`` measure the TSDF surface, which needs the ``path``. Geometry metrics without this
+        prefix measure the means of the Gaussians. ``observed`` is the share in % of the true surface that was visible
+        in at least one keyframe, mapped or not; it needs the ``path`` too. An undefined metric is None, and the entry
+        ``notes`` has the reason.
         """
         notes: dict[str, str] = {}
         means = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
@@ -197,7 +199,10 @@ class StandardProtocol:
         return share
 
     def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
-        """Return the share of the surface (%) that at least one keyframe saw; None without poses or without a mesh."""
+        """Return the share in % of the true surface that was visible in at least one keyframe of the path.
+
+        Return None without poses or without a mesh.
+        """
         if path is None or truth.scene is None:
             return None
         return 100.0 * float(np.mean(seen_by_keyframes(truth.surface.points, path, truth.scene, self.sight_margin_m)))
@@ -221,9 +226,9 @@ class StandardProtocol:
         return {f"tsdf_{name}": value for name, value in found.items()} | {"tsdf_area_m2": area}
 
     def surface(self, gaussians: GaussianMap, path: CameraPath) -> FusedSurface:
-        """Fuse the depth that the map renders at the keyframes into the TSDF surface.
+        """Render depth images of the map at the keyframes of the path and fuse them into a surface (TSDF).
 
-        Raise `InputError` if the protocol measures means only, or the surface is too large.
+        Raise `InputError` if ``points_source`` is ``"means"``, or if the surface is too large.
         """
         if self.points_source != "both":
             raise InputError("this protocol asks for means only")
@@ -238,20 +243,20 @@ class StandardProtocol:
         )
 
     def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
-        """Render the map's surface depth [K, H, W] in metres at the poses; 0 = no surface."""
+        """Render the surface depth of the map at ``poses`` [K, 4, 4]: [K, H, W] metres, 0 = no surface."""
         from activestructure_gym.splatting.surface_depth import surface_depth
 
         return surface_depth(gaussians.parameters, gaussians.count, camera, poses)
 
     def on_surface(self, triangles: Callable[[], Iterable[np.ndarray]]) -> SurfacePoints:
-        """Sample points uniformly by area on the triangles; equal triangles give equal points.
+        """Sample points uniformly by area on triangles, of which ``triangles`` returns the corners [n, 3, 3] in pieces.
 
-        They are dense enough for the distance to the nearest point to approximate the distance to the surface.
+        The points are so dense that the distance to the nearest point approximates the distance to the surface.
         """
         return SurfacePoints(triangles, per_m2=self.tsdf_samples_per_m2, least=self.surface_samples)
 
     def view_scores(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
-        """Return the image metrics of every held-out view; add the reasons of undefined ones to ``notes``."""
+        """Return the image metrics of every held-out view; add the reasons for undefined metrics to ``notes``."""
         if min(truth.views.camera.width, truth.views.camera.height) < MS_SSIM_SIDE:
             notes["ms_ssim"] = f"its five scales need images of at least {MS_SSIM_SIDE} pixels on the smaller side"
         with lpips.measuring(notes) as distance:
@@ -269,9 +274,9 @@ class StandardProtocol:
     ) -> dict[str, float]:
         """Return the scores of an unfinished map for its convergence curve.
 
-        - The completion ratio is computed on about ``samples`` points of the true surface, and ``observed`` on the same
-          points if the ``path`` so far is given.
-        - Precision and accuracy are computed on about ``samples`` means, if there are any.
+        - The completion ratio is computed on about ``samples`` points of the true surface. So is ``observed``, if the
+          ``path`` so far is given.
+        - Precision and accuracy are computed on about ``samples`` means of Gaussians, if there are any.
         - ``images`` adds PSNR and depth error, averaged over all held-out views.
         - ``surface`` adds the completion ratio of the TSDF surface, fused at the keyframes of the ``path``.
         """
@@ -291,13 +296,13 @@ class StandardProtocol:
         if observed is not None:
             found["observed"] = observed
         if surface and path is not None:
-            with suppress(InputError):  # `evaluate` records the reason
+            with suppress(InputError):  # `evaluate` of the finished map records the reason
                 pieces = self.on_surface(self.surface(gaussians, path).pieces).pieces()
                 found["tsdf_completion_ratio"] = self._ratio(part, pieces)
         return found
 
     def _image_scores(self, gaussians: GaussianMap, truth: Truth) -> dict[str, float]:
-        """Return PSNR and depth error, each averaged over the held-out views in which it is defined."""
+        """Return the mean PSNR (dB) and the mean depth error (cm) over the held-out views in which they are defined."""
 
         def look(index: int) -> tuple[float, float | None]:
             rendering = self._render(gaussians, truth, index, threads=1)
@@ -312,11 +317,11 @@ class StandardProtocol:
         return 100.0 * float(np.mean(streamed_distances(surface.points, pieces) < self.threshold_m))
 
     def points(self, gaussians: GaussianMap) -> np.ndarray:  # [P, 3]
-        """Return the reconstructed points: the means of the Gaussians that reach the opacity threshold."""
+        """Return the reconstructed points: the means of the Gaussians with at least the threshold's opacity, metres."""
         return gaussians.means[gaussians.opacities >= self.opacity_threshold]
 
     def picture(self, gaussians: GaussianMap, truth: Truth, index: int) -> np.ndarray:  # [H, W, 3] 0..1
-        """Render the map at held-out view ``index``; pixels without a Gaussian are black."""
+        """Render the colour image of the map at held-out view ``index``; pixels without a Gaussian are black."""
         return np.clip(self._render(gaussians, truth, index).color, 0.0, 1.0)
 
     def _render(self, gaussians: GaussianMap, truth: Truth, index: int, threads: int | None = None) -> Rendering:

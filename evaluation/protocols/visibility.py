@@ -20,10 +20,11 @@ def seen_by_keyframes(
     scene: Scene,
     margin: float,  # metres in front of a point in which the mesh does not block the line of sight
 ) -> np.ndarray:  # [S] bool
-    """Return which points at least one keyframe saw: in the image, within the sensor's range, and not occluded.
+    """Return which points were visible in at least one keyframe: in the image, within range, and not occluded.
 
-    Lines of sight end exactly at the points, so slanted surfaces are not missed between pixels. Both sides of a surface
-    count as visible, as for the observable surface.
+    ``path`` holds the camera, its range and the poses of the keyframes; the mesh of ``scene`` occludes. Lines of sight
+    end exactly at the points, so slanted surfaces are not missed between pixels. Both sides of a surface count as
+    visible, as for the observable surface.
     """
     camera, camera_from_world = path.camera, invert_rigid(path.keyframes)
 

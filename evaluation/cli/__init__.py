@@ -1,4 +1,4 @@
-"""Run the command ``asg``: parse its words, run one command and report expected errors in one line."""
+"""Run the program ``asg``: parse the arguments, run one command, and print an expected error as one line."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from activestructure_gym.errors import FullDisk, InputError, InputWarning, one_l
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 from activestructure_gym.streams import FULL, complain, kept_streams, say
 
-_STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
-_NOT_WRITABLE = (*FULL, errno.EROFS)
+_STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes after Ctrl-C (130) and after SIGTERM (143)
+_NOT_WRITABLE = (*FULL, errno.EROFS)  # error numbers of a full disk, and of a file system that is read-only
 _MIN_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries crash or hang
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit code.
+    """Run the command of ``argv``, by default the arguments of this process, and return the exit code.
 
-    The exit code is 0 if everything was done, 1 if some of it failed, 2 for wrong input, 130 after Ctrl-C and 143 after
-    SIGTERM. A full disk behind standard output changes 0 to 1; a closed pipe or the encoding does not.
+    The exit code is 0 for success, 1 if a part of the work failed, 2 for wrong input, 130 after Ctrl-C and 143 after
+    SIGTERM. If standard output goes to a full disk, 0 becomes 1. A closed pipe or an encoding without some characters
+    does not change the exit code.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     with kept_streams() as (out, _):
@@ -53,7 +54,7 @@ def _answered(arguments: Sequence[str]) -> int:
         return 0
     set_passive_waiting()
     if not faulthandler.is_enabled():
-        with suppress(AttributeError, OSError, ValueError):  # there is no standard error
+        with suppress(AttributeError, OSError, ValueError):  # if there is no standard error
             faulthandler.enable()
     with _sigterm_as_ctrl_c() as terminated:
         code = _exit_code(arguments)
@@ -61,7 +62,7 @@ def _answered(arguments: Sequence[str]) -> int:
 
 
 def _exit_code(arguments: Sequence[str]) -> int:
-    """Run a command and return its exit code; print every expected error as one line on standard error."""
+    """Run the command of ``arguments`` and return its exit code; print an expected error as one line on stderr."""
     try:
         _check_address_space()
         _find_in_working_directory()
@@ -73,7 +74,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         complain("stopped")
         return _STOPPED
-    except SystemExit as end:  # raised by code that is not part of the package
+    except SystemExit as end:  # raised by the code of a plugin; the package does not raise it here
         complain(f"a policy, a feature or a scene ended the program (exit code {end.code})")
         return 1
     except OSError as error:
@@ -86,7 +87,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
 
 
 def _check_address_space() -> None:
-    """Raise `InputError` if the limit on the address space is below the need of every command."""
+    """Raise `InputError` if the process's address space is limited to less than `_MIN_ADDRESS_SPACE`."""
     try:
         import resource
     except ImportError:  # Windows
@@ -100,10 +101,10 @@ def _check_address_space() -> None:
 
 
 def _find_in_working_directory() -> None:
-    """Append the working directory to ``sys.path``, so that its modules can be imported."""
+    """Append the working directory to ``sys.path``, so the user's policies and scenes in it can be imported."""
     try:
         here = os.getcwd()
-    except FileNotFoundError:  # deleted meanwhile
+    except FileNotFoundError:  # the directory has been deleted
         raise InputError("the working directory does not exist any more; change into another one") from None
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
@@ -111,7 +112,10 @@ def _find_in_working_directory() -> None:
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
-    """Raise KeyboardInterrupt at SIGTERM inside the block; yield a list to which the signal's number is appended."""
+    """Turn a SIGTERM during the ``with`` block into KeyboardInterrupt, as for Ctrl-C.
+
+    Yield a list to which the number of a received signal is appended.
+    """
     received: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> NoReturn:
@@ -119,7 +123,7 @@ def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield received  # another handler is installed, or this thread cannot install one
+        yield received  # another handler is installed, or this thread cannot install a handler
         return
     signal.signal(signal.SIGTERM, stop)
     try:
@@ -130,7 +134,7 @@ def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print every `InputWarning` of the block once and as one line, without its place in the code."""
+    """Print every `InputWarning` raised during the ``with`` block once, as one line without its place in the code."""
     printed: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -158,6 +162,6 @@ def _run(arguments: Sequence[str]) -> int:
 
     try:
         command = parse(kind, name, rest)
-    except SystemExit as end:  # raised after help and after a message of tyro
+    except SystemExit as end:  # raised by tyro after it has printed help or an error message
         return int(end.code or 0)
     return command.run()

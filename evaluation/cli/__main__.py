@@ -1,4 +1,4 @@
-"""Run ``asg`` by ``python -m activestructure_gym.evaluation.cli``."""
+"""Run the program ``asg`` when Python is called as ``python -m activestructure_gym.evaluation.cli``."""
 
 import sys
 

@@ -118,12 +118,12 @@ class Bench:
 
 
 def print_rows(console: Console, rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print one table."""
+    """Print ``rows`` as a table with a title."""
     print_whole(console, rows_table(rows, title=title))
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
-    """Return rows as a table with a column for every key; numbers have three digits."""
+    """Return a table of ``rows`` with a column for every key; numbers are rounded to three significant digits."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = plain_table(title)
     for name in names:

@@ -30,7 +30,7 @@ class Cache:
     """Print JSON."""
 
     def run(self) -> int:
-        """Show or remove the files; files in use are kept."""
+        """Show the files, or remove them; files that are in use are kept."""
         parts = ("scenes", "kernels") if self.part == "all" else (self.part,)
         rows = [(_clear if self.what == "clear" else _show)(part) for part in parts]
         if self.json:
@@ -81,7 +81,7 @@ def _clear(part: str) -> dict[str, Any]:
 
     count, freed = 0, 0
     for file in kernel_files():
-        with suppress(OSError):  # removed by another process, or owned by another user
+        with suppress(OSError):  # another process has removed the file, or it belongs to another user
             size = file.stat().st_size
             file.unlink()
             count, freed = count + 1, freed + size

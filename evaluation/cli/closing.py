@@ -1,4 +1,4 @@
-"""Print the last lines of a command: the result, the address of the page, and commands to run next."""
+"""Print the last lines of a command: the result, the address of the report page, and commands to run next."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ _INDENT = "  "
 def print_end(
     console: Console, result: Result, directory: Path, seconds: float, baseline: str | None, *, wide: bool
 ) -> int:
-    """Write the report of a comparison and print its result and next commands; return 1 if a run failed, else 0."""
+    """Write the report of a comparison, print its result and commands to run next, and return the exit code.
+
+    ``seconds`` is the duration of the comparison, and ``baseline`` the label of the policy to compare the others with.
+    ``wide`` prints all columns. The exit code is 1 if a run failed, else 0.
+    """
     from activestructure_gym.evaluation.archive.comparison import read_record, run_directory
     from activestructure_gym.evaluation.archive.played import is_played
     from activestructure_gym.evaluation.cli.result_table import print_result
@@ -46,7 +50,7 @@ def print_end(
     if result.runs:
         try:
             with console.status("drawing"):
-                for run in result.runs:  # a process may have been killed between a run and its pictures
+                for run in result.runs:  # a process may have been killed after a run and before its pictures
                     draw_missing_pictures(run)
                 files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         except FullDisk as error:
@@ -74,7 +78,7 @@ def print_end(
 
 
 def print_page(console: Console, page: Path) -> None:
-    """Print the address of a page, or its path as a link if the address is wider than the terminal."""
+    """Print the ``file://`` address of a page, or its path as a link if the address is wider than the terminal."""
     address, width = page.absolute().as_uri(), width_of(console)
     head = "Open in a browser: "
     if width is None or cell_len(head + address) <= width:
@@ -86,7 +90,7 @@ def print_page(console: Console, page: Path) -> None:
 
 
 def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
-    """Print commands to run next, quoted for a shell."""
+    """Print commands to run next, each given as its words, quoted for a shell."""
     console.print("Next:")
     for words in commands:
         for line in command_lines(words, width_of(console)):
@@ -94,10 +98,10 @@ def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
 
 
 def command_lines(words: Sequence[str], width: int | None) -> list[str]:
-    """Return the lines of a command for a shell, broken by backslashes at ``width`` columns; None breaks nothing.
+    """Return a command, given as its words, as lines of at most ``width`` columns that a shell reads as one command.
 
-    A path wider than a line continues in the first column of the next line, which a shell reads as one word. A quoted
-    word is not broken.
+    Lines end with a backslash. None as ``width`` breaks nothing. A path wider than a line continues in the first column
+    of the next line, which a shell reads as one word. A quoted word is not broken.
     """
     quoted = [shlex.quote(word) for word in words]
     lines = [_INDENT + quoted[0]]
@@ -116,7 +120,7 @@ def command_lines(words: Sequence[str], width: int | None) -> list[str]:
 
 
 def next_commands(runs: Sequence[Run]) -> list[list[str]]:
-    """Return two commands: `asg replay` of runs by two policies in one scene, and `asg watch` steered by the user."""
+    """Return two commands as words: `asg replay` of two policies in one scene, and `asg watch` steered by the user."""
     first = runs[0]
     others = [run for run in runs if (run.scene, run.job.seed) == (first.scene, first.job.seed)]
     pair = [first, *(run for run in others if run.policy != first.policy)][:2]

@@ -1,4 +1,7 @@
-"""List the commands by group and name, and print the help of ``asg``; import a command's module when it is run."""
+"""List the commands of ``asg`` by group and name, and print their overview.
+
+The module of a command is imported only when the command runs, since the imports are slow.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ GROUPS = {
         "completion": "completion:Completion",
     },
 }
-# `asg policies` is `asg list policies`; help lists the second form only.
+# `asg policies` is short for `asg list policies`; help shows only the long form.
 ALIASES = {
     "policies": "policies:Policies",
     "scenes": "scenes:Scenes",
@@ -60,14 +63,14 @@ in about a minute, with nothing to download."""
 
 
 class Command(Protocol):
-    """Define a subcommand: a dataclass of its options with a method that runs it."""
+    """Define the interface of a command: a dataclass of its options, with a method that runs it."""
 
     def run(self) -> int:
         """Run the command and return the exit code."""
 
 
 def find_command(name: str) -> type[Command]:
-    """Return the class of a command; raise `InputError` for an unknown name."""
+    """Import and return the class of the command ``name``; raise `InputError` for an unknown name."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     module, _, kind = COMMANDS[name].partition(":")
@@ -76,14 +79,14 @@ def find_command(name: str) -> type[Command]:
 
 
 def parts_of(kind: type) -> dict[str, type]:
-    """Return the classes of a command's parts by name, as bc and rank of train; {} for a command without parts."""
+    """Return the classes of a command's subcommands by name, such as bc and rank of train; {} if it has none."""
     unions = [typing.get_args(hint) for hint in typing.get_type_hints(kind, include_extras=True).values()]
     annotated = [typing.get_args(part) for union in unions for part in union if typing.get_origin(part) is Annotated]
     return {note.name: options for options, *notes in annotated for note in notes if getattr(note, "name", None)}
 
 
 def help_text() -> str:
-    """Return the help of ``asg``, with every group and its commands."""
+    """Return the help of ``asg`` as text: every group with its commands."""
     size = max(map(len, SHOWN))
     lines = list[str]()
     for group, commands in GROUPS.items():
@@ -92,7 +95,10 @@ def help_text() -> str:
 
 
 def summary(name: str) -> str:
-    """Return the first line of a command's docstring, read from its source: importing all commands takes too long."""
+    """Return the first line of a command's docstring, without the final full stop.
+
+    It is read from the source file, since importing all commands takes too long.
+    """
     module, _, kind = COMMANDS[name].partition(":")
     spec = find_spec(f"{__package__}.{module}")
     assert spec is not None and spec.origin is not None

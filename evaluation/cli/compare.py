@@ -40,7 +40,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GridOptions:
-    """Hold the options that define the runs of a comparison; without any, a resumed comparison repeats its record."""
+    """Hold the options that define the runs of a comparison.
+
+    If none is given, a resumed comparison has the runs of its record.
+    """
 
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
     """Explore these scenes, separated by commas or spaces: names (see `asg list scenes`), files, folders."""
@@ -98,17 +101,18 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
     """Print all columns of the result scene by scene, whatever the width of the terminal."""
 
     def run(self) -> int:
-        """Check, run and report; return 0 if every run finished, 1 if some failed, 130 if stopped."""
+        """Run the comparison and write its report; return 0 if all runs finished, 1 if some failed, 130 if stopped."""
         return compare_with(self)
 
 
-# The comparison without options. It is measured on fewer views and points, to end in about a minute on two cores.
+# The comparison of `asg compare` without options. Fewer views and points than usual are measured, so it takes about a
+# minute on two cores.
 DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 
 
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
-    """Run the comparison that the options name, or ``comparison`` if it is given; return the exit code."""
-    # The options are checked before the slow imports.
+    """Run the comparison defined by ``options``, or ``comparison`` if it is given, and return the exit code."""
+    # Options are checked before the slow imports.
     from activestructure_gym.evaluation.archive.store import COMPARISON
 
     use_trust(options.trust_code)
@@ -177,7 +181,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
                 add_replays(console, result.runs)
             baseline = None if options.baseline is None else policy_label(Spec(options.baseline))
             return print_end(console, result, directory, seconds, baseline, wide=options.wide)
-    except (KeyboardInterrupt, OSError) as error:  # the caller prints the message of an OSError
+    except (KeyboardInterrupt, OSError) as error:  # `main` prints the message of an OSError
         if (directory / COMPARISON).is_file():
             trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
             complain(
@@ -190,14 +194,17 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
 
 def _typed(options: Compare, *names: str) -> bool:
-    """Return whether any of the named options was given, even with its default value."""
+    """Return whether the user gave any of the options ``names``, even with its default value.
+
+    The value of an option that is not given is that of the class `Compare`.
+    """
     return any(getattr(options, name) != getattr(Compare, name) for name in names)
 
 
 def _added_to(directory: Path, options: Compare) -> Comparison | None:
-    """Return the comparison recorded in a directory, changed by the given options; None if it has no record.
+    """Return the comparison recorded in ``directory``, changed by the options that are given.
 
-    Raises `InputError` if it has no record and no scenes are named.
+    Return None if there is no record and ``options`` name scenes. Raise `InputError` if there is neither.
     """
     from activestructure_gym.evaluation.archive.jobs import code_of
     from activestructure_gym.evaluation.archive.store import COMPARISON
@@ -212,20 +219,23 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
         raise InputError(
             f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
         )
-    # The option of each kind: what is typed needs no trust.
+    # Code that the user names in an option of this call is trusted; code that only the record names is not.
     words = {"scene": "scenes", "policy": "policies", "protocol": "protocols", "metric": "metrics"}
     for kind, name in (code for job in jobs for code in code_of(job)):
         if not _typed(options, words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)
     begun = Comparison.of(jobs)
     changes = _typed_fields(options, begun)
-    if {"policies", "references"} & changes.keys():  # the added policies or references alone
+    if {"policies", "references"} & changes.keys():  # then only the given policies and references are added
         changes = {"policies": (), "references": ()} | changes
     return dataclasses.replace(begun, **changes)
 
 
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
-    """Return the options with the baseline's canonical name; raise `InputError` if it is not in the comparison."""
+    """Return the options with ``baseline`` replaced by its canonical name.
+
+    ``known`` are the policies of the comparison. Raise `InputError` if the baseline is not among them.
+    """
     from activestructure_gym.evaluation.references.trajectory import named_trajectory
     from activestructure_gym.policies import canonical_policy
 
@@ -240,7 +250,7 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
 
 
 def _with_demo_defaults(options: Compare) -> Compare:
-    """Return the options with the demo's values for those that were not given."""
+    """Return the options with the values of `DEMO` where the user gave none."""
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
@@ -250,7 +260,7 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def comparison_of(options: Compare) -> Comparison:
-    """Return the comparison that the options name; options that were not given have their defaults."""
+    """Return the comparison defined by the options, with defaults for options that are not given."""
     from activestructure_gym.evaluation.archive.conditions import Conditions
     from activestructure_gym.evaluation.running.comparison import Comparison
 
@@ -263,7 +273,7 @@ def comparison_of(options: Compare) -> Comparison:
 
 
 def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
-    """Return the given options as fields of a comparison, to replace those of ``begun``."""
+    """Return the options that the user gave as fields of a `Comparison`, to replace the fields of ``begun``."""
     from activestructure_gym.evaluation.references.trajectory import with_mappers
 
     changes = options.typed(begun.conditions)
@@ -291,13 +301,13 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
 def _print_plan(
     console: Console,
     comparison: Comparison,
-    recorded: Sequence[Job] | None,  # the jobs of a comparison that is resumed as it is
+    recorded: Sequence[Job] | None,  # jobs of the record, if a comparison is resumed without changes
     shard: Shard | None,
     directory: Path,
     *,
     demo: bool,
 ) -> int:
-    """Print the runs of a comparison, or those of a shard, without loading a scene; return 0."""
+    """Print the runs of a comparison, or only the runs of ``shard``, without loading a scene; return 0."""
     from activestructure_gym.evaluation.archive.completion import completion_markers
     from activestructure_gym.evaluation.archive.jobs import Job
 

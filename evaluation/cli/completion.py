@@ -1,4 +1,4 @@
-"""Define ``asg completion``, which prints tyro's shell completion of all commands and options."""
+"""Define ``asg completion``, which prints tyro's script for the completion of commands and options in a shell."""
 
 from __future__ import annotations
 

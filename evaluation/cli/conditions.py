@@ -1,4 +1,7 @@
-"""Define the options that `asg compare` and `asg replay-trajectory` share: conditions of runs, and how to run them."""
+"""Define the options that `asg compare` and `asg replay-trajectory` share.
+
+One class has the options for the conditions of runs, the other the options for how runs are carried out.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ConditionOptions:
-    """Hold the options for `Conditions`; an option that was not given is None or empty."""
+    """Hold the options from which `Conditions` are made; an option that is not given is None or empty."""
 
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """Start from this configuration; `asg list config PRESET` prints it."""
@@ -48,7 +51,10 @@ class ConditionOptions:
     """Read AlexNet's and LPIPS's weights from this folder; by default ASG_LPIPS_WEIGHTS or torch's hub cache."""
 
     def typed(self, begun: Conditions) -> dict[str, Any]:
-        """Return the given fields of `Conditions`; other constants of the protocol are those of ``begun``."""
+        """Return the fields of `Conditions` for which the user gave options.
+
+        The constants of the protocol that are not given are taken from ``begun``.
+        """
         from activestructure_gym.config import known_preset
 
         overrides = parse_overrides(self.set)

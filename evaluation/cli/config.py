@@ -70,7 +70,7 @@ class Config:
         return 0
 
 
-_MAX_COLUMNS = (36, 10)  # columns of a field and of its value; longer ones shorten the meaning
+_MAX_COLUMNS = (36, 10)  # widths of the columns "field" and "value" in characters; longer entries shorten the meaning
 _HINTS = {
     False: "Whole texts, and what the preset changes: --wide. Change a field: --set FIELD=VALUE.",
     True: "Where nothing is under default, the value is the default. Change a field: --set FIELD=VALUE.\n"
@@ -79,12 +79,12 @@ _HINTS = {
 
 
 def _is_of(word: str, config: Any) -> bool:
-    """Return whether ``word`` is a field of the configuration or a group of fields."""
+    """Return whether ``word`` names a field of ``config``, such as "mapper.window", or a group, such as "mapper"."""
     return any(name == word or name.startswith(f"{word}.") for name, _ in leaves(config))
 
 
 def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the fields of a nested dataclass as pairs of dotted name and value."""
+    """Yield (dotted name, value) of every field of a nested dataclass; ``before`` is the prefix of the names."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
@@ -94,7 +94,10 @@ def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
-    """Yield pairs of dotted name and meaning; a field that a subclass redefines without a text keeps the parent's."""
+    """Yield (dotted name, description) of every field of a nested dataclass; ``before`` is the prefix of the names.
+
+    If a subclass redefines a field without a description, the parent's description is used.
+    """
     lineage = reversed(type(config).__mro__[:-1])
     notes = {name: note for kind in lineage for name, note in field_notes(kind).items() if note}
     for field in dataclasses.fields(config):
@@ -106,7 +109,10 @@ def meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
 
 
 def field_notes(kind: type) -> Mapping[str, str]:
-    """Return descriptions of a dataclass's fields from its source: the text below, or the comment behind or above."""
+    """Return the description of each field of a dataclass by name, read from the source code.
+
+    The description is the string below the field, else the comment on its line, else the comment above it.
+    """
     source = textwrap.dedent(inspect.getsource(kind))
     comments = {
         token.start[0]: (token.string.lstrip("# ").rstrip(), token.line.strip().startswith("#"))

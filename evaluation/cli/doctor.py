@@ -13,8 +13,8 @@ from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
 
-_NUMBA = "numba"  # backend of the kernels
-_MAX_CHARACTERS = 20  # characters of a version; a checksum has 64
+_NUMBA = "numba"  # name of the kernels' backend in the table
+_MAX_CHARACTERS = 20  # longest version that is printed in full; the checksum of the code has 64 characters
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,10 @@ class Doctor:
     """Print JSON, with checksums in full."""
 
     def run(self) -> int:
-        """Print the checks; return 0 if `asg compare` can run, or if every scene of the dataset is usable, else 1."""
+        """Print the checks, and return the exit code.
+
+        It is 0 if `asg compare` can run, or with ``dataset`` if every scene of the dataset is usable, else 1.
+        """
         if self.dataset:
             return _print_dataset(*self.dataset)
         return _print_machine(json=self.json)
@@ -69,12 +72,15 @@ def _print_machine(*, json: bool) -> int:
 
 
 def _broken(needed: set[str], rows: list[tuple[str, str, str]]) -> list[str]:
-    """Return the backends that `asg compare` needs and that do not work."""
+    """Return the "part backend" of each row whose backend is in ``needed`` and does not work."""
     return [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
 
 
 def _print_dataset(*asked: str) -> int:
-    """Print the scenes of a folder and the state of their files; return 0 if all scenes are usable, else 1."""
+    """Print every scene of a dataset's folder with the state of its files; return 0 if all are usable, else 1.
+
+    ``asked`` are the name of the dataset and the path of the folder.
+    """
     from activestructure_gym.scenes.dataset_check import check_dataset
     from activestructure_gym.scenes.datasets import DATASETS
 
@@ -110,7 +116,7 @@ def _print_dataset(*asked: str) -> int:
 
 
 def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
-    """Return the backends that `asg compare` needs, and (part, backend, state) of all backends."""
+    """Try all backends; return the names of those needed by `asg compare`, and (part, backend, state) of each."""
     from activestructure_gym.evaluation.running.engines import ENGINES
     from activestructure_gym.scenes.cache import cache_directory
     from activestructure_gym.sensors.renderer import renderer_status
@@ -155,7 +161,7 @@ def _kernels_state() -> tuple[str, str]:
 
 
 def _cache_state() -> str:
-    """Return the state of the cache of scenes: whether it can be written, and its size."""
+    """Return the state of the scene cache as text: whether it can be written, and its size."""
     import tempfile
 
     from activestructure_gym.scenes.cache import cache_directory

@@ -47,7 +47,10 @@ class Evaluate:
     """Read AlexNet's and LPIPS's weights from this folder (default: ASG_LPIPS_WEIGHTS, or torch's hub cache)."""
 
     def run(self) -> int:
-        """Print stored and new numbers; return 0 if stored ones are bit-identical and new ones are kept, else 1."""
+        """Measure the maps again, print the numbers, and return the exit code.
+
+        It is 0 if all stored numbers are reproduced bit by bit and all new numbers could be written, else 1.
+        """
         use_trust(self.trust_code)
         use_lpips_weights(self.lpips_weights)
         if self.map is not None:
@@ -79,7 +82,7 @@ class Evaluate:
                     try:
                         write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
                         added += 1
-                    except InputError as error:  # the numbers are printed even if they cannot be kept
+                    except InputError as error:  # the numbers are printed even if they cannot be written
                         lost.append(str(error))
                 reasons |= numbers["notes"]
                 mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
@@ -101,7 +104,7 @@ class Evaluate:
 
 
 def _evaluate_map(options: Evaluate) -> int:
-    """Measure a map file of any origin on a scene."""
+    """Measure the map file ``options.map`` against the scene ``options.scene``, print the numbers, and return 0."""
     from activestructure_gym.evaluation.archive.json_files import write_json
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.protocols import get_protocol
@@ -157,7 +160,10 @@ def _open(names: tuple[str, ...]) -> list[Run]:
 
 
 def _finish_played(names: tuple[str, ...], console: Console) -> list[Run]:
-    """Measure the episodes in run directories and comparisons that were played and not measured; return their runs."""
+    """Measure the episodes that were played and not yet measured, and return their runs.
+
+    ``names`` are directories of runs and of comparisons.
+    """
     from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
     from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.archive.played import is_played
@@ -185,7 +191,10 @@ def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dict[str, Any]]]) -> Table:
-    """Return a table of rows, each texts and metrics, headed as in reports; metrics that no row has are left out."""
+    """Return a table whose rows consist of texts, headed by ``heads``, and of metrics by key.
+
+    Metrics have the column headings of reports. Metrics without a value in any row are left out.
+    """
     from activestructure_gym.evaluation.report.tables.columns import QUALITY
 
     columns = [column for column in QUALITY if any(numbers.get(column.key) is not None for _, numbers in rows)]

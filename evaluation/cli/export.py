@@ -12,8 +12,8 @@ from activestructure_gym.errors import InputError, one_line
 from activestructure_gym.evaluation.cli.fields import Out, option
 from activestructure_gym.streams import say
 
-_FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}
-_NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}
+_FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}  # format by file extension
+_NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}  # default file name by format
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Export:
     """Turn the map: z is up as in the scene, -y for most splat viewers, y for three.js and game engines."""
 
     def run(self) -> int:
-        """Write the file and print its content in one line."""
+        """Write the map file, and print its number of Gaussians and its frame in one line."""
         from activestructure_gym.evaluation.archive.store import read_run
         from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.protocols import CameraPath
@@ -67,7 +67,10 @@ class Export:
 
 
 def destination(options: Export) -> tuple[Path, str]:
-    """Return the file and its format; raise `InputError` if the file's name and --format contradict each other."""
+    """Return the path and the format of the file to write, from ``--out`` and ``--format``.
+
+    Raise `InputError` if the two contradict each other, or if the file extension is not one of `_FORMATS`.
+    """
     if options.out is None:
         usual = options.format or "ply"
         return Path(_NAMES[usual]), usual

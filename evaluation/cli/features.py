@@ -28,7 +28,7 @@ class Features:
     """Print JSON."""
 
     def run(self) -> int:
-        """Print all features with columns and units, or some with their whole descriptions."""
+        """Print a table of all features, or the whole descriptions of the named features."""
         from activestructure_gym.features import FEATURES
         from activestructure_gym.features.table import columns_in_words, units_in_words
 
@@ -69,7 +69,7 @@ def _facts(name: str) -> dict[str, Any]:
 
 
 def _described(name: str) -> str:
-    """Return the description of a feature: its docstring, columns, unit, range, and the policies that need it."""
+    """Return a feature's docstring, columns, unit, range, and the policies that need it, as one text."""
     from activestructure_gym.features import FEATURES
     from activestructure_gym.features.table import columns_in_words, ranges_in_words, units_in_words
     from activestructure_gym.policies import POLICIES

@@ -1,4 +1,4 @@
-"""Draw tables that fit the width of a terminal, split into parts if necessary."""
+"""Format tables as lines of text that fit the width of a terminal; wide tables are split into parts."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from rich.text import Text
 
 from activestructure_gym.evaluation.machine.terminal import GAP, breaks, longest_piece
 
-_MIN_COLUMNS = 8  # columns of the narrowest column whose words are folded
-_PIECE = 24  # columns; longer words may be broken at any character
+_MIN_COLUMNS = 8  # characters; least width to which the leading text columns of a split table are folded
+_PIECE = 24  # characters; longer words may be broken at any character
 
 
 @dataclass(frozen=True)
 class _Column:
-    """Hold the heading and the cells of a column, and compute its widths."""
+    """Hold the heading and the cells of a column, and compute its widths in characters."""
 
     head: Text
     cells: list[Text]
-    numeric: bool
+    numeric: bool  # whether the cells are numbers, which are aligned to the right
 
     @property
     def natural(self) -> int:
-        """Return the width without folding; a heading of numbers has its unit in a second line."""
+        """Return the width without folding; the heading of a numeric column has its unit in a second line."""
         head = _first_lines(self.head.plain) if self.numeric else [self.head.plain]
         return max(map(cell_len, [*head, *(cell.plain for cell in self.cells)]), default=0)
 
     @property
     def least(self) -> int:
-        """Return the width with words folded; numbers are not folded."""
+        """Return the least width to which the column can be folded; numbers are not folded."""
         words = [self.head.plain] if self.numeric else [self.head.plain, *(cell.plain for cell in self.cells)]
         least = min(max(map(longest_piece, words), default=0), _PIECE)
         return max([least, *(cell_len(cell.plain) for cell in self.cells)]) if self.numeric else least
@@ -40,9 +40,11 @@ class _Column:
 def table_lines(
     table: Table, width: int | None, *, rule: str = "─", shown: Callable[[str], Text] = Text.from_markup
 ) -> Iterator[Text]:
-    """Yield the lines of a table, none wider than ``width`` (None: no limit); ``shown`` reads a cell's markup.
+    """Yield the lines of a table, each at most ``width`` characters wide (None: no limit).
 
-    Words are folded. Columns that do not fit go into further parts, each of which begins with the leading text columns.
+    Texts are folded. If the columns do not fit, the table is split into parts below each other, and every part begins
+    with the leading text columns. ``rule`` is the character of the line below the headings, and ``shown`` converts the
+    markup of a cell to styled text.
     """
     columns = _columns(table, shown)
     if not columns:
@@ -66,7 +68,7 @@ def table_lines(
 
 
 def fits(table: Table, width: int) -> bool:
-    """Return whether a table fits into ``width`` columns without folding."""
+    """Return whether a table fits into ``width`` characters without folding."""
     columns = _columns(table)
     return sum(column.natural for column in columns) + GAP * (len(columns) - 1) <= width
 
@@ -79,7 +81,10 @@ def _columns(table: Table, shown: Callable[[str], Text] = Text.from_markup) -> l
 
 
 def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]]:
-    """Return the parts of a table, each as a dictionary from column number to width."""
+    """Split a table into parts that fit ``width``; a part is a dictionary from column index to width in characters.
+
+    Every part begins with the leading text columns. None as ``width`` gives one part.
+    """
     natural, least = [column.natural for column in columns], [column.least for column in columns]
     if width is None or sum(natural) + GAP * (len(columns) - 1) <= width:
         return [dict(enumerate(natural))]
@@ -99,7 +104,7 @@ def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]
 
 
 def _widened(part: dict[int, int], natural: Sequence[int], width: int) -> dict[int, int]:
-    """Return a part with the rest of ``width`` given to its columns from left to right, up to their natural widths."""
+    """Widen the columns of a part from left to right until ``width`` is used, each at most to its ``natural`` width."""
     part = dict(part)
     left = width - sum(part.values()) - GAP * (len(part) - 1)
     for k in part:
@@ -110,7 +115,10 @@ def _widened(part: dict[int, int], natural: Sequence[int], width: int) -> dict[i
 
 
 def _drawn(cells: list[list[Text]], chosen: list[tuple[_Column, int]], *, bottom: bool = False) -> Iterator[Text]:
-    """Yield the lines of a row from the lines of its cells, aligned at the top, or at the bottom for headings."""
+    """Yield the lines of a table row, given the lines of each of its cells and the width of each column.
+
+    Cells with fewer lines are aligned at the top, or at the bottom if ``bottom``.
+    """
     height = max(map(len, cells))
     for k in range(height):
         line = Text()
@@ -130,7 +138,7 @@ def _head_lines(column: _Column, size: int) -> list[str]:
 
 
 def _first_lines(head: str) -> list[str]:
-    """Split the heading of numbers into lines: the name, and the unit in parentheses."""
+    """Split the heading of a numeric column into lines: the name, and the unit in parentheses."""
     return head.replace(" (", "\n(").split("\n")
 
 

@@ -1,4 +1,4 @@
-"""Print registered names as a table, or as JSON."""
+"""Print listings, such as the registered policies, as a table or as JSON, and print docstrings."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def print_listed(
     wide: bool,
     most: Sequence[int] = (),
 ) -> None:
-    """Print one line per row, with the last entry shortened to the terminal's width, and a hint below.
+    """Print a title, the headings ``heads``, one line per row, and a hint below.
 
-    With ``wide``, and in a log, nothing is shortened. ``most`` limits the widths of the other columns, see `aligned`.
+    The last entry of a row is shortened to the width of the terminal. With ``wide``, and in a log, nothing is
+    shortened. ``most`` limits the widths of the other columns, see `aligned`.
     """
     console = make_console()
     console.print(title, style="bold", markup=False)
@@ -44,7 +45,7 @@ def print_listed(
 
 
 def print_text(console: Console, text: str) -> None:
-    """Print a docstring: unchanged in a log, with paragraphs filled to the width in a terminal."""
+    """Print a docstring: unchanged in a log, and with paragraphs wrapped at the width of a terminal."""
     if width_of(console) is None:
         print_lines(console, text.splitlines())
         return
@@ -55,7 +56,7 @@ def print_text(console: Console, text: str) -> None:
 def print_json(content: Any) -> int:
     """Print ``content`` as JSON; return exit code 0."""
     text = json.dumps(content, indent=1, default=str, ensure_ascii=False)
-    if fitting(printable(text), sys.stdout.encoding or "ascii") != text:  # then JSON escapes are written
+    if fitting(printable(text), sys.stdout.encoding or "ascii") != text:  # some characters need JSON escapes
         text = json.dumps(content, indent=1, default=str)
     say(text)
     return 0

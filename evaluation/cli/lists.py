@@ -1,6 +1,6 @@
-"""Define ``asg list``, which lists the names that options take."""
+"""Define ``asg list``, which lists the names of policies, scenes, features and configuration fields."""
 
-# The module is not called list.py, since that name would hide the builtin in the package.
+# The module is not called list.py, since that name would hide the builtin ``list`` in the package.
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -28,5 +28,5 @@ class List:
     """List these."""
 
     def run(self) -> int:
-        """Print the list."""
+        """Print the list, and return 0."""
         return self.what.run()

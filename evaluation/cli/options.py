@@ -1,4 +1,4 @@
-"""Parse the values of command-line options; every mistake is one `InputError`."""
+"""Parse the values of command-line options; a wrong value raises `InputError`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.registry import TRUST
 from activestructure_gym.specs import Spec
 
-# A number behind a comma in a scene's options, as in box?size=4,3,2.5
+# A number after a comma in a scene's options, such as 3 and 2.5 in box?size=4,3,2.5.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_MAX_SEEDS = 10_000  # of a range
-_POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
+_MAX_SEEDS = 10_000  # largest number of seeds in a range such as 0-4
+_POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a decimal point; JSON does not accept .9 and 1.
 
 
 def split_list(words: Sequence[str]) -> tuple[str, ...]:
-    """Split words at commas, except commas between the numbers of a scene's option."""
+    """Split words at commas, except commas between numbers in a scene's option, as in box?size=4,3,2.5."""
     items: list[str] = []
     for word in words:
         for number, part in enumerate(word.split(",")):
@@ -33,16 +33,16 @@ def split_list(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
-    """Split words as `split_list` does, except names of existing files and folders, which may hold commas.
+    """Split words at commas like `split_list`, but do not split names of existing files and folders.
 
-    A name may have options behind it and a kind before it, as in ``replica:PATH``.
+    A file name may be followed by options and preceded by a kind, as in ``replica:PATH?option=value``.
     """
     items: list[str] = []
     for word in words:
         ends = [len(word), *(place for place, letter in enumerate(word) if letter == "?")]
         file = next((word[:end] for end in ends if _is_there(word[:end])), "")
         if file:
-            first, *others = split_list(["?" + word[len(file) + 1 :]])  # the options alone
+            first, *others = split_list(["?" + word[len(file) + 1 :]])  # first: the options after the file name
             items += [file + first if file != word else file, *others]
         else:
             items += split_list([word])
@@ -50,16 +50,15 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def _is_there(word: str) -> bool:
-    """Return whether ``word``, or its part behind a colon, is an existing file or folder."""
+    """Return whether ``word``, or the part of it after the first colon, is an existing file or folder."""
     return any(os.path.exists(os.path.expanduser(name)) for name in (word, word.partition(":")[2]) if name)
 
 
 def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
-    """Split words into names of policies.
+    """Split words at commas into names of policies.
 
-    ``ladder`` is replaced by the variants A to E of the paper's Table 3, ``all`` by all registered policies.
-
-    Raises `InputError` for an unknown name that is not ``package.module:Class``, and for a reference.
+    ``ladder`` is replaced by the variants A to E of the paper's Table 3, and ``all`` by all registered policies. Raise
+    `InputError` for an unknown name that is not ``package.module:Class``, and for a reference such as the oracle.
     """
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.activestructure import LADDER
@@ -76,7 +75,7 @@ def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
-    """Parse whole numbers from 0 on; ``0-4`` is 0, 1, 2, 3 and 4."""
+    """Parse seeds: whole numbers from 0 on, or ranges such as ``0-4`` for 0, 1, 2, 3 and 4."""
     seeds: list[int] = []
     for text in split_list(words):
         ends = text.split("-")
@@ -92,7 +91,7 @@ def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
 
 
 def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
-    """Parse ``x,y,z,yaw`` in metres and degrees."""
+    """Parse a start pose ``x,y,z,yaw`` in metres and degrees, or return None for None."""
     if text is None:
         return None
     try:
@@ -105,7 +104,10 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
 
 
 def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, float, float] | None:
-    """Parse the start of every episode: `parse_start`, or for ``published`` the start of papers in the only scene."""
+    """Parse the value of ``--start``: a start pose as for `parse_start`, or "published".
+
+    "published" is the start pose that papers use in the scene; ``scenes`` must then have one entry.
+    """
     if text != "published":
         return parse_start(text)
     if len(scenes) != 1:
@@ -120,7 +122,7 @@ def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, flo
 
 
 def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
-    """Parse ``key=value`` pairs; a value is JSON or a number as ``.9``, and otherwise text."""
+    """Parse ``key=value`` words; a value is JSON, a number such as ``.9``, True, False or None, and otherwise text."""
     overrides = {}
     for word in words:
         key, equals, value = word.partition("=")
@@ -129,7 +131,7 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
         try:
             overrides[key] = json.loads(value)
         except (RecursionError, ValueError) as error:
-            if not isinstance(error, json.JSONDecodeError):  # too deeply nested, or a number of thousands of digits
+            if not isinstance(error, json.JSONDecodeError):  # too deeply nested, or a number with thousands of digits
                 raise InputError(f"--set {short_repr(key)} takes no such value, got {short_repr(value)}") from None
             if value[:1] in ("[", "{"):
                 raise InputError(
@@ -142,7 +144,10 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
 
 
 def use_lpips_weights(place: str | None) -> None:
-    """Set the folder of LPIPS weights for this process and its children; raise `InputError` if a file is missing."""
+    """Set the folder ``place`` of the LPIPS weights for this process and its children; None changes nothing.
+
+    Raise `InputError` if a weight file is missing.
+    """
     from activestructure_gym.evaluation.metrics import lpips
 
     before = os.environ.get(lpips.VARIABLE)
@@ -160,6 +165,9 @@ def use_lpips_weights(place: str | None) -> None:
 
 
 def use_trust(trusted: bool) -> None:
-    """Let this process and its children run code that files name, if ``trusted``; see `registry.refuse_code`."""
+    """Allow this process and its children to run code that recorded files name, if ``trusted``.
+
+    See `registry.refuse_code`.
+    """
     if trusted:
         os.environ[TRUST] = "1"

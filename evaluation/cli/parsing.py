@@ -1,4 +1,4 @@
-"""Parse the words behind ``asg COMMAND`` with tyro; help and messages fit the terminal and its encoding."""
+"""Parse the arguments of ``asg COMMAND`` with tyro; help and errors fit the terminal and its encoding."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from activestructure_gym.evaluation.cli.commands import parts_of
 from activestructure_gym.streams import Stream, flat, raw, write_line
 
 T = TypeVar("T")
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_HELP_COLUMNS = 110  # the width of help if no terminal gives one
-_MAX_NUMBER = 2.0**63  # limit of every number; most options have narrower limits of their own
-_MAX_CHARACTERS = 160  # characters of a word in a message
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # ANSI escape sequence of a colour
+_HELP_COLUMNS = 110  # width of help in characters if the output is not a terminal
+_MAX_NUMBER = 2.0**63  # limit of the absolute value of every number; most options have narrower limits
+_MAX_CHARACTERS = 160  # longest argument that an error message repeats in full
 
 
 def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
-    """Return the options of a command.
+    """Parse the arguments ``words`` of the command ``name``, and return an object of its class ``kind``.
 
-    Raises `InputError` for bytes that are no text, and `SystemExit`: code 0 after help, code 2 after tyro's message
-    about words that cannot be parsed.
+    Raise `InputError` for bytes that are not text. Raise `SystemExit` after help is printed, with code 0, and after an
+    error message of tyro is printed, with code 2.
     """
     for word in words:
         if "\0" in word or not _encodable(word):
@@ -46,8 +46,8 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     except SystemExit as end:
         if not end.code:
             raise
-    # Tyro's message repeats words, so the words are parsed again in a printable form. In its message tyro cuts the
-    # program's name at a space, so a no-break space joins it.
+    # Tyro's error message repeats arguments, so they are parsed again in a printable form. In this message, tyro cuts
+    # the program's name at a space, so "asg" and the command are joined by a no-break space.
     message = io.StringIO()
     with suppress(SystemExit), redirect_stdout(_Uncoloured()), redirect_stderr(message):
         _read(kind, f"asg\xa0{name}", [_printable(word) for word in words])
@@ -56,10 +56,10 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
 
 
 class _Folded(Stream):
-    """Fold lines of help that are too wide for the terminal: tyro folds neither usage nor description."""
+    """Write help with lines folded to the width of the terminal, since tyro does not fold the usage and description."""
 
     def write(self, text: str) -> int:
-        """Write the text with lines folded at the width of help."""
+        """Write ``text`` with its lines folded to the width of help; return its number of characters."""
         super().write("\n".join(line for whole in text.split("\n") for line in _folded(whole, _columns_of_help())))
         return len(text)
 
@@ -73,7 +73,7 @@ def _folded(line: str, width: int) -> list[str]:
 
 
 class _Uncoloured(io.StringIO):
-    """Collect output in memory; with this encoding tyro draws frames, without colours."""
+    """Collect output in memory; with the encoding UTF-8, tyro draws frames around messages, without colours."""
 
     encoding = "utf-8"  # type: ignore[assignment]
 
@@ -88,11 +88,12 @@ def _printable(word: str) -> str:
 
 
 def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
-    """Return the words with all values of a repeated list option moved behind its first occurrence.
+    """Join repeated list options: move the values of every further occurrence to the first one.
 
-    Tyro alone would use the last occurrence; its `UseAppendAction` takes one value each time.
+    ``words`` are arguments, and ``lists`` the options that take several values. Tyro alone would use only the last
+    occurrence, and its `UseAppendAction` takes one value per occurrence.
     """
-    current: list[str] = []  # an option and its values
+    current: list[str] = []  # an option, followed by its values
     groups: dict[str | int, list[str]] = {0: current}
     for number, word in enumerate(words, 1):
         option, equals, value = word.partition("=")
@@ -108,7 +109,7 @@ def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
 
 
 def _lists(kind: type) -> set[str]:
-    """Return the options of a command and of its parts that take any number of values."""
+    """Return the options, such as "--scenes", of a command and its subcommands that take any number of values."""
     hints = [typing.get_type_hints(part) for part in (kind, *parts_of(kind).values())]
     return {f"--{name.replace('_', '-')}" for one in hints for name, hint in one.items() if "tuple[" in str(hint)}
 
@@ -116,14 +117,14 @@ def _lists(kind: type) -> set[str]:
 def _encodable(word: str) -> bool:
     try:
         word.encode()
-    except UnicodeEncodeError:  # Python passes bytes that are not UTF-8 as lone surrogates
+    except UnicodeEncodeError:  # Python decodes argument bytes that are not UTF-8 as lone surrogates
         return False
     return True
 
 
 @contextmanager
 def _columns(number: int) -> Iterator[None]:
-    """Let tyro format for a terminal of ``number`` columns while the block runs."""
+    """Make tyro format its output for a width of ``number`` characters during the ``with`` block."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(number)
     try:
@@ -146,12 +147,15 @@ def _columns_of_help() -> int:
 
 
 def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) -> Callable[[PrimitiveTypeInfo], Any]:
-    """Return tyro's rule for options of one type, optional or not: values of ``kind`` for which ``good`` is true."""
+    """Return a tyro rule for options of the type ``kind``, or optionally None, that checks values by ``good``.
+
+    ``metavar`` is the placeholder of a value in help, and ``wanted`` describes correct values in the error message.
+    """
 
     def read(texts: list[str]) -> Any:
         try:
             value = kind(texts[0])
-        except ValueError:  # also raised for more digits than Python reads
+        except ValueError:  # also raised for a number with thousands of digits
             value = None
         if value is None or not good(value):
             raise ValueError(f"expected {wanted}, got {short_repr(texts[0])}")
@@ -166,7 +170,7 @@ def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) ->
 
 
 def _choice(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Return the rule for an optional choice of names; tyro's own rule would also take the word None."""
+    """Return the rule for options of a type ``Literal[...] | None``; tyro's own rule would accept the text None."""
     names, *others = get_args(info.type) or (None,)
     if others != [NoneType] or get_origin(names) is not Literal:
         return None
@@ -182,7 +186,7 @@ def _choice(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 def _words(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Return the rule for an optional list of texts, which is None if the option is not given."""
+    """Return the rule for options of the type ``tuple[str, ...] | None``, which are None if not given."""
     if info.type != tuple[str, ...] | None:
         return None
     return PrimitiveConstructorSpec("*", "[TEXT ...]", tuple, lambda value: True, lambda value: list(value or ()))

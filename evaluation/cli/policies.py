@@ -1,4 +1,4 @@
-"""Define ``asg list policies``, which lists the policies or describes some."""
+"""Define ``asg list policies``, which lists all policies or describes the named ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Policies:
     """Print JSON."""
 
     def run(self) -> int:
-        """Print all registered policies in a table, or some with their options and whole descriptions."""
+        """Print a table of all registered policies, or the named ones with their options and whole descriptions."""
         from activestructure_gym.policies import POLICIES, canonical_policy
 
         names = split_list(self.names)
@@ -61,7 +61,7 @@ _HINT = "One with its options: asg list policies NAME; your own: asg list polici
 
 
 def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
-    """Return a policy's row: name, source and decision rule; with ``wide`` the whole source and the features."""
+    """Return a policy's table row: name, shortened source, decision rule; with ``wide``, whole source and features."""
     if wide:
         return [facts["name"], facts["source"], ", ".join(facts["features"]), facts["criterion"]]
     source = _QUALIFIED.sub("after ", facts["source"]).partition(",")[0]
@@ -69,7 +69,7 @@ def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
 
 
 def _describe(facts: dict[str, Any]) -> None:
-    """Print one policy with its options."""
+    """Print the description and the options of one policy, given its facts from `_policy_facts`."""
     console = make_console()
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
     print_text(console, facts["about"])
@@ -88,7 +88,7 @@ def _describe(facts: dict[str, Any]) -> None:
 
 
 def features_asked(name: str) -> tuple[str, ...]:
-    """Return the feature columns that a policy needs, with the options in its name or the defaults."""
+    """Return the feature columns that the policy ``name`` needs; the name may include options, as in active_gs?a=b."""
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import features_of
 
@@ -122,7 +122,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
 
 
 def _docstring(kind: type) -> str:
-    """Return the docstring of a policy class, or of the nearest parent that is a policy and not abstract."""
+    """Return the docstring of a policy class; without one, that of the nearest parent that is a concrete policy."""
     from activestructure_gym.policies import Policy
 
     policies = (parent for parent in kind.__mro__ if issubclass(parent, Policy) and not inspect.isabstract(parent))

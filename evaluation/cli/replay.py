@@ -45,7 +45,7 @@ class Replay:
     """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
-        """Play the runs again, write the page or the video, and print its place."""
+        """Play the runs again, write the page or the video, and print its path."""
         use_trust(self.trust_code)
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
         if not 1 <= len(directories) <= MAX_RUNS:
@@ -64,9 +64,9 @@ class Replay:
 
 
 def add_replays(console: Console, runs: Iterable[Run]) -> None:
-    """Write replay.html into the directory of every run that has none; print the runs that cannot be replayed.
+    """Write replay.html into the directory of every run that has none; print which runs cannot be replayed.
 
-    The runs are trusted: code that their files name is run.
+    The runs are trusted: plugins that their files name are imported.
     """
     from activestructure_gym.evaluation.archive.store import REPLAY
 
@@ -75,12 +75,12 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
         if not page.exists():
             try:
                 write_page(console, page, [run], trusted=True)
-            except InputError as error:  # for example, a mapper without Gaussians; the other runs are replayed
+            except InputError as error:  # for example for a mapper without Gaussians; the other runs are replayed
                 console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]")
 
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
-    """Play ``runs`` again, write the page, and print its address."""
+    """Play one or two runs again, write the replay page to ``out``, and print its address."""
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.replay import play_again, write_replay
 
@@ -120,7 +120,10 @@ def _check_place(name: str, out: Path) -> None:
 
 @contextmanager
 def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar while ``run`` is played again; yield the function that updates it, called with two counts."""
+    """Show a progress bar during the ``with`` block, in which ``run`` is played again.
+
+    Yield the function that updates the bar. Its arguments are the number of frames so far and the frame budget.
+    """
     with progress_bar(console, TextColumn("{task.completed} of {task.total} frames")) as progress:
         title = short_title(console, f"playing {run.job.title}")
         task = progress.add_task(title, total=run.metrics["metrics"]["frames"])
@@ -128,7 +131,7 @@ def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]
 
 
 def _runs_of(directory: Path) -> list[Path]:
-    """Return the directory of a finished run, or the directories of a comparison's finished runs."""
+    """Return ``directory`` if it is of a finished run, or the directories of all finished runs of a comparison."""
     from activestructure_gym.evaluation.archive.completion import DONE, completion_markers
     from activestructure_gym.evaluation.archive.store import COMPARISON
 

@@ -50,7 +50,7 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
     """
 
     def run(self) -> int:
-        """Check the trajectory, follow it and report; the exit codes are those of `asg compare`."""
+        """Check the trajectory, map along it and write the report; the exit codes are those of `asg compare`."""
         use_trust(self.trust_code)
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
@@ -61,7 +61,7 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
 
 
 def _run_of(place: str) -> Run | None:
-    """Return the finished run that a trajectory belongs to, or None."""
+    """Return the finished run to which the trajectory at the path ``place`` belongs, or None."""
     from activestructure_gym.evaluation.archive.completion import DONE
     from activestructure_gym.evaluation.archive.store import read_run
 
@@ -70,7 +70,10 @@ def _run_of(place: str) -> Run | None:
 
 
 def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Comparison]:
-    """Return the equivalent options of `asg compare`, and the comparison."""
+    """Return the equivalent options of `asg compare` and the comparison to run.
+
+    If ``run`` is given and no scene, the comparison repeats the scene, the seed and the configuration of that run.
+    """
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
 
     given = TrajectorySpec(
@@ -100,7 +103,7 @@ def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Compari
 
 
 def _changes_of(run: Run) -> dict[str, Any]:
-    """Return the changes of a run's configuration from its preset, without features and frame budget."""
+    """Return the configuration fields in which a run differs from its preset, without features and frame budget."""
     from activestructure_gym.evaluation.archive.jobs import refuse_code
     from activestructure_gym.evaluation.archive.store import CONFIG
     from activestructure_gym.evaluation.references.trajectory import TrajectorySpec

@@ -37,7 +37,7 @@ class Report:
     """Print all columns scene by scene, whatever the width of the terminal."""
 
     def run(self) -> int:
-        """Write the report and print the overview; return 0 if it has every requested run, 1 if some are missing."""
+        """Write the report and print the overview; return 0 if it has all requested runs, 1 if some are missing."""
         from activestructure_gym.evaluation.archive.store import COMPARISON
 
         if not self.runs:

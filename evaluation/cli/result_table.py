@@ -1,4 +1,4 @@
-"""Print the result of a comparison in a terminal, with a line per policy and the columns that fit."""
+"""Print the result of a comparison in a terminal: one line per policy, and as many columns as fit."""
 
 from __future__ import annotations
 
@@ -23,14 +23,17 @@ from activestructure_gym.evaluation.report.tables.columns import (
 from activestructure_gym.evaluation.report.tables.overview import AVERAGE, Cell, Row, rich_table, styled, table_rows
 from activestructure_gym.streams import escape
 
-_LOG = 80  # width of tables in a log, columns
-# The columns that are always shown, as are those of the runs' own metrics, and those that are added while they fit.
+_LOG = 80  # width of tables in a log, in characters
+# Columns that are always shown, together with the runs' own metrics; and columns that are added as long as they fit.
 _MAIN = ("observed", "completion_ratio", "psnr", "metres", "seconds")
 _MORE = ("tsdf_completion_ratio", "ssim", "completion_cm", "accuracy_cm", "precision", "frames")
 
 
 def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
-    """Print a line per policy, or with ``wide`` all columns by scene; return whether something was left out."""
+    """Print one line per policy, or with ``wide`` all columns for every scene.
+
+    Return whether columns or scenes are left out.
+    """
     if wide:
         print_whole(console, rich_table(table_rows(runs), overview_columns(runs), title=_title(runs)), wide=True)
         return False
@@ -42,7 +45,10 @@ def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
 
 
 def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
-    """Return one table of means over the scenes, or a table per scene if a policy has no run in some scene."""
+    """Return one table of means over the scenes, or one table per scene if a policy has not run in all scenes.
+
+    ``width`` is the width of the terminal in characters.
+    """
     rows = table_rows(runs)
     scenes = list(dict.fromkeys(run.scene for run in runs))
     averages = [_with_deviation(row, runs) for row in rows if row.scene == AVERAGE]
@@ -59,7 +65,10 @@ def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
 
 
 def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
-    """Add to a row of averages the standard deviation over seeds of the scenes' mean, if every seed has all runs."""
+    """Add standard deviations to a policy's row of averages: over the seeds, of the mean over the scenes.
+
+    A metric gets no deviation if a seed lacks a run or a value.
+    """
     cells = dict(row.cells)
     for key, cell in cells.items():
         by_seed: dict[int, list[float | None]] = {}
@@ -75,7 +84,7 @@ def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
 
 
 def _fitting(rows: Sequence[Row], title: str, first: Sequence[Column], more: Sequence[Column], width: int) -> Table:
-    """Return the table of the columns ``first``, with as many of ``more`` as fit the width."""
+    """Return a table with the columns ``first``, and as many of the columns ``more`` as fit ``width`` characters."""
     for count in range(len(more), -1, -1):
         table = _table(rows, title, [*first, *more[:count]])
         if fits(table, width):
@@ -98,7 +107,7 @@ def _shown(cell: Cell, column: Column) -> str:
 
 
 def _title(runs: Sequence[Run]) -> str:
-    """Return the title of a table: over how many scenes and seeds its numbers are means."""
+    """Return the title of a table, which says over how many scenes and seeds its numbers are averaged."""
     scenes, seeds = len({run.scene for run in runs}), len({run.job.seed for run in runs})
     mean = f"mean of {pluralised(scenes, 'scene')}" if scenes > 1 else "mean"
     if seeds > 1:

@@ -1,4 +1,4 @@
-"""Define ``asg list scenes``, which lists the registered scenes, or checks one and lists its regions of free space."""
+"""Define ``asg list scenes``, which lists the registered scenes, or checks a scene and its regions of free space."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.ground_truth.regions import Region
 
-_MAX_LISTED = 8  # regions
-_SAMPLES = 10_000  # surface samples for the observable share of an unused region
-_MAX_BOTTOMLESS = 0.1  # share of the free space; every scan has small holes
+_MAX_LISTED = 8  # largest number of regions in the table
+_SAMPLES = 10_000  # sample points for the observable share of the surface from a region that is not used
+_MAX_BOTTOMLESS = 0.1  # share of the free space that may lack a floor without a note; every scan has small holes
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Scenes:
     """Print JSON."""
 
     def run(self) -> int:
-        """Print the registered scenes, or the description of one, and draw it with ``--picture``."""
+        """Print the registered scenes, or describe one scene and with ``--picture`` draw it."""
         console = make_console()
         console.quiet = self.json
         if self.spec is None:
@@ -88,13 +88,17 @@ class Scenes:
 
 
 def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
-    """Return the ``truth`` of a scene, ``lines`` of (name, text) that describe it, and rows of its ``regions``."""
+    """Load the scene ``spec`` and return its description as a dictionary.
+
+    ``truth`` is its ground truth, ``lines`` are (name, text) pairs that describe it, and ``regions`` has one dictionary
+    per region of free space. ``notify`` is called with a text at the beginning of each slow part.
+    """
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.ground_truth.truth import hardly_seen
     from activestructure_gym.scenes import load_scene
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", InputWarning)  # the scene's notes have them
+        warnings.simplefilter("ignore", InputWarning)  # the same texts are in the scene's notes, which are printed
         scene = load_scene(spec)
     notify("finding free space")
     known = ground_truth_of(scene)
@@ -128,7 +132,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
 
 
 def _listed(known: GroundTruth) -> list[Region]:
-    """Return the regions with the most level ground, and the region in use."""
+    """Return the `_MAX_LISTED` regions with the most level ground, and the region in use."""
     places, used = known.regions.places, known.regions.used
     return [region for number, region in enumerate(places) if number < _MAX_LISTED or region is used]
 
@@ -181,7 +185,10 @@ def _region_table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _registered() -> list[dict[str, Any]]:
-    """Return the names of scenes with their options; an option without a default is None."""
+    """Return one dictionary per registered scene: its name, and its options with their defaults.
+
+    The value of an option without a default is None.
+    """
     from activestructure_gym.scenes import SCENES
 
     rows = []

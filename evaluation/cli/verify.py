@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.running.episode import Progress
 
 _MARKS = {"identical": "[green]✓[/]", "not comparable here": "[yellow]?[/]"}
-_NOT_COMPARABLE = 3  # exit code
+_NOT_COMPARABLE = 3  # exit code if a run is not comparable on this machine
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Verify:
     """Run code (package.module:Name) that the runs' files name."""
 
     def run(self) -> int:
-        """Play each run again, print its verdict and return the exit code."""
+        """Play each run again, print its verdict (identical, differs, ...), and return the exit code."""
         use_trust(self.trust_code)
         from rich.progress import Progress as Bar
         from rich.progress import TextColumn
@@ -62,7 +62,7 @@ class Verify:
                 found = None
                 try:
                     found = verify(run, update)
-                except Exception as error:  # a policy may raise any error; the other runs are played
+                except Exception as error:  # a policy may raise any error; the remaining runs are still played
                     said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
             if found is None:
                 unplayed += 1

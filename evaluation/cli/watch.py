@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from activestructure_gym.policies import Policy
     from activestructure_gym.viewer import LiveView
 
-YOU = "you"  # policy name: the user chooses every view on the page
-_COLOURED_BY = "hole_area"  # policy whose feature colours the candidates for YOU
+YOU = "you"  # value of --policy with which the user chooses every view on the page
+_COLOURED_BY = "hole_area"  # policy whose feature colours the candidates if the user chooses
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Watch:
     """Exit when the episode ends, instead of serving the page until Ctrl+C."""
 
     def run(self) -> int:
-        """Serve the page and play the episode; keep serving until Ctrl+C, except with ``--exit``."""
+        """Serve the page and play the episode; then serve the page until Ctrl+C, except with ``--exit``."""
         from activestructure_gym.viewer import LiveView
 
         env, policy = self._make()
@@ -122,7 +122,10 @@ class Watch:
 def play(
     env: gym.Env[Any, Any], policy: Policy, seed: int, view: LiveView, asks: bool, say: Callable[[str], None]
 ) -> str:
-    """Play and show one episode; return a summary in words. With ``asks``, the page chooses every view."""
+    """Play one episode, show it on the page ``view``, and return a summary as text.
+
+    With ``asks``, the user chooses every view on the page. ``say`` is called with a text after every step.
+    """
     shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
     observation, info = env.reset(seed=seed)
     policy.reset(seed)

@@ -29,5 +29,5 @@ class Train:
     """Train by this method, or evaluate."""
 
     def run(self) -> int:
-        """Run the method; return 0 when done, 1 without a checkpoint, 130 if stopped."""
+        """Run the method; return 0 if it finished, 1 if it has no checkpoint, 130 if stopped."""
         return self.method.run()

@@ -1,4 +1,4 @@
-"""Define the options about episodes that all parts of ``asg train`` share."""
+"""Define the options for episodes that all subcommands of ``asg train`` share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 @dataclass(frozen=True)
 class Episodes:
-    """Hold the options about episodes: directory, processes, preset, frame budget and layouts."""
+    """Hold the options for episodes: directory, processes, preset, frame budget and layouts."""
 
     out: Out = None
     """Write the results into this directory (default: runs/eval-<date>-<time>)."""

@@ -1,4 +1,4 @@
-"""Run a training from its beginning, or from its last finished unit."""
+"""Run a training from its beginning, or from its last finished epoch or iteration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check(config: TrainingConfig) -> None:
-    """Raise `InputError` for names of features or fields of the configuration that do not exist."""
+    """Raise `InputError` if ``config`` names a feature or a configuration field that does not exist."""
     from activestructure_gym.evaluation.training.config import WITH_TRUTH
     from activestructure_gym.evaluation.training.training_env import world_config
 
@@ -28,7 +28,7 @@ def check(config: TrainingConfig) -> None:
 
 
 def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
-    """Print what `learn` would do; return 0."""
+    """Print the training that `learn` would run, without running it; return 0."""
     from activestructure_gym.evaluation.training.training_env import world_config
 
     world = config.world
@@ -45,7 +45,11 @@ def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
 
 
 def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
-    """Begin or resume a training run; return 0 if it has a best checkpoint, 1 without one, 130 if stopped."""
+    """Begin or resume a training run in ``directory``, and return the exit code.
+
+    ``data`` is the directory of the demonstrations, by default a folder of the run. ``begun`` says whether the run is
+    resumed. The exit code is 0 if the run has a best checkpoint, 1 without one, and 130 if stopped.
+    """
     from activestructure_gym.evaluation.archive.directory_lock import hold
 
     console = make_console()
@@ -72,7 +76,7 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
 def _run(
     config: TrainingConfig, directory: Path, data: str | None, workers: int, live: Live
 ) -> tuple[float | None, bool]:
-    """Train; return the best validation score, and whether the run has a best checkpoint."""
+    """Train by the configured method; return the best validation score, and whether a best checkpoint exists."""
     import torch
 
     from activestructure_gym.evaluation.archive.temporary import refuse_links
@@ -102,12 +106,12 @@ def _run(
             try:
                 train_ppo(config, envs, run, validate, live.unit)
             finally:
-                with suppress(EOFError, OSError):  # of an ended child, which must not hide the first error
+                with suppress(EOFError, OSError):  # from a child that has ended; they must not hide the first error
                     envs.close()
         else:
             from activestructure_gym.evaluation.training.supervised import train_supervised
 
-            refuse_links(directory, demonstrations.DATA)  # a place given with --data is not checked
+            refuse_links(directory, demonstrations.DATA)  # a directory given by --data may be a link
             episodes = Path(data) if data else directory / demonstrations.DATA
             live.begin(f"demonstrations of {config.teacher}", 1, 0)
 

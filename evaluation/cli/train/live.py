@@ -12,25 +12,28 @@ from rich.table import Column
 from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import escape
 
-_SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
-_WIDE = 110  # columns; from this width on, progress bars are long
-_TITLE, _OTHERS = 28, 52  # widest title, and width of all parts except bar, numbers and stage; columns
+_SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")  # numbers next to the bar
+_WIDE = 110  # characters; in a terminal of at least this width, progress bars are long
+_TITLE, _OTHERS = 28, 52  # characters; widest title, and width of all parts except bar, numbers and stage
 
 
 def _joined(entries: list[str], width: int) -> str:
-    """Join the leading entries that fit into ``width`` columns."""
+    """Join as many leading entries as fit into ``width`` characters."""
     while entries and len("  ".join(entries)) > width:
         entries = entries[:-1]
     return "  ".join(entries)
 
 
 class Live:
-    """Show a bar with the latest numbers, and print validations above it. A context manager."""
+    """Show a progress bar with the latest training numbers, and print validation scores above it.
+
+    Use the object as a context manager.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         bar = 24 if console.width >= _WIDE else 8
-        self._room = max(console.width - bar - _OTHERS, 0)  # columns for the numbers or the stage
+        self._room = max(console.width - bar - _OTHERS, 0)  # characters for the numbers or the stage
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=bar),
@@ -55,7 +58,11 @@ class Live:
         self._progress.stop()
 
     def begin(self, title: str, total: int, done: int, steps: int = 0) -> None:
-        """Begin a new bar; a unit takes ``steps`` steps of the environments."""
+        """Begin a new bar for ``total`` units, ``done`` of which are finished.
+
+        A unit is an epoch, an iteration or a file. If ``steps``, the environment steps per unit, is given, steps per
+        second are shown.
+        """
         if self._task is not None:
             self._progress.remove_task(self._task)
         short = escape(shortened(title, _TITLE))
@@ -66,7 +73,7 @@ class Live:
             self._console.print(escape(title) + (f", {done} of {total} done before" if done else ""), highlight=False)
 
     def say(self, stage: str) -> None:
-        """Show the current stage."""
+        """Show the text ``stage`` next to the bar."""
         if self._task is not None:
             self._progress.update(self._task, stage=escape(shortened(stage, self._room)))
 

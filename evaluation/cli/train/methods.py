@@ -20,7 +20,7 @@ _MANNER = ("out", "resume", "workers", "data", "trust_code", "dry_run")
 
 @dataclass(frozen=True)
 class Learning(Episodes):
-    """Hold the options of every method."""
+    """Hold the options that all training methods share."""
 
     method: ClassVar[Method]
 
@@ -76,7 +76,7 @@ class Learning(Episodes):
         return learn(config, directory, data=getattr(self, "data", None), workers=workers, begun=begun)
 
     def _is_bare(self) -> bool:
-        """Return whether every option that changes the result has its default."""
+        """Return whether all options that affect the result have their defaults."""
         manner = {field.name for field in dataclasses.fields(self)} & set(_MANNER)
         return self == type(self)(**{name: getattr(self, name) for name in manner})
 
@@ -129,7 +129,7 @@ class Ppo(Learning):
 
 
 def training_config(options: Learning) -> TrainingConfig:
-    """Return the training configuration of the options, with defaults for fields without an option."""
+    """Return the training configuration defined by the options; fields without an option have their defaults."""
     from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.policies.learned import learned_from
 

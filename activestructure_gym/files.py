@@ -1,4 +1,4 @@
-"""Replace files atomically: a file is written completely or not at all."""
+"""Replace files atomically: readers see the complete old content or the complete new content."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ UNFINISHED = ".*.tmp"  # pattern of temporary files left by a killed process
 
 @contextmanager
 def replaced(path: str | os.PathLike[str], *, durable: bool = False) -> Iterator[IO[bytes]]:
-    """Open a temporary binary file that replaces ``path`` when the block ends; readers see the old or the new content.
+    """Open a temporary binary file for writing; it replaces ``path`` when the block ends.
 
     Parameters
     ----------
     path : str or path
-        The file to replace; its directory must exist. After an error, including Ctrl-C, it is unchanged.
+        The file to replace; its directory must exist. It is unchanged after an error in the block, including Ctrl-C.
     durable : bool
-        Whether to flush the content to disk before the rename, so that a power cut cannot leave an empty file.
+        Whether to flush the content to disk before the replacement. Otherwise a power cut can leave an empty file.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Read and write arrays in npz files; files to read may be damaged or hostile.
+"""Read and write arrays in npz files. A file to read may be damaged or made to attack the reader.
 
-An npz file is a zip of npy files. Both formats state sizes before the data, and these may be false. Nothing is
-unpickled, and no memory is allocated beyond what the bytes on disk can hold.
+An npz file is a zip archive of npy files. Both formats state the size of the data before the data, and the stated size
+may be false. No Python object is unpickled. Arrays whose stated size is implausible for the bytes on disk are refused
+before memory is allocated.
 """
 
 from __future__ import annotations
@@ -16,18 +17,20 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-MAX_BYTES = 1 << 30  # default limit on the bytes of all arrays of a file together
-# Deflate compresses zeros 1000 times; real arrays (images, masks) about 10 times.
-_RATIO, _SMALL = 200, 64 << 20  # largest believed compression ratio, for files whose arrays take more than _SMALL bytes
-_MAX_ARRAYS = 1000
+MAX_BYTES = 1 << 30  # default limit on the bytes of all arrays of a file together: 1 GiB
+# A file may unpack to at most _RATIO times its bytes plus _SMALL bytes. Deflate compresses zeros by a factor of 1000,
+# but real arrays (images, masks) by a factor of about 10.
+_RATIO, _SMALL = 200, 64 << 20
+_MAX_ARRAYS = 1000  # largest number of arrays in a file
 
 
 def read_npz(path: str | os.PathLike[str], largest: int = MAX_BYTES) -> dict[str, np.ndarray]:
-    """Return all arrays of the file by name, ``largest`` bytes together at most.
+    """Return all arrays of an npz file by name.
 
-    Raises OSError if the file cannot be opened, and ValueError with the reason for any other fault.
+    Raises OSError if the file cannot be opened, and ValueError for any other fault, such as more than ``largest`` bytes
+    in all arrays together.
     """
-    if Path(path).exists() and not Path(path).is_file():  # reading a pipe or a device might not end
+    if Path(path).exists() and not Path(path).is_file():  # reading from a pipe or a device might not end
         raise ValueError("it is not a regular file")
     with open(path, "rb") as stream:
         try:
@@ -40,7 +43,7 @@ def read_npz(path: str | os.PathLike[str], largest: int = MAX_BYTES) -> dict[str
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays compressed, or uncompressed if they would compress beyond what `read_npz` accepts."""
+    """Write named arrays to an npz file, compressed unless `read_npz` would refuse the compression ratio."""
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     if sum(array.nbytes for array in arrays.values()) > _SMALL // 2 + _RATIO * os.path.getsize(path):
@@ -67,7 +70,10 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
 
 
 def read_npy(stream: Any, name: str, size: int) -> np.ndarray:
-    """Return the array stored as npy in the next ``size`` bytes of a stream. Raises whatever numpy's parser raises."""
+    """Return the array stored in npy format in the next ``size`` bytes of a stream; ``name`` is for messages.
+
+    Raises ValueError for false sizes, and any error of numpy's parser.
+    """
     start = stream.tell()
     version = npy.read_magic(stream)
     if version == (1, 0):

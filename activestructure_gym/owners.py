@@ -1,8 +1,8 @@
-"""Read cached files only if no other user can have written them.
+"""Read cached files only if no untrusted user can have written them.
 
-A cache may lie in a folder that others can write, under predictable names. A cached file is accepted only if its
-writers, besides this user and root, can also write the code that uses it. Systems without numeric user ids (Windows)
-skip the check.
+A cache may be in a folder that other users can write, with predictable file names. Trusted are this user, root, and
+users who can also write the code that reads the cached file. On systems without numeric user ids (Windows) there is no
+check.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import IO
 
 from activestructure_gym.errors import InputWarning
 
-_said: list[str] = []  # non-empty once the warning was given; once per process
+_said: list[str] = []  # contains the first refused path once the warning was given: there is one warning per process
 
 
 def open_own(path: Path, code: str = __file__) -> IO[bytes]:
-    """Open a cached file for reading by the module ``code``.
+    """Open a cached file for reading; ``code`` is the path of the source file that reads it.
 
-    Raises `OSError`, after one warning, for a file that other users can have written, and for a link or a pipe.
+    Raises `OSError`, after one warning, for a file that an untrusted user can have written, and for a link or a pipe.
     """
     file = open(path, "rb", opener=_open_no_link)
     state = os.fstat(file.fileno())
@@ -38,7 +38,7 @@ def open_own(path: Path, code: str = __file__) -> IO[bytes]:
 
 
 def guard(place: int | Path) -> None:
-    """Remove the write permission of group and others from an open file or a folder of this user."""
+    """Remove the write permission of group and others from an open file (descriptor) or a folder of this user."""
     with suppress(OSError):  # owned by another user, or a file system without permissions
         mode = stat.S_IMODE(os.stat(place).st_mode)
         if os.name == "posix" and mode & (stat.S_IWGRP | stat.S_IWOTH):
@@ -46,10 +46,10 @@ def guard(place: int | Path) -> None:
 
 
 def folder_of_others(folders: Iterable[Path], code: str = __file__) -> Path | None:
-    """Return the first folder in which other users can replace this user's files, or None.
+    """Return the first of ``folders`` in which untrusted users can replace files, or None; ``code`` as in `open_own`.
 
-    A folder writable by its group is accepted, since files are checked one by one. So is a sticky folder such as
-    ``/tmp``, where only a file's owner can remove it. Missing folders are accepted.
+    A folder that its group can write is accepted, because files are checked one by one. A sticky folder such as
+    ``/tmp`` is accepted too, because only the owner of a file can remove it there. Missing folders are accepted.
     """
     for folder in folders:
         with suppress(OSError):
@@ -63,7 +63,10 @@ def _open_no_link(path: str, flags: int) -> int:
 
 
 def _is_of_others(state: os.stat_result, code: str) -> bool:
-    """Return whether another user owns or may write a file or folder, without the same right to the code."""
+    """Return whether an untrusted user owns or may write a file or folder.
+
+    ``state`` is the stat of the file or folder; ``code`` as in `open_own`.
+    """
     if os.name != "posix":
         return False
     owners, writers = {os.geteuid(), 0}, stat.S_IWGRP | stat.S_IWOTH

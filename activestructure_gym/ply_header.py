@@ -1,7 +1,8 @@
-"""Parse and write headers of PLY files, which may be damaged or hostile.
+"""Parse and write headers of PLY files, which may be damaged or made to attack the reader.
 
-A header is lines of ASCII words from ``ply`` to ``end_header``: the format, then elements with their count, each with
-its properties ([turk1994]). Readers of the data report unusual headers themselves.
+A header consists of lines of ASCII words from ``ply`` to ``end_header``. It states the format, and then the elements
+(tables) with their number of records and their properties (columns) ([turk1994]). This module does not check whether
+the data can be read; the readers of the data report that.
 """
 
 from __future__ import annotations
@@ -23,17 +24,20 @@ NUMPY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_MAX_BYTES = 1 << 20  # limit on a file without end_header
-_MAX_DIGITS = 18  # of a count; fits into 64 bits
+_MAX_BYTES = 1 << 20  # a file without end_header is read up to this number of bytes
+_MAX_DIGITS = 18  # largest number of digits of a count, which then fits into 64 bits
 
 
 @dataclass(frozen=True)
 class PlyProperty:
-    """Describe one number of each record, or a list of numbers preceded by its count; types as written in the file."""
+    """Describe one column of an element: a number per record, or a list of numbers preceded by its length.
+
+    Types are named as in the file.
+    """
 
     name: str
-    kind: str  # "float", "uchar", ...; may be a type missing in `NUMPY_TYPES`
-    count_kind: str = ""  # type of a list's count; "" for a single number
+    kind: str  # "float", "uchar", ...; possibly a type that `NUMPY_TYPES` lacks
+    count_kind: str = ""  # type of the list's length; "" for a single number
 
     def __str__(self) -> str:
         return f"list {self.count_kind} {self.kind} {self.name}" if self.count_kind else f"{self.kind} {self.name}"
@@ -41,7 +45,7 @@ class PlyProperty:
 
 @dataclass(frozen=True)
 class PlyElement:
-    """Describe a table of the file: ``count`` records with these properties."""
+    """Describe one table of the file: its name, its number of records and its columns."""
 
     name: str
     count: int
@@ -50,18 +54,18 @@ class PlyElement:
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """Hold the content of a header, as far as it could be read."""
+    """Hold the content of a PLY header up to the first line that could not be parsed."""
 
-    format: str  # "ascii", `BINARY_LITTLE_ENDIAN`, ...; "" if not given
-    elements: tuple[PlyElement, ...]  # in data order; names are unique
-    complete: bool = True  # whether end_header was found; the data follow it
-    unreadable: str = ""  # first line that could not be parsed; reading stopped there
+    format: str  # "ascii", `BINARY_LITTLE_ENDIAN`, ...; "" if the header has none
+    elements: tuple[PlyElement, ...]  # in the order of the data, with unique names
+    complete: bool = True  # whether end_header was found; the data begin after it
+    unreadable: str = ""  # first line that could not be parsed, at most 80 characters; "" if there is none
 
 
 def read_header(file: IO[bytes]) -> PlyHeader | None:
-    """Parse a PLY header and leave the file at its data; return None if the file is no PLY.
+    """Parse the PLY header at the beginning of a file, and leave the file position at the data.
 
-    The file must be at its beginning. At most 1 MiB is read.
+    Returns None if the file is not a PLY file. At most 1 MiB is read.
     """
     if file.readline(8).strip() != MAGIC:
         return None
@@ -94,7 +98,7 @@ def read_header(file: IO[bytes]) -> PlyHeader | None:
 
 
 def header_bytes(header: PlyHeader, comments: Iterable[str] = ()) -> bytes:
-    """Return the header as bytes; comments follow the format line."""
+    """Return the header as bytes, with ``comments`` after the format line."""
     lines = [MAGIC.decode(), f"format {header.format} 1.0", *(f"comment {text}" for text in comments)]
     for element in header.elements:
         lines.append(f"element {element.name} {element.count}")

@@ -1,11 +1,12 @@
-"""Register policies, features and scenes by name.
+"""Map names to policies, features, scenes and other objects.
 
 A name is looked up in this order:
 
 - entries registered in this process;
-- ``"family:rest"``: a family makes the entry from ``rest`` (``learned:CHECKPOINT``);
-- ``"package.module:attribute"``, imported; works in worker processes without registering;
-- files of this package that the registry names by a pattern (``policies/*/features.py``), imported;
+- ``"family:rest"``: the function registered for this family makes the entry from ``rest`` (``learned:CHECKPOINT``);
+- ``"package.module:attribute"``: imported; works in worker processes without registering;
+- files of this package that match a pattern of the registry (``policies/*/features.py``): imported, they register
+  entries;
 - entry points of installed packages in the group ``activestructure_gym.<kind>``, which ``pip install`` adds.
 """
 
@@ -22,24 +23,24 @@ from typing import Any, Generic, TypeVar
 
 from activestructure_gym.errors import InputError, short_repr, unknown_name
 
-TRUST = "ASG_TRUST_CODE"  # if set to 1, files may name code to import; workers inherit the variable
+TRUST = "ASG_TRUST_CODE"  # environment variable; with 1, files may name code to import; worker processes inherit it
 
 T = TypeVar("T")
 Maker = TypeVar("Maker", bound=Callable[[str], Any])
 
 
-@cache  # reading the metadata of all installed packages takes some 20 ms
+@cache  # reading the metadata of all installed packages takes about 20 ms
 def installed(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group in the installed packages."""
+    """Return the entry points that installed packages define in a group."""
     return tuple(entry_points(group=group))
 
 
 class Registry(Generic[T]):
-    """Map names to objects of one ``kind``; ``plural`` names the group of entry points.
+    """Map names to objects of one ``kind``; the group of entry points is ``activestructure_gym.`` + ``plural``.
 
-    `get` refuses an entry for which ``fits`` is false; the message says that it must be ``wanted``.
-    ``files`` are patterns ``ROOM/PATTERN`` of this package's files that register entries here. They are imported when
-    all names are asked for, or one that is not registered.
+    `get` raises `InputError` for an entry for which ``fits`` returns False; the message says that it must be
+    ``wanted``. ``files`` are patterns ``ROOM/PATTERN`` of files in this package that register entries. These files are
+    imported when all names are listed or an unregistered name is looked up.
     """
 
     def __init__(
@@ -58,7 +59,10 @@ class Registry(Generic[T]):
         self._families: dict[str, Callable[[str], T]] = {}
 
     def register(self, name: str) -> Callable[[T], T]:
-        """Return a decorator, as in ``@POLICIES.register("mine")``. It replaces an entry of the same name."""
+        """Return a decorator that registers an object, as in ``@POLICIES.register("mine")``.
+
+        It replaces an entry of the same name.
+        """
 
         def remember(entry: T) -> T:
             self._entries[name] = entry
@@ -67,7 +71,7 @@ class Registry(Generic[T]):
         return remember
 
     def register_family(self, name: str) -> Callable[[Maker], Maker]:
-        """Return a decorator for a function that makes the entry of ``name:rest`` from ``rest``."""
+        """Return a decorator for a function that makes the entry of ``name:rest`` from the text ``rest``."""
 
         def remember(make: Maker) -> Maker:
             self._families[name] = make
@@ -83,7 +87,10 @@ class Registry(Generic[T]):
         return name in self._entries or name in set(self)
 
     def get(self, name: str) -> T:
-        """Return the object called ``name``; raise `InputError` naming the nearest known name."""
+        """Return the object called ``name``.
+
+        Raises `InputError`, with the nearest known name, if there is none.
+        """
         if not isinstance(name, str):
             raise InputError(f"a {self.kind} is given by its name, as a text, got {short_repr(name)}")
         entry = self._find(name)
@@ -92,23 +99,23 @@ class Registry(Generic[T]):
         return entry
 
     def imports(self, name: str) -> bool:
-        """Return whether `get` would import the module named by ``name`` and so run its code."""
+        """Return whether `get` would import the module in ``name`` (``package.module:attribute``) and run its code."""
         family, colon, _ = name.partition(":")
         if colon and name not in self._entries:
             self._import_files()
         return bool(colon) and name not in self._entries and family not in self._families
 
     def module_of(self, name: str) -> str | None:
-        """Return the module that ``name`` refers to by path or entry point, without importing it.
+        """Return the module outside this package that a path or entry point gives for ``name``, without importing it.
 
-        None for entries of this package.
+        None if there is no such module, or if the entry is from this package.
         """
         ours = __name__.partition(".")[0]
         if self.imports(name):
             module = name.partition(":")[0]
             return None if module.partition(".")[0] == ours else module
         entry = self._entries.get(name)
-        # for a feature: the module of its function
+        # The function of a feature is its attribute ``compute``.
         made_in = getattr(getattr(entry, "compute", entry), "__module__", "")
         if made_in.partition(".")[0] == ours:
             return None
@@ -131,7 +138,7 @@ class Registry(Generic[T]):
         raise unknown_name(self.kind, name, self)
 
     def _import_files(self) -> None:
-        """Import the files of this package that register entries here."""
+        """Import the files of this package that register entries in this registry."""
         ours = __name__.partition(".")[0]
         for room, _, pattern in (file.partition("/") for file in self._files):
             package = f"{ours}.{room}"
@@ -153,13 +160,13 @@ class Registry(Generic[T]):
         except SyntaxError as error:
             where = f"'{error.filename}', line {error.lineno}"
             raise InputError(f"{self.kind} '{path}' cannot be imported: {where}: {error.msg}") from error
-        try:  # not inside the first try: an AttributeError within the module must reach its author
+        try:  # a separate try, because an AttributeError raised inside the module must reach its author
             return getattr(module, attribute)
         except AttributeError as error:
             names = [name for name in dir(module) if not name.startswith("_")]
             close = difflib.get_close_matches(attribute, names, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
-            # may be another file than meant, such as one of the standard library
+            # The file is named because it may not be the intended one, for example one of the standard library.
             file = getattr(module, "__file__", None)
             where = f", which is {file}," if file else ""
             raise InputError(
@@ -168,10 +175,10 @@ class Registry(Generic[T]):
 
 
 def refuse_code(kind: str, name: str, file: object) -> None:
-    """Raise `InputError` if a ``name`` read from a ``file`` would import code, unless files are trusted.
+    """Raise `InputError` for a ``name`` from a ``file`` that would import code, unless the user trusts files.
 
-    A name typed by the user may import any module. A file may come from anyone, so its names are limited to registered
-    entries and data.
+    A name typed by the user may import any module. A file may come from an unknown author, so its names are limited to
+    registered entries and data.
     """
     if os.environ.get(TRUST) != "1":
         raise InputError(

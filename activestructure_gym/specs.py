@@ -1,6 +1,6 @@
-"""Parse names with options: ``apartment?seed=3&rooms=4``, ``naruto?travel=shared``.
+"""Parse names with options, such as ``apartment?seed=3&rooms=4`` or ``naruto?travel=shared``.
 
-Options and their types are the parameters and annotations of the function or class that takes them.
+The name refers to a function or class. Its parameters are the options, and their annotations are the types.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _PREFIXES: dict[str, Kind] = {"learned": "checkpoint", "trajectory": "trajectory
 
 
 class Spec(str):
-    """A text of a name and its options: ``naruto?travel=shared``, ``trajectory:FILE?axes=opengl``, ``module:Mine``."""
+    """Hold a name and its options as one text, such as ``naruto?travel=shared`` or ``trajectory:FILE?axes=opengl``."""
 
-    name: str
-    query: str  # options as given
+    name: str  # the part before the question mark
+    query: str  # the part after the question mark, not parsed
 
     def __new__(cls, text: str) -> Spec:
-        """Split a text at its first question mark; raise `InputError` for a value of another type."""
+        """Split a text at its first question mark; raise `InputError` if it is not a str."""
         if not isinstance(text, str):
             raise InputError(f"a name is given as a text, got {short_repr(text)}")
         spec = super().__new__(cls, text)
@@ -34,29 +34,33 @@ class Spec(str):
 
     @classmethod
     def joined(cls, name: str, query: str) -> Spec:
-        """Return the text of a name and its options."""
+        """Return the text that consists of a name and its options, ``name?query``; without options only the name."""
         return cls(f"{name}?{query}" if query else name)
 
     @property
     def kind(self) -> Kind:
-        """The kind of a policy: its prefix, a class to import, or a registered name."""
+        """Return the kind of policy that the name refers to, from the prefix before its colon.
+
+        Names without a colon are registered; an unknown prefix is a module to import (a plug-in).
+        """
         prefix, colon, _ = self.name.partition(":")
         return _PREFIXES.get(prefix, "plug-in") if colon else "registered"
 
     @property
     def place(self) -> str:
-        """The part of the name after the prefix: a file, or the name of a reference."""
+        """Return the part of the name after the colon: a file, a class of a module, or the name of a reference."""
         return self.name.partition(":")[2]
 
     def options(self, label: str) -> dict[str, str]:
-        """Return the options as texts; see `parse_options`."""
+        """Return the options as a dict of texts; ``label`` is described at `parse_options`."""
         return parse_options(self.query, label)
 
 
 def parse_options(query: str, label: str) -> dict[str, str]:
-    """Parse ``key=value&key=value`` into a dict; ``label`` names the options' owner in `InputError` messages.
+    """Parse ``key=value&key=value`` into a dict.
 
-    A plus sign stays a plus sign, as in paths and numbers; percent escapes such as ``%26`` are decoded.
+    Percent escapes such as ``%26`` are decoded, but a plus sign is not read as a space. Raises `InputError` for another
+    form and for a key with two different values; ``label`` names the owner of the options in the message.
     """
     try:
         pairs = parse_qsl(query.replace("+", "%2B"), keep_blank_values=True, strict_parsing=bool(query))
@@ -70,22 +74,23 @@ def parse_options(query: str, label: str) -> dict[str, str]:
 
 
 def number_text(value: float) -> str:
-    """Return the shortest text that parses to the same number: ``2``, ``0.3``, ``17.188733853924695``."""
+    """Return the shortest text that parses to the same number, such as ``2``, ``0.3`` or ``17.188733853924695``."""
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value))
 
 
 def typed_options(
-    label: str,  # owner of the options, as in "scene 'box'"
+    label: str,  # owner of the options for messages, as in "scene 'box'"
     factory: Callable[..., Any],
     options: Mapping[str, Any],
     *,
-    apart: Collection[str] = (),  # parameters that are not options
-    more: Collection[str] = (),  # further options, read by the caller; for messages
+    apart: Collection[str] = (),  # parameters of the factory that are not options
+    more: Collection[str] = (),  # options that the caller reads itself, to name them in messages
 ) -> dict[str, Any]:
-    """Return keyword arguments for ``factory``; texts are converted to the annotated types, other values are passed on.
+    """Return the options as keyword arguments for ``factory``, with texts converted to the annotated types.
 
-    Raises `InputError` for an unknown option, a text that cannot be converted, or a missing option without default.
+    Values that are not texts are unchanged. Raises `InputError` for an unknown option, for a text that cannot be
+    converted, and for a missing option without default.
     """
     parameters = {key: p for key, p in inspect.signature(factory).parameters.items() if key not in apart}
     takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
@@ -106,7 +111,7 @@ def typed_options(
 
 
 def _hints(factory: Any) -> dict[str, Any]:
-    """Return each option's type: its annotation, or else the type of its default."""
+    """Return the type of each parameter of a function or class: its annotation, or else the type of its default."""
     defaults = {
         key: type(p.default)
         for key, p in inspect.signature(factory).parameters.items()
@@ -115,17 +120,17 @@ def _hints(factory: Any) -> dict[str, Any]:
     takes = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
     try:
         return {**defaults, **typing.get_type_hints(takes)}
-    except (NameError, TypeError):  # names imported only for type checkers, or a callable object
+    except (NameError, TypeError):  # an annotation that is imported for type checkers only, or a callable object
         return defaults
 
 
 def _typed(what: str, value: Any, hint: Any) -> Any:
-    """Convert a text to the annotated type; pass other values on."""
+    """Convert a text to the type ``hint``; return other values unchanged. ``what`` names the option in messages."""
     if not isinstance(value, str):
         return value
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, UnionType):
-        # Numbers first: "0.01" becomes a number wherever one is allowed; any text is valid as a text.
+        # Numbers are tried first, because every text is valid as a text.
         order = sorted(inner, key=lambda t: {bool: 0, int: 1, float: 2}.get(t, 3))
         for candidate in (t for t in order if t is not type(None)):
             try:

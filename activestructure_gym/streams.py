@@ -1,7 +1,8 @@
-"""Wrap standard streams so that writing never ends a program; a stream may be missing, closed or lack characters.
+"""Wrap standard streams so that writing to them never raises an error.
 
-All output of the command line and of the package goes through this module. Text from files and other programs can
-contain control characters; they are escaped before they reach a terminal.
+A stream may be missing, closed, full, or without a character of the text. All output of the command line and of the
+package goes through this module. Control characters in texts from files and other programs are escaped before they
+reach a terminal.
 """
 
 from __future__ import annotations
@@ -17,22 +18,24 @@ from typing import Any
 
 from activestructure_gym.errors import one_line, printable
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space left: a full disk, a quota, a file size limit
-# ASCII replacements for characters that the encoding lacks.
+# Error numbers for no space left: a full disk, a quota, a file size limit.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# ASCII replacements for characters that an encoding lacks.
 _SIGNS = {
     "✓": "ok", "✗": "failed", "↻": "again", "→": "->", "←": "<-", "↑": "up", "↓": "down", "±": "+-", "·": "-",
     "•": "*", "≈": "~", "≤": "<=", "≥": ">=", "−": "-", "–": "-", "—": "-", "×": "x", "…": "...", "²": "2", "³": "3",
     "°": "deg", "µ": "u", "γ": "gamma", "‘": "'", "’": "'", "“": '"', "”": '"', "█": "#", "│": "|", "║": "|", "┃": "|",
     "─": "-", "═": "-", "━": "-", "╸": "-", "╺": "-",
 }  # fmt: skip
-_FRAMES = range(0x2500, 0x2580)  # box-drawing characters, including corners and crossings
+_FRAMES = range(0x2500, 0x2580)  # box-drawing characters; those without an entry above become "+"
 _SPINNER = range(0x2800, 0x2900)
 
 
 def fitting(text: str, encoding: str, errors: str = "strict") -> str:
-    """Return the text with replacements for characters that ``encoding`` lacks; ``errors`` handles the rest.
+    """Return the text with replacements for the characters that ``encoding`` lacks.
 
-    "strict" and its variants replace by a question mark.
+    Characters without an entry in ``_SIGNS`` are handled by ``errors``, a handler of Python's codecs. "strict",
+    "surrogateescape" and "surrogatepass" replace them by a question mark.
     """
     if text.isascii() or _has(encoding, text):
         return text
@@ -60,9 +63,10 @@ def _sign(character: str) -> str:
 
 
 class Stream(io.TextIOBase):
-    """Wrap a text stream that may be None, closed, full, or read by a program that has ended.
+    """Wrap a text stream that may be None, closed, full, or a pipe whose reader has ended.
 
-    Writing never fails; output without a reader is dropped. ``failure`` is the error of a full disk.
+    Writing never raises an error; text that cannot be written is dropped. After an error of a full disk, ``failure`` is
+    that error.
     """
 
     def __init__(self, below: Any) -> None:
@@ -81,12 +85,12 @@ class Stream(io.TextIOBase):
         return str(getattr(self.below, "errors", None) or "strict")
 
     def write(self, text: str) -> int:
-        """Write the text, with replacements for characters that the encoding lacks."""
+        """Write the text, with replacements for characters that the stream's encoding lacks; return its length."""
         with self._going_on():
             if not self._gone:
                 try:
                     self.below.write(fitting(text, self.encoding, self.errors))
-                except UnicodeEncodeError:  # a stream that does not report its encoding
+                except UnicodeEncodeError:  # the stream does not report its real encoding
                     self.below.write(fitting(text, "ascii"))
         return len(text)
 
@@ -97,11 +101,11 @@ class Stream(io.TextIOBase):
                 self.below.flush()
 
     def close(self) -> None:
-        """Flush and leave the wrapped stream open; its owner closes it."""
+        """Flush the wrapped stream but do not close it, because it belongs to its creator."""
         self.flush()
 
     def writable(self) -> bool:
-        """Return True."""
+        """Return True, as required of a text stream."""
         return True
 
     def isatty(self) -> bool:
@@ -117,7 +121,7 @@ class Stream(io.TextIOBase):
         return int(self.below.fileno())
 
     def __getattr__(self, name: str) -> Any:
-        if name == "below":  # during copying, before attributes are set
+        if name == "below":  # during copying, before the attributes are set
             raise AttributeError(name)
         return getattr(self.below, name)
 
@@ -127,16 +131,16 @@ class Stream(io.TextIOBase):
             yield
         except BlockingIOError:  # a pipe that is full at the moment
             pass
-        except (OSError, ValueError) as error:  # ValueError: the stream was closed
+        except (OSError, ValueError) as error:  # ValueError: the stream has been closed
             if isinstance(error, OSError) and error.errno in FULL:
                 self.failure = error
             else:
                 self.drop()
 
     def drop(self) -> None:
-        """Stop writing; redirect a standard stream to the null device.
+        """Stop writing to the wrapped stream. If it is standard output or error, redirect it to the null device.
 
-        Otherwise the interpreter would flush its buffer at exit and fail.
+        Without the redirection the interpreter would flush the stream's buffer at exit and fail.
         """
         self._gone = True
         if self.below is not None and self.below in (sys.__stdout__, sys.__stderr__):
@@ -149,7 +153,7 @@ class Stream(io.TextIOBase):
 class Plain(Stream):
     """Write text with control characters escaped.
 
-    ``raw`` is the stream below, for terminal codes made by this program.
+    ``raw`` is the wrapped stream; it accepts the terminal codes of this program.
     """
 
     def __init__(self, below: Any) -> None:
@@ -157,14 +161,17 @@ class Plain(Stream):
         super().__init__(self.raw)
 
     def write(self, text: str) -> int:
-        """Write the text without control characters."""
+        """Write the text with control characters escaped; return its length."""
         self.raw.write(printable(text))
         return len(text)
 
 
 @contextmanager
 def kept_streams() -> Iterator[tuple[Stream, Stream]]:
-    """Make standard output and standard error `Plain` streams during the block; yield their ``raw`` streams."""
+    """Replace standard output and standard error by `Plain` streams during the block.
+
+    Yields the ``raw`` streams of both.
+    """
     before = sys.stdout, sys.stderr
     _occupy_descriptors()
     out, err = Plain(before[0]), Plain(before[1])
@@ -179,10 +186,10 @@ def kept_streams() -> Iterator[tuple[Stream, Stream]]:
 
 
 def _occupy_descriptors() -> None:
-    """Open the null device in place of closed standard streams.
+    """Open the null device in place of closed standard streams (file descriptors 0 to 2).
 
-    Otherwise the next opened files would get their descriptors, and output of libraries and child processes would be
-    written into those files.
+    Otherwise the next opened files would get these descriptors, and the output of libraries and child processes would
+    be written into those files.
     """
     with suppress(OSError):
         while (descriptor := os.open(os.devnull, os.O_RDWR)) < 3:
@@ -191,41 +198,41 @@ def _occupy_descriptors() -> None:
 
 
 def raw(stream: Any) -> Any:
-    """Return the stream that accepts terminal codes."""
+    """Return the stream that accepts terminal codes: the one below a `Plain` stream, otherwise ``stream`` itself."""
     return stream.raw if isinstance(stream, Plain) else stream
 
 
 def lowest(stream: Any) -> Any:
-    """Return the innermost stream, without this module's wrappers."""
+    """Return the innermost stream, without the wrappers of this module."""
     while isinstance(stream, Stream):
         stream = stream.below
     return stream
 
 
 def say(text: str = "") -> None:
-    """Write one or more lines to standard output."""
+    """Write a text of one or more lines, and a line end, to standard output."""
     write_line(sys.stdout, text)
 
 
 def complain(text: str) -> None:
-    """Write one line that begins with ``asg:`` to standard error."""
+    """Write the text as one line that begins with ``asg:`` to standard error."""
     write_line(sys.stderr, f"asg: {one_line(text)}")
 
 
 def write_line(stream: Any, text: str) -> None:
-    """Write text and a line end to a stream without ever failing."""
+    """Write a text and a line end to a stream, with control characters escaped and without raising errors."""
     stream = stream if isinstance(stream, Plain) else Plain(stream)
     stream.write(f"{text}\n")
     stream.flush()
 
 
 def flat(text: str) -> str:
-    """Return foreign text as one printable line of any length."""
+    """Return a text from outside this program as one printable line of any length."""
     return printable(text).replace("\n", " ")
 
 
 def escape(text: str) -> str:
-    """Return foreign text as one printable line with rich's markup escaped."""
+    """Return a text from outside this program as one printable line, with the markup of the library rich escaped."""
     from rich.markup import escape as without_markup
 
     return without_markup(flat(text))

@@ -34,8 +34,8 @@ class Policy(ABC):
     native_settings: ClassVar[NativeSettings] = NativeSettings()  # configuration in the native setup
     # Features that the env evaluates for every candidate. An instance may override them, if they depend on its options.
     required_features: tuple[str, ...] = ()
-    _columns: tuple[str, ...] | None = None  # names of the feature columns; None before `bind`
-    _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # names of the columns of the candidate table
+    _columns: tuple[str, ...] | None = None  # names of the columns of ``candidate_features``; None before `bind`
+    _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # names of the columns of ``candidates``
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -66,7 +66,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observation: Observation) -> int:
-        """Return the row to move to; ``observation["action_mask"]`` must be 1 there."""
+        """Return the chosen row of the candidate table; ``observation["action_mask"]`` must be 1 there."""
 
     def trace(self) -> dict[str, Any]:
         """Return numbers that explain the last choice, for the run's log; they must be JSON serialisable."""
@@ -87,7 +87,7 @@ def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
 
 
 def _offered(name: str, columns: tuple[str, ...]) -> bool:
-    """Return whether ``columns`` contains the named column, or all columns of the named feature."""
+    """Return whether ``columns`` contains ``name``, a column's full name, or all columns of the feature ``name``."""
     if name in columns:
         return True
     try:
@@ -186,7 +186,7 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
     """Return the shared travel term g(T_c, T_cur) of Eq. 15 as 1 / (1 + frames / 5).
 
     The paper does not define g. The number of frames includes turns, so turning on the spot is not free; 5 frames is
-    the keyframe interval. This form was compared with exp(-metres / 4).
+    the keyframe interval.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 
 
 def best_valid(scores: np.ndarray, observation: Observation) -> int:
-    """Return the valid row with the highest score; the first of equal ones.
+    """Return the valid row with the highest of ``scores`` [K]; the first of equal ones.
 
     Raises `ValueError` if no row is valid, or if the score of a valid row is NaN.
     """
@@ -218,16 +218,19 @@ def best_valid(scores: np.ndarray, observation: Observation) -> int:
 
 
 def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: float = 0.0) -> int:
-    """Return the valid row with the highest score; of those equal to a relative ``tolerance``, the fewest frames."""
+    """Return the valid row with the highest of ``scores`` [K]; of equal ones, the row with the fewest frames.
+
+    Scores are equal if they differ by at most the relative ``tolerance``.
+    """
     best = scores[best_valid(scores, observation)]
     return best_valid(np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0), observation)
 
 
 def without_revisits(observation: Observation) -> Observation:
-    """Mask the revisits of keyframes in an observation, unless only revisits are valid.
+    """Return a copy of the observation in which revisits of keyframes are invalid, unless only revisits are valid.
 
-    Used by planners whose papers have no revisits. Revisits are up to four keyframes, those rendered worst. They are
-    often at the agent's position, where their path length of 0 would favour them.
+    Planners whose papers have no revisits use it. Revisits are the poses of up to four keyframes, those with the lowest
+    PSNR. They are often at the agent's position, where their path length of 0 would favour them.
     """
     candidates = Candidates(observation)
     new = candidates.valid & ~candidates.revisit
@@ -235,10 +238,10 @@ def without_revisits(observation: Observation) -> Observation:
 
 
 def nearest_new(observation: Observation) -> int:
-    """Return the valid view with the fewest frames, revisits and the current pose last.
+    """Return the valid row with the fewest frames; revisits and the current pose come after all other views.
 
-    It is the fallback of planners if no view has a score. A revisit of the current pose costs a single frame and would
-    otherwise always be the nearest view.
+    Planners use it if no view has a gain. A revisit of the current pose costs a single frame and would otherwise always
+    be the nearest view.
     """
     candidates = Candidates(observation)
     return best_valid(travel_discount(observation) - (candidates.revisit | at_current_pose(candidates)), observation)

@@ -84,12 +84,12 @@ class Candidates:
 
     @property
     def frames(self) -> np.ndarray:  # [K]
-        """Return the number of frames of the motion along the grid path; the real path can be some percent shorter."""
+        """Return the number of frames of the motion along the grid path; the executed path can be slightly shorter."""
         return self._table[:, _FRAMES]
 
     @property
     def revisit(self) -> np.ndarray:  # [K] bool
-        """Return which candidates are the pose of a stored keyframe."""
+        """Return which candidates are revisits: views with the pose of a stored keyframe."""
         return self._table[:, _REVISIT] > 0
 
     @property
@@ -112,9 +112,9 @@ class Candidates:
         return self._row(f"from_{name}") > 0 if f"from_{name}" in self._rows else self.valid
 
     def stage_switch(self, stage: int) -> int | None:
-        """Return the row that switches to a stage, counted from 0.
+        """Return the row that switches to ``stage`` (counted from 0) of the candidate sources.
 
-        None if the stage is active, or if it was active since the last step that cost a frame.
+        The result is None if the stage is active, or if it was active since the last step that cost a frame.
         """
         column = f"ask_{stage}"
         rows = np.nonzero(self._row(column) > 0)[0] if column in self._rows else np.zeros(0, int)
@@ -122,12 +122,12 @@ class Candidates:
 
     @property
     def stay(self) -> np.ndarray:  # [K]
-        """Return the rounds of optimisation in place; 0 for a motion."""
+        """Return the number of rounds of optimisation in place for each candidate; 0 for a motion."""
         return self._row("stay") if "stay" in self._rows else np.zeros(len(self), np.float32)
 
     @property
     def fixation_point(self) -> np.ndarray:  # [K, 3]
-        """Return the point in metres, world, at which the camera points along the path; NaN for none."""
+        """Return the point (metres, world) that the camera faces along the path to each candidate; NaN for none."""
         if "fixates" not in self._rows:
             return np.full((len(self), 3), np.nan, np.float32)
         points = np.stack([self._row(f"at_{axis}") for axis in "xyz"], axis=-1)
@@ -153,7 +153,10 @@ class Candidates:
         return self._observation["candidates"]
 
     def _columns_of(self, feature: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]
-        """Return the columns ``names``; if None, all columns of the feature."""
+        """Return the feature columns ``names``; if None, all columns of ``feature``.
+
+        Raises `InputError` if the names of the columns are not known, or if one is not among them.
+        """
         known, table, reader = self._columns, self._observation["candidate_features"], self._reader
         if known is None:
             raise InputError(

@@ -33,15 +33,18 @@ class Planner(Policy):
         self._trace: dict[str, Any] = {}
 
     def native_travel(self, observation: Observation) -> np.ndarray:  # [K]
-        """Return the planner's own factor on the gain; 1 for a planner without a travel term."""
+        """Return the planner's own travel factor of each candidate; 1 for a planner without a travel term."""
         return np.ones(len(observation["action_mask"]))
 
     def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] -> [K]
-        """Return the planner's own scores. Override this if the travel term is not a factor on the gain."""
+        """Return the scores with the planner's own travel term, gain times `native_travel`.
+
+        Override this method if the travel term is not a factor on the gain.
+        """
         return gain * self.native_travel(observation)
 
     def travel_factor(self, observation: Observation) -> np.ndarray:  # [K]
-        """Return the factor on the gain that `travel` selects."""
+        """Return the travel factor of each candidate: the shared one or the planner's own, by the option ``travel``."""
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
@@ -54,7 +57,7 @@ class Planner(Policy):
         return self.native_scores(gain, observation)
 
     def trace(self) -> dict[str, Any]:
-        """Return the numbers recorded for the chosen view."""
+        """Return the gain, the travel factor and other numbers of the last choice."""
         return self._trace
 
 

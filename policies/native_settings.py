@@ -40,7 +40,7 @@ class NativeSettings:
             )
 
     def describe(self) -> str:
-        """Describe the settings in words, with the paper's budget if it is given."""
+        """Return the settings as one line of text, with the paper's budget if it is given."""
         frames = "at the end of a path" if self.goal_keyframes else f"every {self.keyframe_every} frames"
         given = {
             "views of " + " or ".join(" + ".join(stage) for stage in self.stages or ()): self.stages,
@@ -55,7 +55,7 @@ class NativeSettings:
         return f"{settings}; budget in its paper: {self.budget}" if self.budget else settings
 
     def overrides(self) -> dict[str, Any]:
-        """Return the changes of the configuration by field name."""
+        """Return the settings as overrides of the env's configuration, by field name such as ``views.stages``."""
         every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a path is always a keyframe
         given = {
             "mapper.name": self.mapper,
@@ -69,7 +69,7 @@ class NativeSettings:
 
 
 def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
-    """Return the settings of a policy or its class in this setup; in the shared setup they are empty.
+    """Return the settings of ``policy`` (a policy or its class) in a setup; in the shared setup they are empty.
 
     Raises `InputError` for an unknown setup, or if ``native_settings`` of the policy is no `NativeSettings`.
     """
@@ -85,7 +85,8 @@ def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
 # The ActiveStructure paper runs its own system and all others with SplaTAM's mapper and 15 iterations (Sec. 4.1).
 SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
 
-# Settings of planners that select views one by one from a given data set. No frame is mapped along the path, and each
-# view gets 100 iterations before the next selection (`interval_epochs`, [fisherrf, code]). The original code runs 100
-# iterations for each view selected so far, 19,000 in all for 20 views. The shared pool replaces the data set.
+# Settings of planners whose papers select views one by one from a given data set; the shared pool replaces the data
+# set. No frame is mapped along the path, and each view gets 100 iterations before the next selection
+# (`interval_epochs`, [fisherrf, code]). The original code runs 100 iterations for each view selected so far, 19,000 in
+# all for 20 views.
 SELECTED_VIEWS = NativeSettings(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")

@@ -91,7 +91,7 @@ def make_env_and_policy(
 
 
 def _with(settings: NativeSettings, config: Any) -> dict[str, Any]:
-    """Return the changes of a policy's native settings; fields of ``config`` override them."""
+    """Return the overrides of a policy's native settings, updated by the user's fields ``config``."""
     if config is not None and not isinstance(config, Mapping):
         raise InputError(
             'with setup="native" the policy changes the configuration: give config as a dictionary of the fields that '

@@ -10,7 +10,7 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import unexplored
 from activestructure_gym.features.view_directions import REACH, ViewDirections, view_directions
 
-EXPLORATION = 1000.0  # lambda: weight of the share of unexplored voxels against the mean doubt of the pixels
+EXPLORATION = 1000.0  # lambda: weight of the share of unexplored voxels; the term of the confidence has weight 1
 UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
 
 
@@ -33,7 +33,7 @@ def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
 def gaussian_confidence(seen: ViewDirections) -> np.ndarray:  # [N] 0..1
     """Return the confidence C = min(e^(1 - |mean v|) s, 1) of each Gaussian.
 
-    v is the unit direction to a keyframe that sees the Gaussian. s sums over these keyframes and is larger for near and
-    frontal views.
+    v is the unit direction to a keyframe that sees the Gaussian. s is the sum of (1 - distance / 5 m) max(0, n v) over
+    these keyframes, where n is the Gaussian's normal (`ViewDirections.nearness`).
     """
     return np.minimum(np.exp(1.0 - seen.concentration) * seen.nearness, 1.0)

@@ -32,7 +32,7 @@ class ActiveGS(Greedy):
     path_weight: ClassVar[float] = 0.5  # weight of L / sum L
 
     def act(self, observation: Observation) -> int:
-        """Return the valid row with the highest score; the trace includes the path length with the native term."""
+        """Return the valid row with the highest score; revisits are valid only if there are no other views."""
         choice = super().act(without_revisits(observation))
         if self.travel == "native":
             gain = self.required_features[0]
@@ -41,7 +41,7 @@ class ActiveGS(Greedy):
         return choice
 
     def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
-        """Return U / sum U - 0.5 L / sum L."""
+        """Return U / sum U - 0.5 L / sum L for the gain U and the path length L (m); the sums are over valid rows."""
         candidates = self.candidates(observation)
         valid, length = candidates.valid, candidates.path_length.astype(np.float64)
         sums = max(float(gain[valid].sum()), 1e-300), max(float(length[valid].sum()), 1e-12)

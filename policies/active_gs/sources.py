@@ -22,7 +22,7 @@ class RegionsOfInterest(Facing):
     """
 
     def regions(self, context: SourceContext) -> np.ndarray:
-        """Return which cells [X, Y, Z] are frontier or hold surface with low confidence."""
+        """Return which cells of 2 x 2 x 2 voxels are frontier or contain surface with low confidence."""
         cells = frontier_cells(context.volume)
         gaussians, volume = context.mapper.map, context.volume
         doubtful = (gaussian_confidence(view_directions(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)

@@ -25,13 +25,16 @@ SOURCES = (
 )
 
 # Limits that the original does not have.
-PATIENCE = 3  # successive decisions without a view above POOL_SHARE; one table is a random part of a larger pool
-MAX_VISITS = 2  # choices of one view in one stage
-STAGNATION = 30  # decisions without a decrease of the largest share in the pool; the rest then stays uncovered
+PATIENCE = 3  # successive decisions without a view above POOL_SHARE that end a stage; tables are random parts of a pool
+MAX_VISITS = 2  # maximum number of choices of one view in one stage
+STAGNATION = 30  # decisions without a decrease of the pool's largest share of uncovered pixels that end a stage
 
 
 def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]
-    """Return 1 - softmax(d) of distances in metres. It is small only for a view much farther away than all others."""
+    """Return the travel factor 1 - softmax(d) of views at the distances d in metres.
+
+    It is small only for a view that is much farther away than all others.
+    """
     weight = np.exp(distance - distance.max(initial=0.0))  # the original adds 1e-6 to d, which cancels
     return 1.0 - weight / max(float(weight.sum()), 1e-12)
 
@@ -40,9 +43,10 @@ def coarse_views(
     offset: np.ndarray,  # [n, 3] metres from the start
     direction: np.ndarray,  # [n, 3] unit
 ) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] int (ix, iy, direction), [n] metres plus radians
-    """Return the nearest view of the coarse lattice for each view, and the distance to it.
+    """Return the nearest view of the coarse lattice for each of n views, and the distance to it.
 
-    The lattice has its origin at the start, one height, and the Fibonacci directions.
+    The lattice has its origin at the start, one height, a step of 1 m, and five Fibonacci directions. The distance is
+    the sum of metres between the positions and radians between the view directions.
     """
     index = np.arange(COARSE_DIRECTIONS)
     z = 1.0 - (2.0 * index + 1.0) / COARSE_DIRECTIONS
@@ -90,7 +94,7 @@ class ActiveGAMER(Planner):
         self._begin_stage()
 
     def _begin_stage(self) -> None:
-        """Forget the pruned views, the visits and the progress of the previous stage."""
+        """Reset the record of the previous stage: views removed from the pool, visits and progress."""
         self._pruned: set[tuple[int, ...]] = set()
         self._visits: Counter[tuple[int, ...]] = Counter()
         self._poor = 0  # successive decisions without a view above POOL_SHARE
@@ -151,7 +155,7 @@ class ActiveGAMER(Planner):
             self._stage += 1
             self._begin_stage()
         if self._stage == 2 and float(observation["fidelity"][0]) >= GOOD_PSNR:
-            self._stage = 1  # post-refinement is done, discovery continues
+            self._stage = 1  # nine tenths of the keyframes are good: continue with the fine stage
             self._begin_stage()
         self._trace = {"stage": STAGES[self._stage], "pool": 0}
         offered = valid & candidates.source(SOURCES[self._active])
@@ -164,7 +168,7 @@ class ActiveGAMER(Planner):
         return best_valid(np.where(offered, gain + candidates.stay, -1.0), observation)
 
     def _scores(self, observation: Observation, gain: np.ndarray, among: np.ndarray) -> np.ndarray:  # [K]
-        """Return the scores; sums over candidates are over the rows ``among`` [K] bool."""
+        """Return gain / sum of gains x travel factor of every candidate; sums are over the rows ``among`` [K] bool."""
         total = float(gain[among].sum())
         share = gain / total if total > 0 else np.ones(len(gain))  # without a gain the original computes 0 / 0
         if self.travel == "shared":
@@ -175,9 +179,10 @@ class ActiveGAMER(Planner):
         return share * factor
 
     def _pool(self, candidates: Candidates) -> tuple[list[tuple[int, ...]], np.ndarray]:
-        """Return keys that identify each row in this stage, and which rows [K] are in its pool.
+        """Return a key of each row's view, and which rows [K] bool are in the pool of the current stage.
 
-        In the coarse stage, the candidate nearest to each view of the coarse lattice is in the pool.
+        A view has the same key in all decisions of a stage. In the coarse stage, the pool contains the candidate
+        nearest to each view of the coarse lattice.
         """
         xyz, direction = candidates.xyz.astype(np.float64), candidates.view_direction.astype(np.float64)
         pool = candidates.valid & ~candidates.revisit
@@ -193,7 +198,7 @@ class ActiveGAMER(Planner):
         return keys, pool & np.array(kept, dtype=bool)
 
     def _ended(self, gain: np.ndarray) -> str | None:  # [n] of the pool
-        """Return the reason for ending the stage, or None."""
+        """Return the reason for ending the stage, or None; ``gain`` is the share of uncovered pixels of pool views."""
         best = float(gain.max(initial=0.0))
         self._poor = 0 if best >= POOL_SHARE else self._poor + 1
         self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1

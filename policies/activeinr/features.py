@@ -12,18 +12,21 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
 from activestructure_gym.volume import FREE
 
-KEPT = 0.8  # share of the surface that is clustered, the most uncertain
-CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since it connects all walls
+KEPT = 0.8  # share of the surface that is clustered, the most uncertain part
+CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since a ceiling connects all walls
 MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent; nearer targets are only used if all are nearer
 
 
 def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
     """Compute the surface share of the cluster assigned to each candidate, and the cluster's target (metres, world).
 
-    Targets should be free, at least 1 m from the agent, and inside the workspace; a condition that no remaining target
-    satisfies is skipped (`preferred`). Each cluster, the largest first, is assigned the candidate that is nearest to
-    its target and to its view direction -mean n. One metre counts as much as a right angle. Revisits and candidates of
-    larger clusters are left out. Candidates without a cluster have 0 and their own position. Source: [anm].
+    ``uncertainty`` returns the surface with its uncertainty. The target is the camera position for the cluster
+    (`Clusters.targets`). Targets should be free, at least 1 m from the agent, and inside the workspace; a condition
+    that no remaining target satisfies is skipped (`preferred`).
+
+    Each cluster, the largest first, is assigned the candidate that is nearest to its target and to its view direction
+    -mean n. One metre counts as much as a right angle. Revisits and candidates of larger clusters are left out.
+    Candidates without a cluster have 0 and their own position. Source: [anm].
     """
     poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)

@@ -55,7 +55,7 @@ class ActiveINR(Planner):
         self._chosen_at = 1.0  # share of the budget left when the target was chosen
 
     def act(self, observation: Observation) -> int:
-        """Return the candidate of the largest cluster, or the one nearest to the target that is kept."""
+        """Return the candidate of the largest cluster, or the candidate nearest to the current target."""
         candidates = self.candidates(observation)
         usable = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates)
         share = np.where(usable, candidates[self._feature], 0.0)

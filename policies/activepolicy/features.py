@@ -15,7 +15,7 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.splatting import passes
 from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 
-# The digest of the paper names these constants without values. All values except the first are our choice.
+# Only a summary of the paper was available. It names these constants without values; all but the first are our choice.
 THRESHOLD = 0.25  # tau_u: pixels with a higher U count
 SENSITIVITY = 1.0 / 0.05**2  # eta: a term is tanh(1 / 2) if the depths vary by 5 %
 LOG_WEIGHT = 10.0  # gamma: the confidence k is 0.5 alpha if the two depths differ by 10 %
@@ -31,7 +31,7 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     the Gaussian at which the transmittance falls to one half, and d_r = d_a^k d_c^(1 - k). The confidence is
     k = alpha / (1 + gamma |log(d_a / d_c)|).
 
-    Source: a digest of [activepolicy]. There, d_c is the depth of the largest weight, k uses a count of Gaussians
+    Source: a summary of [activepolicy]. There, d_c is the depth of the largest weight, k uses a count of Gaussians
     instead of alpha, and the terms are sigmoids: tanh(x / 2) = 2 sigmoid(x) - 1.
     """
     alpha = context.alpha
@@ -42,7 +42,7 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
-    """Return the median depth of every pixel: that of the Gaussian at which the transmittance falls to one half."""
+    """Return the median depth of every pixel: the depth of the Gaussian at which the transmittance falls to 0.5."""
     camera, poses = context.camera, context.world_from_camera
     parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
     parameters = fitted(parameters)
@@ -55,7 +55,11 @@ def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0
 
 
 def disagreement(mean: np.ndarray, other: np.ndarray, alpha: np.ndarray) -> np.ndarray:  # [K, h, w] each -> U in 0..1
-    """Return U of every pixel; it is undefined if one of the depths is 0."""
+    """Return the disagreement U of three depth readings of every pixel, see `activepolicy`.
+
+    The first reading is ``mean``, the second is ``other`` (both in metres), and the third is computed from both and
+    ``alpha``. U has no meaning where one of the depths is 0.
+    """
     first, second = np.maximum(mean, 1e-3), np.maximum(other, 1e-3)
     confidence = alpha / (1.0 + LOG_WEIGHT * np.abs(np.log(first / second)))
     readings = np.stack([first, second, first**confidence * second ** (1.0 - confidence)])

@@ -11,8 +11,8 @@ from activestructure_gym.policies.greedy import Planner
 BEST = 16  # m: number of views with the largest gain that become nodes
 RELATION = 1.0  # lambda_r: weight of the edges between views; lambda_g is 1 for gains over their mean
 DECAY = 1.0  # gamma_d: decay of an edge per mean distance
-EPSILON = 1e-3
-SAME = 1e-9  # relative difference due to rounding between equal centralities
+EPSILON = 1e-3  # added to |v_i| in the denominator of the score
+SAME = 1e-9  # relative difference up to which two centralities are equal except for rounding
 
 
 @POLICIES.register("activepolicy")
@@ -27,7 +27,7 @@ class ActivePolicy(Planner):
 
     The views are filtered by gain first, because the gain hardly changes the choice of the published rule. There is no
     travel term. Of equal views, before and after the filter, the one with the fewest frames is chosen. Inspired by
-    [activepolicy], of which only a digest is known.
+    [activepolicy], of which only a summary was available.
     """
 
     criterion = "the most central of the 16 views with most disagreeing depth"
@@ -60,15 +60,16 @@ class ActivePolicy(Planner):
         return choice
 
     def scores_of(self, centrality: np.ndarray, observation: Observation, rows: np.ndarray) -> np.ndarray:
-        """Return the centrality times the travel factor of the nodes."""
+        """Return the centrality [n] of the views ``rows`` [n] times their travel factor."""
         return centrality * self.travel_factor(observation)[rows]
 
 
 def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # [n] > 0, [n, n] -> [n]
-    """Return 1 / (|v_i| + epsilon) of the nodes 1..n; the diagonal of ``between`` is ignored.
+    """Return the centrality 1 / (|v_i| + epsilon) of n views, from the Fiedler vector v of the graph of `ActivePolicy`.
 
-    If m eigenvectors share the second smallest eigenvalue, |v_i| is the norm of their m components at node i, divided
-    by sqrt(m). It then does not depend on the choice of eigenvectors.
+    ``gain`` determines the edges between the map and the views. ``between`` are the weights of the edges between the
+    views; its diagonal is ignored. If m eigenvectors share the second smallest eigenvalue, |v_i| is the norm of their m
+    components at node i, divided by sqrt(m). It then does not depend on the choice of eigenvectors.
     """
     count = len(gain)
     graph = np.zeros((count + 1, count + 1))
@@ -83,7 +84,10 @@ def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # 
 
 
 def relation(observation: Observation, rows: np.ndarray) -> np.ndarray:  # [n] rows -> [n, n] in 0..1
-    """Return the overlap of the views times exp(-gamma distance / mean distance)."""
+    """Return the relation of each pair of the views ``rows``: overlap x exp(-gamma distance / mean distance).
+
+    The overlap is the share of the planes visible from either view that are visible from both, see `ActivePolicy`.
+    """
     candidates = Candidates(observation)
     xyz, direction = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.view_direction))
     seen = (observation["candidate_planes"][rows] * observation["plane_mask"]).astype(np.float64)

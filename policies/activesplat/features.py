@@ -15,7 +15,7 @@ from activestructure_gym.motion import VoronoiGraph
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 
-RADIUS = 0.2  # metres, radius of the agent
+RADIUS = 0.2  # metres, radius of the agent in ActiveSplat
 REGION_M = 2.0  # metres; groups of nodes with a larger average distance are different subregions
 APART_M = 1e3  # metres, path length between nodes that no path connects
 VIEW_OPEN = 0.3  # minimum 1 - opacity of a gap in a view
@@ -43,10 +43,10 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
 
 
 def visible_gaps(context: FeatureContext) -> np.ndarray:  # [K] square degrees
-    """Return the sum of 1 - opacity over the gaps of more than MIN_VIEW_DEG2 in the candidate's own image.
+    """Return the sum of 1 - opacity over the gaps of more than 25 square degrees in the image of each candidate.
 
-    The original finds gaps in the panorama of the agent's node and turns to their centres. Here the view directions of
-    the candidates are given.
+    A gap is a connected region of pixels with 1 - opacity above 0.3. The original finds gaps in the panorama of the
+    agent's node and turns to their centres. Here the view directions of the candidates are given.
     """
     missing = 1.0 - context.alpha
     degrees = missing * solid_angles(context.camera) * np.degrees(1.0) ** 2
@@ -60,7 +60,11 @@ def visible_gaps(context: FeatureContext) -> np.ndarray:  # [K] square degrees
 
 
 def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
-    """Cluster nodes into subregions: average linkage of 0.5 path + 0.5 straight distance, cut at REGION_M."""
+    """Return the number of the subregion of each of the N nodes, found by hierarchical clustering (average linkage).
+
+    The distance of two nodes is the mean of their path length and their straight distance. Subregions with a larger
+    average distance than 2 m are separate.
+    """
     if len(graph) < 2:
         return np.ones(len(graph), dtype=np.int64)
     straight = np.linalg.norm(graph.nodes[:, None] - graph.nodes, axis=2)
@@ -70,7 +74,7 @@ def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
 
 
 def has_full_turn(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] metres
-    """Return whether the keyframes at a place together show all azimuths."""
+    """Return whether the keyframes within 0.5 m of ``place`` together show all 36 azimuth bins of 10 degrees."""
     seen = np.zeros(36, dtype=bool)
     bins = np.radians(10.0) * (np.arange(36) + 0.5)
     for frame in keyframes:
@@ -82,7 +86,10 @@ def has_full_turn(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] met
 
 
 def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
-    """Return I and V of every node with candidates; 0 near obstacles and where keyframes show all azimuths."""
+    """Return I and V (see `activesplat`) of each of the N Voronoi nodes, from panoramas of the map at the nodes.
+
+    They are 0 for nodes without candidates, for nodes within 0.4 m of obstacles, and where keyframes show all azimuths.
+    """
     graph, keyframes = context.once(floor_graph), context.mapper.keyframes
     information, volume = np.zeros(len(graph)), np.zeros(len(graph))
     wanted = [
@@ -104,6 +111,6 @@ def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # 
 
 
 def _of_node(context: FeatureContext, values: np.ndarray, nothing: float = 0.0) -> np.ndarray:  # [N] -> [K]
-    """Return the value of each candidate's node, ``nothing`` without a node."""
+    """Return, for each of K candidates, the value of its Voronoi node; ``nothing`` without a node."""
     node = context.once(voronoi_node).astype(np.int64)
     return np.append(values, nothing)[np.where(node >= 0, node, -1)]

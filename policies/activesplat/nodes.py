@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RICH = 250.0  # minimum I of a node that keeps the agent in its subregion
+RICH = 250.0  # rad^2 m deg^2, minimum I of a node that keeps the agent in its subregion
 DEFERRED_M = 13.0  # metres of path (200 steps); farther nodes wait for nearer ones
 
-# Weights of the score.
+# Weights of the node score in `node_scores`.
 UNARRIVED, HORIZON, INFORMATION, VOLUME, FAILED = 20, 10, 2, 1, -60
-LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME = -1, 10, 10  # once every node is arrived at or failed
+LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME = -1, 10, 10  # late weights, once every node is arrived at or failed
 
 
 @dataclass(frozen=True)
 class Nodes:
     """Hold the N Voronoi nodes that have candidates."""
 
-    rows: tuple[np.ndarray, ...]  # [N] candidate rows of each node
-    information: np.ndarray  # [N] I, missing information
-    volume: np.ndarray  # [N] V, missing volume
-    unarrived: np.ndarray  # [N] bool: far from the path travelled
-    horizon: np.ndarray  # [N] bool: in the horizon
+    rows: tuple[np.ndarray, ...]  # [N] rows of the candidate table at each node
+    information: np.ndarray  # [N] rad^2 m deg^2: missing information I
+    volume: np.ndarray  # [N] rad^2 m: missing volume V
+    unarrived: np.ndarray  # [N] bool: more than 0.65 m from the path travelled
+    horizon: np.ndarray  # [N] bool: in the region that the newest keyframe observed, see `in_horizon`
     failed: np.ndarray  # [N] bool: an earlier attempt did not reach it
     region: np.ndarray  # [N] number of the subregion
     length: np.ndarray  # [N] path length in metres
@@ -33,7 +33,8 @@ class Nodes:
 def node_scores(nodes: Nodes, late: bool = False) -> np.ndarray:  # [N] int64
     """Return 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
 
-    ``late`` selects the late weights of in_horizon, I and V. The terms before - 60 failed are 0 for a spent node.
+    ``late`` selects the late weights of in_horizon, I and V. All terms but the last are 0 for a node at which the agent
+    has stopped.
     """
     information, volume = (
         np.ceil(10.0 * values / values.max(initial=1e-12)).astype(np.int64)
@@ -45,7 +46,7 @@ def node_scores(nodes: Nodes, late: bool = False) -> np.ndarray:  # [N] int64
 
 
 def choose_node(nodes: Nodes, scores: np.ndarray, late: np.random.Generator | None = None) -> int:
-    """Return the node with the highest score, subregion by subregion.
+    """Return the index of the node with the highest score, subregion by subregion.
 
     The agent's subregion is that of the nearest node. Its nodes are eligible while one of them is unarrived, not failed
     and has I >= `RICH`. Otherwise the nodes of the other subregions are eligible if one scores above 0, else all nodes.

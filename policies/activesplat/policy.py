@@ -24,7 +24,7 @@ LOCAL_DEG2 = 100.0  # square degrees, minimum gaps in a local view
 LOCAL_TURN = np.cos(np.radians(15.0))  # cosine of the minimum turn to a local view
 STOP_M = 0.6  # metres (3 radii of the agent); a stop this near to an earlier one has no local views
 
-LATE_AFTER = 3  # successive node choices without an offered node that is neither arrived at nor failed
+LATE_AFTER = 3  # successive choices among nodes that are all arrived at or failed; then the late weights apply
 
 
 @POLICIES.register("activesplat")
@@ -71,7 +71,10 @@ class ActiveSplat(Planner):
         return choice
 
     def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:
-        """Choose a row; ``show`` [K] are the gaps in each view in square degrees."""
+        """Return the row of a local view or of a view at the best node, and update the state.
+
+        ``show`` [K] are the gaps in each view in square degrees.
+        """
         xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
         new = candidates.valid & ~candidates.revisit
         valid = new if new.any() else candidates.valid
@@ -119,9 +122,10 @@ class ActiveSplat(Planner):
             self._stop, self._local_views = place, 0
 
     def _update_late(self, nodes: Nodes) -> Nodes:
-        """Return the nodes; after LATE_AFTER choices without a goal, use the late weights and forget failures.
+        """Return ``nodes``, without failures if this is the third choice in a row without an open node.
 
-        The late weights stay in use for the rest of the episode.
+        An open node is unarrived and has not failed. From the third such choice on, the late weights apply for the rest
+        of the episode.
         """
         self._idle = 0 if (nodes.unarrived & ~nodes.failed).any() else self._idle + 1
         if self._idle < LATE_AFTER:
@@ -130,7 +134,7 @@ class ActiveSplat(Planner):
         return replace(nodes, failed=np.zeros(len(nodes.rows), dtype=bool))
 
     def _nodes(self, candidates: Candidates, valid: np.ndarray) -> Nodes:
-        """Return the nodes of the valid candidates."""
+        """Return the Voronoi nodes that have candidates in the rows ``valid`` [K] bool."""
         xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
         visited, horizon = candidates["visited_distance"].astype(np.float64), candidates["in_horizon"]
         information, volume, region, _ = candidates.feature("activesplat").astype(np.float64).T

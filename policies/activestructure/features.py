@@ -1,4 +1,4 @@
-"""Compute IG_def of Eq. 13, the area of known deficiencies of planes that a view would repair, and plane deficits."""
+"""Compute IG_def of Eq. 13, the area of deficient patches of planes that a view would repair, and plane deficits."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def pixels_per_area(
     views: np.ndarray,  # [V, 4, 4] world_from_camera
     centres: np.ndarray,  # [D, 3]
 ) -> np.ndarray:  # [V, D] 1 / m^2, times the squared focal length pixels per square metre
-    """Return the sampling density of each patch of surface in each view, cos / distance^2."""
+    """Return the sampling density cos(angle) / distance^2 of each of D surface patches in each of V views."""
     squared = np.zeros(cosines.shape)
     seen = np.nonzero(cosines)
     squared[seen] = np.square(views[seen[0], :3, 3] - centres[seen[1]]).sum(axis=-1)
@@ -56,22 +56,28 @@ def pixel_share(
     pixels: np.ndarray,  # [K, D] >= 0, of the candidates
     spent: np.ndarray,  # [D] >= 0, of all keyframes
 ) -> np.ndarray:  # [K, D] in 0..1
-    """Return pixels / (pixels + spent); 0 for a candidate that does not see the patch, 1 for a patch not seen yet."""
+    """Return the candidate's share of the pixels on a patch of all views: pixels / (pixels + spent).
+
+    It is 0 if the candidate does not see the patch, and 1 if only the candidate sees it. Both arguments have the unit
+    of `pixels_per_area`.
+    """
     total = pixels + spent
     return np.divide(pixels, total, out=np.zeros(total.shape), where=pixels > 0)
 
 
 def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
-    """Return the largest distance at which a frame replaces Gaussians of these sizes (`MapperConfig.coarse_ratio`).
+    """Return the largest distance from which a frame replaces Gaussians of ``sizes`` [D] metres by finer ones.
 
-    It holds for surface with texture; Gaussians of plain surface are not replaced.
+    The mapper replaces Gaussians whose size in the image exceeds a limit (`MapperConfig.coarse_ratio`). This holds for
+    surface with texture; Gaussians of plain surface are not replaced. For mappers that never replace Gaussians, the
+    distance is infinite for holes and 0 for other patches.
     """
-    config: Any = context.mapper.config  # other mappers have no such ratio
+    config: Any = context.mapper.config  # the configurations of other mappers have no coarse_ratio
     stored = context.mapper.keyframes[-1].camera
     if getattr(config, "coarse_ratio", None) is None or config.seed_spacing is None:
         return np.where(np.isinf(sizes), np.inf, 0.0)
     limit = config.coarse_ratio * config.seed_footprint * config.seed_pixels  # pixels
-    focal = 0.5 * (stored.fx + stored.fy) * config.keyframe_reduction  # frames add Gaussians at their full size
+    focal = 0.5 * (stored.fx + stored.fy) * config.keyframe_reduction  # pixels, of frames before their reduction
     return np.asarray(sizes * focal / limit)
 
 

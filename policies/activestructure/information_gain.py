@@ -50,7 +50,7 @@ class Weights:
     coupling: float = 1.0  # omega, Eqs. 1 and 14
     deficiency: float = 1.0  # omega_d, Eq. 13
     max_discount: float = 0.0  # rho_max, Eq. 12
-    suppression: float = 0.0  # suppression of views of mostly well-reconstructed structure (Sec. 3.4, phase II)
+    suppression: float = 0.0  # 0..1, strength of `suppression`, for views of well-reconstructed planes (phase II)
     surprise: bool = True  # False: gamma_i is replaced by 1 - q_i (variant B of Table 3)
     sides: float = 1.0  # weight of unseen sides, if the discovery gain includes them
 
@@ -63,8 +63,8 @@ class GainTerms:
     discount: np.ndarray  # rho_c in [0, rho_max]
     structure: np.ndarray  # sum of alpha_i gamma_i over the visible planes, scaled
     deficiency: np.ndarray  # IG_def
-    floor: np.ndarray  # visibility floor
-    suppressed: np.ndarray  # factor on the whole gain in [0, 1]; 1 outside phase II
+    floor: np.ndarray  # `VISIBILITY_FLOOR` for views that see a plane, else 0
+    suppressed: np.ndarray  # factor on the whole gain in [0, 1], see `suppression`; 1 outside phase II
     total: np.ndarray  # IG, floored at 0
 
     def row(self, index: int, discovery: str) -> dict[str, float]:
@@ -73,9 +73,9 @@ class GainTerms:
         return {names.get(name, name): float(values[index]) for name, values in vars(self).items()}
 
 
-VISIBILITY_FLOOR = 1e-4  # term of a view that sees any tracked plane (Sec. 3.4)
-GOOD_QUALITY = 0.8  # minimum q of a well-reconstructed structural plane
-BLEND = 0.5  # eta of Eq. 11
+VISIBILITY_FLOOR = 1e-4  # added to the gain of a view that sees any tracked plane (Sec. 3.4)
+GOOD_QUALITY = 0.8  # minimum quality q (0..1) of a well-reconstructed structural plane
+BLEND = 0.5  # eta of Eq. 11: weight of the mean surprise; the maximum has the rest
 DISCOUNT_PLANES = 3.0  # number of visible planes at which the discount is 1 - 1/e of its cap
 
 
@@ -95,7 +95,7 @@ def information_gain(
 
 
 def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
-    """Return the first sum of Eq. 13, with gamma_i divided by the sum of gamma over all planes.
+    """Return sum of alpha_i gamma_i over the visible planes (Eq. 13), divided by the sum of gamma over all planes.
 
     The division keeps the term in [-1, 1] for any number of planes and any scale of the surprises. IG_px and IG_def are
     shares too.
@@ -106,7 +106,7 @@ def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
 
 
 def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without planes
-    """Return the blend of mean and maximum of Phi over the visible planes (Eq. 11)."""
+    """Return the surprise Phi_c of each candidate: 0.5 mean + 0.5 maximum of Phi over its visible planes (Eq. 11)."""
     seen = np.where(planes.visible, planes.surprise, 0.0)
     mean = seen.sum(axis=1) / np.maximum(planes.visible.sum(axis=1), 1)
     return BLEND * mean + (1.0 - BLEND) * seen.max(axis=1, initial=0.0)  # Eq. 11
@@ -115,8 +115,8 @@ def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without
 def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, cap]
     """Return rho_c of Eq. 12 = cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the n visible planes).
 
-    The paper only states that rho_c increases with the number and quality of the visible tracked planes and decreases
-    with their surprise.
+    ``cap`` is rho_max, and Phi_c is `view_surprise`. The paper only states that rho_c increases with the number and
+    quality of the visible tracked planes and decreases with their surprise.
     """
     count = planes.visible.sum(axis=1)
     surprise = view_surprise(planes)
@@ -126,9 +126,10 @@ def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, c
 
 
 def suppression(planes: PlaneView, strength: float) -> np.ndarray:  # [K] factor in [1 - strength, 1]
-    """Return 1 - strength x the share of well-reconstructed structure in the visible plane area.
+    """Return a factor on the gain: 1 - strength x the share of well-reconstructed structural planes in the plane area.
 
-    It applies the polarity reversal of phase II to whole views (Sec. 3.4).
+    The share is over the area of the planes that a candidate sees. The factor applies the polarity reversal of phase II
+    to whole views (Sec. 3.4).
     """
     if not strength:
         return np.ones(len(planes.visible))

@@ -18,9 +18,9 @@ class Phase:
 
     name: str
     weights: Weights
-    # Minimum gain of a view in the pool, as a share of the gain of a view that sees only unknown space (rho).
+    # Minimum discovery gain of a view in the pool (rho); 1 is the gain of a view that sees only unknown space.
     pool_share: float = 0.0
-    deficit_share: float = np.inf  # a view with at least this IG_def stays in the pool, in the unit of `hole_area`
+    deficit_share: float = np.inf  # minimum IG_def with which any view is in the pool, in the unit of `hole_area`
     refines: bool = False  # True: revisit keyframes instead of scoring views
 
 
@@ -42,20 +42,24 @@ PHASES = (
     # The keyframes with the lowest PSNR are revisited and get more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
 )
-PATIENCE = 3  # successive decisions with an empty pool that end a phase; one table is a random part of all views
+PATIENCE = 3  # successive decisions with an empty pool that end a phase; tables are random parts of all views
 GOOD_PSNR = 34.0  # dB; phase III ends when 90 % of the keyframes reach it (ActiveGAMER's threshold)
-LOT = 4  # revisits after which progress is tested; a table offers as many
+LOT = 4  # number of revisits between two tests of progress; a table offers at most as many
 MIN_RISE_DB = 0.25  # dB by which LOT revisits must raise the 10 % quantile of the keyframes' PSNR
 
 
 def in_pool(terms: GainTerms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
-    """Return the views in the pool: those with enough gain after the discount, or enough deficit (Eq. 12)."""
+    """Return which ``valid`` views [K] bool are in the pool of the phase.
+
+    A view needs a discovery gain after the discount (Eq. 12) of at least ``pool_share``, or an IG_def of at least
+    ``deficit_share``.
+    """
     pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
     return valid & (pixels | (terms.deficiency >= phase.deficit_share))
 
 
 class PhaseMachine:
-    """Switch to the next phase when the pool of the current one has been empty for `PATIENCE` decisions."""
+    """Hold the current phase; switch to the next one after three successive decisions with an empty pool."""
 
     def __init__(self) -> None:
         self.index = 0
@@ -67,7 +71,7 @@ class PhaseMachine:
         return PHASES[self.index]
 
     def update(self, pool: np.ndarray) -> str | None:
-        """Update the state with the pool [K] bool; return the reason if the phase changed, else None."""
+        """Count a decision with the views ``pool`` [K] bool; return the reason if the phase changed, else None."""
         self._empty = 0 if pool.any() else self._empty + 1
         if self._empty < PATIENCE or self.phase.refines:
             return None
@@ -92,7 +96,7 @@ class RevisitedViews:
         self._views.append(np.array(view, dtype=np.float64))
 
     def includes(self, views: np.ndarray) -> np.ndarray:  # [K, 6] -> [K] bool
-        """Return which of the views were revisited."""
+        """Return which of the views were revisited; each row is a position (metres) and a view direction."""
         if not self._views:
             return np.zeros(len(views), dtype=bool)
         difference = np.abs(views[:, None] - np.stack(self._views)[None]).max(axis=-1)
@@ -104,7 +108,7 @@ class RevisitedViews:
 
 
 class RevisitProgress:
-    """Test whether the last `LOT` revisits raised the PSNR enough; otherwise phase III ends."""
+    """Test after every four revisits whether they raised the PSNR by at least 0.25 dB; otherwise phase III ends."""
 
     def __init__(self) -> None:
         self._before, self._over = -np.inf, False

@@ -34,10 +34,10 @@ from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
 _SIDES, _END = "unseen_sides", "finish"
 _ON_BASE = replace(PHASES[0].weights, sides=1.0)
-# The columns used as IG_px by discovery gain, and the value of each that counts as 1. That is the whole image for
-# `pixel`, and the largest area for `hole_area`. For volumes (m^3) it is the gain of a view that sees only unknown
-# space. This is the solid angle of 1.42 sr (90 x 59 degrees) times the integral of r^2 exp(-r) from 0 to 6 m. On the
-# voxel grid, where rays miss some voxels, such a view has 2.2 m^3.
+# The feature columns used as IG_px for each discovery gain, and their scales: a column divided by its scale is IG_px.
+# The scale is 1 for `pixel` and `hole_area`, which are shares. For volumes (m^3), the scale is the gain of a view that
+# sees only unknown space. This is the solid angle of 1.42 sr (90 x 59 degrees) times the integral of r^2 exp(-r) from 0
+# to 6 m. On the voxel grid, where rays miss some voxels, such a view has 2.2 m^3.
 _DISCOVERY: dict[Discovery, dict[str, float]] = {
     "pixel": {"pixel": 1.0},
     "hole_area": {"hole_area": 1.0},
@@ -47,7 +47,10 @@ _DISCOVERY: dict[Discovery, dict[str, float]] = {
 
 
 def without_revisit_gain(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
-    """Return the gain with 0 for revisits. A keyframe always sees its own planes; revisits belong to phase III."""
+    """Return the gain [K], set to 0 for revisits of keyframes.
+
+    A keyframe always sees its own planes and would have a gain; revisits are chosen in phase III only.
+    """
     return np.where(Candidates(observation).revisit, 0.0, gain)
 
 
@@ -95,7 +98,10 @@ class StructurePolicy(Policy):
         return information_gain(unseen, deficiency, planes, weights)
 
     def _choose(self, gain: np.ndarray, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
-        """Return argmax of gain [K] times travel discount; record the terms, and ``more``, in the trace."""
+        """Return the valid row with the largest product of ``gain`` [K] and travel discount.
+
+        The trace records ``more``, and the ``terms`` of the chosen and of the second best view.
+        """
         travel = travel_discount(observation)
         # If no view has a gain, the lower bound makes the travel discount decide.
         scores = np.maximum(gain, 1e-6) * travel
@@ -213,7 +219,10 @@ class ActiveStructure(StructurePolicy):
         return choice
 
     def _settled(self, left: bool, lowest: float) -> str | None:
-        """Return the reason against any further revisit, or None; ``left`` is whether a keyframe is left."""
+        """Return the reason to end the revisits, or None.
+
+        ``left`` is whether a keyframe is left to revisit, ``lowest`` the 10 % quantile of the keyframes' PSNR in dB.
+        """
         if not left:
             return "no keyframe left to revisit"
         if lowest >= GOOD_PSNR:

@@ -61,7 +61,10 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
 
 
 def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F] cluster
-    """Return the centres of the frontier voxels, and the index of the cluster of each, cut into cubes."""
+    """Return the centres of the F frontier voxels, and the index of the cluster of each.
+
+    A cluster is the part of a connected frontier (26 neighbours) in a cube of 2 m, with at least five voxels.
+    """
     volume = context.volume
     wanted = context.once(target_voxels)
     edge = (volume.state == FREE) & ndimage.binary_dilation(wanted, np.ones((3, 3, 3), bool))
@@ -77,7 +80,7 @@ def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 
 
 
 def _of_gaussians(context: FeatureContext, table: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [N] float32
-    """Return the table's value at the voxel of each Gaussian's mean; 0 outside."""
+    """Return, for each Gaussian, the value of ``table`` at the voxel of its mean; 0 outside the volume."""
     means, volume = context.mapper.map.means, context.volume
     values = np.zeros(len(means), np.float32)
     inside = volume.contains(means)

@@ -10,9 +10,9 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner.policy import shortest_tour
 from activestructure_gym.policies.native_settings import NativeSettings
 
-# While more frontiers, and a larger share of all frontiers, are near, only frontiers are tasks.
+# Only frontiers are tasks while more than MANY_NEAR frontiers, and more than the share SHARE_NEAR of all, are near.
 MANY_NEAR, SHARE_NEAR = 3, 0.2
-RECONSTRUCTIONS = 3  # number of tasks for uncertain surface (own choice)
+RECONSTRUCTIONS = 3  # maximum number of tasks for uncertain surface (own choice)
 APART_M = 1.0  # metres, minimum distance between the places of these tasks (own choice)
 EXECUTED_M = 5.0  # metres of the tour after which it is planned anew (own choice)
 
@@ -22,9 +22,11 @@ class Aiisrfe(Planner):
     """Follow tour* = argmin length over the tasks: one view per frontier, and the views of the most uncertain surface.
 
     While more than 3 frontiers, and more than 20 % of all, are near, only frontiers are tasks. Without frontiers, only
-    surface is. The tasks within the first 5 m of the tour are visited, then a new tour is planned. With
-    ``travel=shared`` there is no tour: a frontier's view scores 1, another its uncertainty over the largest one, times
-    the factor. By the abstract and a digest of [aiisrfe], without equation numbers.
+    surface is. The tasks within the first 5 m of the tour are visited, then a new tour is planned.
+
+    With ``travel=shared`` there is no tour. The gain of a frontier's view is 1, and the gain of another view is its
+    uncertainty divided by the largest one; the score is gain times travel factor. The source is the abstract and a
+    summary of [aiisrfe], without equation numbers.
     """
 
     criterion = "frontiers, and surface of uncertain colour"
@@ -69,7 +71,11 @@ class Aiisrfe(Planner):
         return choice
 
     def _tour(self, candidates: Candidates, frontier: np.ndarray, uncertain: np.ndarray) -> np.ndarray:  # [t, 6]
-        """Return the tasks in the order of the shortest tour, those within `EXECUTED_M` of path and at least one."""
+        """Return the first tasks of the shortest tour: those within 5 m of path, and at least one.
+
+        ``frontier`` [K] bool are the candidates that serve frontiers; ``uncertain`` [K] is the uncertainty of the
+        surface that each candidate sees. A task is a position (m) and a view direction.
+        """
         tasks = np.flatnonzero(frontier).tolist()
         tasks += most_uncertain(candidates, np.where(frontier, 0.0, uncertain))
         if not tasks:

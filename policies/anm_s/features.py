@@ -1,4 +1,7 @@
-"""Compute ANM-S's features: clusters of uncertain surface at a Voronoi node, and the ends of its cut chains."""
+"""Compute ANM-S's features: clusters of uncertain surface at a Voronoi node, and the ends of its cut branches.
+
+A cut branch leads from a node of the Voronoi graph to an end without a junction; `planar_graph` removes it.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from activestructure_gym.features.uncertain_surface import (
 )
 from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
 
-KEPT = 0.2  # share of the surface that is clustered, the most uncertain
-SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; directions nearer to each other are served by one view
+KEPT = 0.2  # share of the surface that is clustered, the most uncertain part
+SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; one view serves all directions within 45 degrees of it
 
 
 _COLUMNS: dict[str, Any] = {
@@ -35,9 +38,9 @@ def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
     """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
 
     A cluster is a connected part of the most uncertain 20 % of the surface. The first column counts the clusters whose
-    nearest node is the candidate's. The second is the number of views that see these and the ends of the chains cut off
-    from the node. The third is the cosine between the candidate's view direction and the nearest direction to one of
-    them. The uncertainty comes from 20 renderings of the map with perturbed means. Source: [anm_s, code].
+    nearest node is the candidate's. The second is the number of views that see these clusters and the ends of the cut
+    branches of the node. The third is the cosine between the candidate's view direction and the nearest direction to
+    one of them. The uncertainty comes from 20 renderings of the map with perturbed means. Source: [anm_s, code].
     """
     return views_at_node(context, by_perturbing_means)
 
@@ -56,13 +59,12 @@ def views_at_node(
 ) -> np.ndarray:  # [K, 3] clusters, views, cosine
     """Compute the clusters at the candidate's node, the views they need, and the candidate's alignment ([anm_s]).
 
-    The columns are 0, 0, -1 without a node. Otherwise they are:
+    ``uncertainty`` returns the surface with its uncertainty. The columns are 0, 0, -1 without a node. Otherwise they
+    are:
 
-    - Number of clusters for which the candidate's node is the nearest one in the horizontal plane.
-    - Number of views needed to see these clusters and the ends of the chains that were cut off from the node.
+    - Number of clusters for which the candidate's node of `floor_graph` is the nearest one in the horizontal plane.
+    - Number of views needed to see these clusters and the ends of the cut branches of the node.
     - Cosine between the candidate's view direction and the nearest direction to one of these; -1 if there is none.
-
-    Nodes are those of `floor_graph`.
     """
     found = clusters(context.once(uncertainty), KEPT)
     graph = context.once(floor_graph)
@@ -82,14 +84,17 @@ def views_at_node(
 
 
 def anchored(found: Clusters, nodes: np.ndarray) -> np.ndarray:  # [C] int64 nodes; -1 without any node
-    """Return the node nearest to each cluster's target in the horizontal plane."""
+    """Return the index of the node nearest to each cluster's target; ``nodes`` [N, 2] are metres in the floor plane."""
     if not len(nodes):
         return np.full(len(found.targets), -1)
     return np.linalg.norm(found.targets[:, None, :2] - nodes, axis=2).argmin(axis=1)
 
 
 def count_views(directions: np.ndarray) -> int:  # [L, 3] unit
-    """Return the number of views that serve all directions, each towards the first direction not served yet."""
+    """Return the number of views that serve all directions; a view serves directions within 45 degrees of its own.
+
+    The views are placed in order: each is towards the first direction that no earlier view serves.
+    """
     count = 0
     while len(directions):
         directions, count = directions[directions @ directions[0] < SAME_VIEW], count + 1

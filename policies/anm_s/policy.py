@@ -23,9 +23,9 @@ UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the s
 ARRIVED_M = 15 * 0.065  # metres from the path travelled (15 steps of 6.5 cm); a node farther away is unarrived
 DEFERRED_M = 200 * 0.065  # metres of path (200 steps); farther targets wait for nearer nodes
 AT_NODE = 0.5  # metres in the plane; a candidate or the agent within this distance is at a node
-FORGET_AFTER = 3  # successive node choices without an offered node that is neither arrived at nor failed
-FACING = float(np.cos(np.radians(30.0)))  # cosine, minimum between a candidate's view direction and its target
-SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; directions nearer to each other are served by one view
+FORGET_AFTER = 3  # successive choices among nodes that are all arrived at or failed; then failures are forgotten
+FACING = float(np.cos(np.radians(30.0)))  # minimum cosine between the view direction and the direction to a target
+SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; one view serves all directions within 45 degrees of it
 Uncertainty = Literal["perturbation", "proxy"]
 
 
@@ -40,9 +40,9 @@ class AnmS(Planner):
     - Has cluster: nearest node to a connected part of the most uncertain 20 % of the surface (at least 0.5 % of it).
     - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.
 
-    Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. A target
-    farther than 13 m waits for the node nearest to it within 13 m. At the node, views towards all its clusters and the
-    ends of the chains cut off from it follow.
+    Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. If the best
+    node is farther than 13 m, the node nearest to it within 13 m is visited first. At the node, views towards all its
+    clusters follow. Further views show the ends of the branches of the Voronoi graph that were removed at the node.
 
     ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
     without rendering. Source: [anm_s, code].
@@ -121,7 +121,7 @@ class AnmS(Planner):
         return (np.linalg.norm(places - self._failed, axis=2) <= AT_NODE).any(axis=1)
 
     def _next_view(self, observation: Observation, candidates: Candidates) -> int | None:
-        """Return the candidate at this node that faces a target in a new direction with the fewest frames, or None."""
+        """Return the candidate with the fewest frames that faces a target at this node in a new direction, or None."""
         if self._left <= 0:
             return None
         rows = candidates.valid & ~candidates.revisit & self._at_stop(candidates)
@@ -135,14 +135,17 @@ class AnmS(Planner):
         return np.linalg.norm((candidates.xyz - self._stop)[:, :2], axis=1) <= AT_NODE
 
     def _forget(self, candidates: Candidates, rows: np.ndarray) -> None:
-        """Forget failures after `FORGET_AFTER` choices without a node that is neither arrived at nor failed."""
+        """Forget failures if this is the third choice in a row whose nodes are all arrived at or failed.
+
+        ``rows`` [K] bool are the candidates at the offered nodes.
+        """
         left = rows & (candidates["visited_distance"] > ARRIVED_M) & ~self._has_failed(candidates)
         self._idle = 0 if left.any() else self._idle + 1
         if self._idle >= FORGET_AFTER:
             self._failed = self._failed[:0]
 
     def _next_node(self, observation: Observation, candidates: Candidates) -> int:
-        """Return the best node's candidate that faces a target best; without nodes, the nearest new view."""
+        """Return the candidate at the best node that is best aligned with a target; else the nearest new view."""
         node = candidates["voronoi_node"]
         rows = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates) & (node >= 0)
         if not rows.any():

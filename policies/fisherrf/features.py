@@ -13,18 +13,18 @@ from activestructure_gym.motion import is_level
 from activestructure_gym.splatting.fisher import view_information
 
 GOALS = 20  # number of views whose paths are evaluated
-END_WEIGHT = 30.0  # weight of the view at the end, against the mean over the path
-MIN_INFORMATION = 1e-6  # per Gaussian, lower bound of the information of a view on the path
+END_WEIGHT = 30.0  # weight of log I of the view at the end; the mean of log I over the path has weight 1
+MIN_INFORMATION = 1e-6  # per Gaussian, lower bound of I of a view on the path, so that its logarithm is finite
 
 
 @FEATURES.register("fisherrf_path", unit="per Gaussian of the map", low=0.0)
 def fisherrf_path(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute exp((mean over the path of log I_a + 30 log I_c) / 31) of the 20 views with the largest I_c; 0 of others.
 
-    I_c is `fisherrf`, per Gaussian of the map. On the path, I_a = sum of H_a / (H_path + lambda), where H_path is
-    H_train plus all earlier H_a, so that the same information counts once. The views on the path are the keyframes that
-    the episode would take, including the one at its end. The exponential keeps the unit of I and does not change the
-    order.
+    I_c is the feature `fisherrf` of the candidate, per Gaussian of the map. A view a on the path has I_a = sum of
+    H_a / (H_path + lambda). H_path is H_train plus the H of all earlier views on the path, so that the same information
+    counts once. The views on the path are the keyframes that the episode would take, including the one at its end. The
+    exponential keeps the unit of I and does not change the order.
 
     Source: [fisherrf, code] of its active mapping: 20 goals, the weight 30, and H updated along the path. The logarithm
     of I_c is our choice.
@@ -44,7 +44,7 @@ def fisherrf_path(context: FeatureContext) -> np.ndarray:  # [K]
 
 
 def information_along(context: FeatureContext, world_from_camera: np.ndarray) -> np.ndarray:  # [V, 4, 4] -> [V]
-    """Return I_a of successive views, each given the earlier ones; per Gaussian of the map."""
+    """Return I_a (see `fisherrf_path`) of V successive views, each given the earlier ones; per Gaussian of the map."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     columns, unit = diagonal_units(context, KINDS)
     known = trained(context)[:, columns] / unit + LAMBDA

@@ -9,7 +9,10 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS, NativeS
 
 @POLICIES.register("fisherrf")
 class FisherRF(Greedy):
-    """Choose argmax sum H_c / (H_train + lambda), the published view selection ([fisherrf]), without a travel term."""
+    """Choose argmax sum H_c / (H_train + lambda), the published view selection ([fisherrf]), without a travel term.
+
+    H_c and H_train are the diagonals of the Fisher information of the candidate and of all keyframes.
+    """
 
     criterion = "Fisher information of a view relative to that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
@@ -21,7 +24,8 @@ class FisherRF(Greedy):
 class FisherRFCov(Greedy):
     """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum H_c / (H_train + lambda) is the feature `fisherrf`.
 
-    G_Q cannot score regions that the map does not cover yet; G_cov is `hole_area`. There is no travel term.
+    G_Q cannot score regions that the map does not cover yet, hence G_cov, the feature `hole_area`. lambda_o is the
+    share of observed space around the agent (`adaptive`). There is no travel term.
     """
 
     criterion = "Fisher information of a view relative to that of all keyframes, and unseen space"

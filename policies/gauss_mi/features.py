@@ -11,8 +11,9 @@ from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import COLOR
 from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliability
 
-# A view within NEAR_M (metres) and NEAR_DEG (degrees) of one of the last REMEMBERED chosen views is discounted. The
-# discount is larger for more recent ones (FORGETTING). There is none until more than FEW views were chosen.
+# The gain of a view within NEAR_M (metres) and NEAR_DEG (degrees) of one of the last REMEMBERED chosen views is
+# reduced. The factor is 1 - FORGETTING^k for the k-th view before the newest. There is no reduction until more than FEW
+# views were chosen.
 NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 5, 0.95
 
 
@@ -21,8 +22,8 @@ def gauss_mi(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute the mean over pixels of sum_i w_i sum_dir c_dir (-log r_dir) in nats, discounted for revisits.
 
     w_i is the weight of Gaussian i in the pixel. c_dir are the components along +x, +y, -x, -y of the unit vector from
-    the camera to the Gaussian, and r_dir is its reliability from that side (`reliability`). The inner sum is one number
-    per Gaussian. It is rendered in place of a colour, so a candidate costs one rendering.
+    the camera to the Gaussian. r_dir is the probability that the Gaussian is correct from that side (`reliability`).
+    The inner sum is one number per Gaussian. It is rendered in place of a colour, so a candidate costs one rendering.
     """
     gaussians, camera, render = context.mapper.map, context.camera, context.mapper.rasterizer.render
     # -log r, [4, N]. Single precision is faster; the array is read for every Gaussian and candidate.
@@ -40,7 +41,7 @@ def gauss_mi(context: FeatureContext) -> np.ndarray:  # [K]
 
 
 def reliability(context: FeatureContext) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only
-    """Return the log-odds of every Gaussian's reliability from four sides, after the votes of new keyframes."""
+    """Return the log-odds that each Gaussian is correct from the sides +x, +y, -x, -y, updated by new keyframes."""
     return context.episode(_reliability).update(context.mapper.keyframes)
 
 
@@ -53,7 +54,10 @@ def seen_from(
     means: np.ndarray,  # [3, N] float32 metres, world
     surprise: np.ndarray,  # [4, N] float32, for +x, +y, -x, -y
 ) -> np.ndarray:  # [N] float32
-    """Return the sum over the directions of `direction_shares` times surprise."""
+    """Return, for each Gaussian, the sum of `direction_shares` from ``eye`` times ``surprise`` over four directions.
+
+    ``surprise`` is -log r of each direction in nats.
+    """
     dx, dy, dz = means - eye.astype(np.float32)[:, None]
     along_x = np.where(dx > 0, surprise[0], surprise[2])
     along_y = np.where(dy > 0, surprise[1], surprise[3])

@@ -8,7 +8,10 @@ from activestructure_gym.policies.greedy import Greedy
 
 @POLICIES.register("gauss_mi")
 class GaussMI(Greedy):
-    """Choose argmax sum w_i c_dir (-log r_dir), the published view selection, without a travel term."""
+    """Choose argmax sum w_i c_dir (-log r_dir), the published view selection, without a travel term.
+
+    r_dir is the probability that Gaussian i is correct from the side of the view, see the feature `gauss_mi`.
+    """
 
     criterion = "unreliability of the Gaussians from the view's side"
     travel_term = "revisits discounted"
@@ -20,7 +23,8 @@ class GaussMI(Greedy):
 class GaussMICov(Greedy):
     """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum w_i c_dir (-log r_dir) is the feature `gauss_mi`.
 
-    The feature includes GauSS-MI's own discount of revisited poses. There is no travel term.
+    G_cov is `hole_area`, and lambda_o the share of observed space around the agent (`adaptive`). The feature includes
+    GauSS-MI's own discount of revisited poses. There is no travel term.
     """
 
     criterion = "unreliability of the Gaussians from the view's side, and unseen space"

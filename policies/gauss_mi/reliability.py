@@ -37,16 +37,22 @@ LIMIT = 10.0  # bound of votes and log-odds
 
 
 class DirectionalReliability:
-    """Hold the log-odds of every Gaussian for the directions +x, +y, -x, -y; 0 (probability 0.5) for new ones."""
+    """Hold the log-odds that each Gaussian is correct from the directions +x, +y, -x, -y.
+
+    The log-odds of new Gaussians are 0, which is a probability of 0.5.
+    """
 
     def __init__(self, gaussians: GaussianMap, backend: str = "cpu") -> None:
-        """Follow the given map; ``backend`` is the rasteriser's."""
+        """Store the map, which mapping changes in place, and the name of the rasteriser's backend."""
         self._map, self._backend = gaussians, backend
         self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted
 
     def update(self, keyframes: Sequence[Frame]) -> np.ndarray:  # [N, 4] float64, a view until the next call
-        """Add the votes of new keyframes, with the current map, and return the log-odds; each keyframe votes once."""
+        """Add the votes of the keyframes that are new since the last call, with the current map; return the log-odds.
+
+        ``keyframes`` are all keyframes, those of the last call first.
+        """
         if len(keyframes) < self._known:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
         log_odds = self._log_odds.follow()
@@ -56,7 +62,7 @@ class DirectionalReliability:
         return log_odds
 
     def _vote(self, frame: Frame, log_odds: np.ndarray) -> None:
-        """Add the vote of a keyframe to the log-odds [N, 4]."""
+        """Add the votes of a keyframe for the Gaussians that it sees to the log-odds [N, 4], in place."""
         gaussians, camera, pose = self._map, frame.camera, frame.world_from_camera
         unseen = MapParts(gaussians).unseen(camera, pose)
         shown = rasterizer(self._backend).render(gaussians.parameters, gaussians.count, camera, pose, unseen=unseen)
@@ -72,9 +78,10 @@ class DirectionalReliability:
 
 
 def pixel_votes(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] float32
-    """Return -log of the loss of each pixel; it is positive if the rendered map agrees with the keyframe.
+    """Return the vote of each pixel, -log max(1.7 L, 1e-4) with the loss L of the module's docstring.
 
-    The rendered depth is the accumulated depth over alpha.
+    It is positive if the rendering ``shown`` of the map agrees with the keyframe ``frame``. The rendered depth is the
+    accumulated depth over alpha.
     """
     loss = COLOR_SHARE * np.abs(shown.color - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
     depth = shown.depth / np.maximum(shown.alpha, 1e-6)
@@ -86,7 +93,7 @@ def direction_shares(
     means: np.ndarray,  # [S, 3] metres, world
     eye: np.ndarray,  # [3] metres, world
 ) -> np.ndarray:  # [S, 4] in 0..1
-    """Return the components along +x, +y, -x, -y of the unit vectors from the eye to the means; z is left out."""
+    """Return the positive components along +x, +y, -x, -y of the unit vectors from ``eye`` to ``means``."""
     ray = means - eye
     ray = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-9)
     return np.concatenate([np.maximum(ray[:, :2], 0.0), np.maximum(-ray[:, :2], 0.0)], axis=1)

@@ -13,7 +13,7 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 class Gavis(Planner):
     """Choose argmax of the entropy of a view's colours (feature `gavis`), without a travel term.
 
-    The colour of a Gaussian is known only from sides from which keyframes saw it.
+    The entropy is large where keyframes have not seen a surface from the side of the view, or not at all.
     """
 
     criterion = "entropy of the view's colours, known only from sides seen so far"

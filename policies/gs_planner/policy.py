@@ -10,11 +10,11 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid,
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 
-# The paper contains no values for these. Gains are shares of the largest possible gain of a view.
+# The paper has no values for these constants. Gains are shares of the frustum's volume, plus the weighted loss.
 QUALITY_WEIGHT = 0.1  # weight of the mean loss in metres against the share of unobserved volume
 MIN_GAIN = 0.02  # g_lb: views with a lower gain are dropped
 STORED_GAIN = 0.05  # g_thres: views with a higher gain that are not chosen are stored in the library
-MIN_OVERLAP = 0.5  # epsilon: views with at least this overlap are the same view to the library
+MIN_OVERLAP = 0.5  # epsilon: views with at least this `overlap` count as the same view in the library
 OVERLAP_M = 2.0  # metres; views at this distance have no overlap
 OVERLAP_RAD = np.pi / 2.0  # views with this angle between them have no overlap; it is the width of the image
 
@@ -26,7 +26,7 @@ def overlap(
     first: np.ndarray,  # [n, 6] position and view direction
     second: np.ndarray,  # [m, 6]
 ) -> np.ndarray:  # [n, m] in 0..1
-    """Return an overlap of views that depends only on their distance and angle."""
+    """Return the overlap of each pair of views: (1 - distance / 2 m) (1 - angle / 90 degrees), or 0 beyond either."""
     apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
     angle = np.arccos(np.clip(first[:, 3:] @ second[:, 3:].T, -1.0, 1.0))
     return np.maximum(1.0 - apart / OVERLAP_M, 0.0) * np.maximum(1.0 - angle / OVERLAP_RAD, 0.0)
@@ -37,7 +37,7 @@ def best_per_viewpoint(
     lengths: np.ndarray,  # [n] path length in metres
     gain: np.ndarray,  # [n]
 ) -> np.ndarray:  # [v] rows, nearest viewpoint first, at most VIEWPOINTS
-    """Return the best view around each of the nearest places at least SPACING_M apart.
+    """Return the view with the largest gain around each of the four nearest places, which are at least 1.5 m apart.
 
     The original tests all directions at each viewpoint of its tree. The candidate table has few directions for each
     position, so the views around a place are used instead.
@@ -91,7 +91,7 @@ class GSPlanner(Planner):
         return choice
 
     def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
-        """Return the chosen row, and "near", "library" or "all" for the set it was chosen from."""
+        """Return the chosen row, and the name of the set that it was chosen from: "near", "library" or "all"."""
         candidates = self.candidates(observation)
         valid, lengths = np.flatnonzero(candidates.valid), candidates.path_length.astype(np.float64)
         views = np.hstack([candidates.xyz, candidates.view_direction]).astype(np.float64)
@@ -110,17 +110,17 @@ class GSPlanner(Planner):
         return best_valid(gain, observation), "all"
 
     def _store(self, views: np.ndarray) -> None:  # [n, 6]
-        """Add the views that do not overlap with the library."""
+        """Add the views to the library, except views that overlap with one already in it by at least `MIN_OVERLAP`."""
         for view in views:
             if not len(self._library) or overlap(view[None], self._library).max() < MIN_OVERLAP:
                 self._library = np.vstack([self._library, view])
 
     def _forget(self, chosen: np.ndarray) -> None:  # [1, 6]
-        """Remove the views that overlap with the chosen one."""
+        """Remove the views from the library that overlap with the ``chosen`` one by at least `MIN_OVERLAP`."""
         self._library = self._library[overlap(self._library, chosen).max(axis=1, initial=0.0) < MIN_OVERLAP]
 
     def _offered(self, views: np.ndarray, gain: np.ndarray) -> np.ndarray:  # [n, 6], [n] -> [f] rows
-        """Return the candidates that overlap most with the library's views.
+        """Return the rows of ``views`` that overlap most with each view of the library, without too small overlaps.
 
         Views whose gain has fallen below MIN_GAIN are removed from the library. Views without an overlapping candidate
         stay in it.

@@ -16,8 +16,8 @@ from activestructure_gym.policies.native_settings import SPLATAM
 
 LOCAL_M = 3.0  # metres from the agent along x and y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the regions of the tour
-MIN_COVERAGE = 0.05  # minimum G_cov of a useful view, as a share of that of a view of only unknown space
-_MAX_REGIONS = 6  # regions of a tour; all their orders are tested
+MIN_COVERAGE = 0.05  # minimum G_cov of a useful view; 1 is a view of only unseen space
+_MAX_REGIONS = 6  # maximum number of regions on a tour; all their orders are tested
 Sum = Literal["ranked", "raw"]
 
 
@@ -71,7 +71,10 @@ class HGSPlanner(Greedy):
 
 
 def next_region(candidates: Candidates, useful: np.ndarray) -> np.ndarray:  # [K] bool, some True -> [K] bool
-    """Return the candidates in the first cuboid of the shortest tour through the cuboids with useful views."""
+    """Return which candidates are in the first region of the shortest tour through the regions with useful views.
+
+    Regions are squares of 6 m in the floor plane. ``useful`` are the useful candidates.
+    """
     places = candidates.xyz[:, :2]
     cuboids = np.floor(places / CUBOID_M).astype(np.int64)
     regions, of_region = np.unique(cuboids[useful], axis=0, return_inverse=True)
@@ -85,7 +88,7 @@ def shortest_tour(
     lengths: np.ndarray,  # [P] path length in metres from the agent to each place
     centres: np.ndarray,  # [P, 2] metres
 ) -> tuple[int, ...]:
-    """Return the order of the nearest `_MAX_REGIONS` places on the shortest open tour through them."""
+    """Return the indices of the six nearest places (or fewer) in the order of the shortest open tour from the agent."""
     nearest = np.argsort(lengths, kind="stable")[:_MAX_REGIONS]
     between = np.linalg.norm(centres[:, None] - centres[None], axis=2)
 

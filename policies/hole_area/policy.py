@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """Choose argmax A / (1 + frames / 5); A is the unseen area behind pixels that the map does not cover."""
+    """Choose argmax A / (1 + frames / 5); A is the unseen area behind uncovered pixels (feature `hole_area`)."""
 
     criterion = "unseen area behind holes of the map"
     source = "this project"

@@ -28,8 +28,8 @@ MAX_WEIGHT_BYTES = 256 << 20  # maximum size of the weights' file, bytes
 _MAX_HEADER_BYTES = 1 << 20  # maximum size of the tensors' names and shapes, bytes
 _MAX_DESCRIPTION_BYTES = 4 << 20  # maximum size of the JSON file, bytes
 WEIGHTS = ".safetensors"
-_DIGITS = 8  # hex digits of a checkpoint's hash
-_BEST = "best"  # name of the checkpoint in a folder, such as a training run's directory
+_DIGITS = 8  # number of hex digits of a checkpoint's hash
+_BEST = "best"  # file name without suffix of the checkpoint in a folder, such as a training run's directory
 _NO_QUESTION_MARK = "a checkpoint's path may hold no '?', behind which a policy's options begin; rename it"
 
 
@@ -71,7 +71,10 @@ def weights_at(place: str | os.PathLike[str]) -> Path:
 
 
 def digest(weights: Path) -> str:
-    """Return a hash of weights and description in eight hex digits; it identifies the policy in recorded runs."""
+    """Return a hash of the weights and the network's configuration in eight hex digits.
+
+    It identifies the policy in recorded runs. ``weights`` is the file of the weights.
+    """
     check_size(weights)
     content = hashlib.sha256(weights.read_bytes())
     content.update(json.dumps(_described(weights)["network"], sort_keys=True).encode())
@@ -103,7 +106,10 @@ def read_network_config(weights: Path) -> NetworkConfig:
 
 
 def save_checkpoint(weights: Path, network: CandidateNetwork, notes: Mapping[str, Any]) -> None:
-    """Write both files, each atomically; ``notes`` describe the training."""
+    """Write the checkpoint of ``network``: the file ``weights`` and its JSON description, each atomically.
+
+    ``notes`` describe the training and are stored in the description.
+    """
     from safetensors.torch import save
 
     tensors = {name: tensor.detach().contiguous() for name, tensor in network.state_dict().items()}
@@ -132,7 +138,7 @@ def read_tensors(
     *,
     most: int = MAX_WEIGHT_BYTES,  # maximum size of the file, bytes
 ) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Return the tensors and notes of a safetensors file.
+    """Return the tensors of a safetensors file by name, and its metadata.
 
     Raises `InputError` for a damaged or too large file, and for tensors that have other shapes than ``expected``, that
     are not float32, or that contain values that are not finite.
@@ -169,7 +175,7 @@ def read_tensors(
 
 
 def _described(weights: Path) -> dict[str, Any]:
-    """Return the content of the JSON file; raise `InputError` if it is not a description of this format."""
+    """Return the content of the JSON file next to ``weights``; raise `InputError` unless it describes a checkpoint."""
     file = weights.with_suffix(".json")
     try:
         check_size(file, _MAX_DESCRIPTION_BYTES)
@@ -187,7 +193,7 @@ def _described(weights: Path) -> dict[str, Any]:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Write a file atomically, and its folder if needed."""
+    """Replace the file ``path`` by ``content`` atomically; create its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path, durable=True) as file:
         file.write(content)

@@ -18,9 +18,9 @@ from activestructure_gym.envs.observation import candidate_columns, plane_column
 Tensors = Mapping[str, Tensor]
 
 _REACH = 5.0  # metres, unit of lengths; planes farther away are not visible
-_MAX_DISTANCE = 4.0  # bound of lengths, in units of the reach
-_TRAVEL_FRAMES = 5.0  # of the shared travel discount 1 / (1 + frames / 5)
-_MIN_GAIN = 1e-3  # features below this value enter linearly, larger ones by their logarithm
+_MAX_DISTANCE = 4.0  # maximum of lengths, in units of `_REACH`
+_TRAVEL_FRAMES = 5.0  # frames at which the shared travel discount 1 / (1 + frames / 5) is 0.5
+_MIN_GAIN = 1e-3  # features below this value enter about linearly, larger ones by their logarithm
 
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
 _PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
@@ -33,35 +33,38 @@ _UNIT_COLUMNS = (
 )  # fmt: skip
 
 PLANE_INPUTS = 3 + 3 + 1 + 4 + len(_UNIT_COLUMNS)
-CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # plus INPUTS_PER_FEATURE for each feature column
+CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # inputs per candidate, plus INPUTS_PER_FEATURE for each feature column
 # Indices of two candidate inputs, height above the camera and revisit. In the preset `fast` both are always 0. Random
 # initial weights for them would not be trained there, and would add noise in presets where the inputs vary.
 CONSTANT_IF_FAST = (2, 9)
 INPUTS_PER_FEATURE = 3
-GLOBAL_INPUTS = 3  # plus one for each feature column
+GLOBAL_INPUTS = 3  # inputs of the whole state, plus one for each feature column
 
 
 def heading(pose: Tensor) -> tuple[Tensor, Tensor]:  # [B, 7] -> [B, 3] position, [B, 2] (cos, sin) of the yaw
-    """Return the position and the yaw direction of the camera; (0, 0) for a vertical view direction."""
+    """Return the position (metres) and the yaw direction of the camera; (0, 0) for a vertical view direction.
+
+    ``pose`` is position and quaternion (w, x, y, z), world from camera.
+    """
     w, x, y, z = pose[:, 3:].unbind(-1)
     forward = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], -1)  # horizontal part of the optical axis
     return pose[:, :3], forward / (forward.norm(dim=-1, keepdim=True) + 1e-6)
 
 
 def turned(vectors: Tensor, yaw: Tensor) -> Tensor:  # [B, N, 3], [B, 2] -> [B, N, 3]
-    """Rotate world vectors into the heading frame."""
+    """Rotate world vectors about z into the heading frame; ``yaw`` is (cos, sin) of the camera's yaw."""
     cosine, sine = yaw[:, None, 0], yaw[:, None, 1]
     x, y, z = vectors.unbind(-1)
     return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
 
 
 def near(offsets: Tensor) -> Tensor:
-    """Convert metres to units of the reach, limited to ±`_MAX_DISTANCE`."""
+    """Convert metres to units of 5 m, limited to -4..4."""
     return (offsets / _REACH).clamp(-_MAX_DISTANCE, _MAX_DISTANCE)
 
 
 def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
-    """Return plane features in the camera's heading frame; 0 in padded rows."""
+    """Return the inputs of every plane: geometry in the camera's heading frame, and features; 0 in padded rows."""
     table, present = observation["plane_features"], observation["plane_mask"]
     position, yaw = heading(observation["pose"])
     normals = table[..., plane_columns("normal_x", "normal_y", "normal_z")]
@@ -116,12 +119,12 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
 
 
 def feature_sizes(features: Tensor) -> Tensor:
-    """Return sign(g) log(1 + |g| / 0.001) / 7, which is about 1 for g = 1."""
+    """Return sign(g) log(1 + |g| / 0.001) / 7 of every feature value g; it is about 1 for g = 1."""
     return features.sign() * (features.abs() / _MIN_GAIN).log1p() / 7
 
 
 def _shares(features: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> [B, K, G] in -1..1
-    """Return the features over the largest magnitude among valid candidates; 0 if that is 0."""
+    """Return each feature divided by its largest magnitude among the valid candidates; 0 if that is 0."""
     largest = (features.abs() * valid).amax(dim=1, keepdim=True)
     return features / largest.clamp(min=1e-12) * (largest > 0)
 
@@ -135,7 +138,10 @@ def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
 
 
 def plane_links(observation: Tensors) -> Tensor:  # [B, P, P]
-    """Return the row-normalised adjacency with self-loops: exp(-w_ij) for each edge (Eq. 4: small = reliable)."""
+    """Return the weights of messages between planes: exp(-w_ij) for each edge and 1 on the diagonal, row-normalised.
+
+    w_ij is the edge weight of Eq. 4, which is small for a reliable edge. Padded planes send nothing.
+    """
     weights, present = observation["plane_edges"], observation["plane_mask"]
     links = (-weights).exp() * (weights > 0) + torch.eye(weights.shape[-1], device=weights.device)
     links = links * present[:, None, :]

@@ -22,7 +22,7 @@ MASKED = -1e8  # score of a row without a candidate; finite, to keep entropies f
 
 
 def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] -> [B, 2 C]
-    """Return mean and maximum over the rows with mask 1; 0 if there is none."""
+    """Return mean and maximum of ``tokens`` over the N rows with mask 1; 0 if there is none."""
     weights = mask[..., None]
     mean = (tokens * weights).sum(1) / weights.sum(1).clamp(min=1.0)
     most = torch.where(weights > 0, tokens, tokens.new_full((), -torch.inf)).amax(1)
@@ -30,7 +30,10 @@ def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] ->
 
 
 def _head(inputs: int, width: int) -> nn.Sequential:
-    """Return two layers with one output, which is initially near 0, so that all candidates are about equally likely."""
+    """Return a network of two layers from ``inputs`` channels over ``width`` channels to one output.
+
+    The output is initially near 0, so that all candidates are about equally likely.
+    """
     last = nn.Linear(width, 1)
     nn.init.normal_(last.weight, std=0.01)
     nn.init.zeros_(last.bias)
@@ -56,7 +59,7 @@ class CandidateNetwork(nn.Module):
         self.critic = _head(pooled, width)
 
     def forward(self, observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:  # [B, K], [B]
-        """Return scores, `MASKED` in rows without a candidate, and values.
+        """Return the scores of B x K candidates, `MASKED` in rows without a candidate, and the values of B states.
 
         Gradients of the critic do not reach the shared layers. An untrained critic therefore does not change a policy
         that starts from a copied expert.

@@ -20,7 +20,7 @@ SHIPPED = Path(__file__).resolve().parent / "checkpoints" / "learned.safetensors
 
 
 class Learned(Policy):
-    """Choose argmax f(row, all rows, planes), where f is the network's score. It has no random choice and no state.
+    """Choose argmax f(row, all rows, planes), where f is the score of a trained network, without random choices.
 
     `learned_from` creates a subclass for each checkpoint, since the class defines the required features.
     """
@@ -96,7 +96,7 @@ def learned_from(place: str) -> type[Learned]:
 
 
 def _policy_of(weights: Path, spec: str) -> type[Learned]:
-    """Create the policy class of the weights' file."""
+    """Create the policy class of the checkpoint with the file ``weights``; ``spec`` is its canonical name."""
     attributes = {
         "checkpoint": weights,
         "spec": spec,

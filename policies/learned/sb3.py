@@ -27,7 +27,7 @@ from activestructure_gym.policies.learned.network import CandidateNetwork
 
 
 def with_used_keys(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Wrap an env to remove the entries of the observation that the network does not read."""
+    """Return the env with a wrapper that removes the entries of the observation that the network does not read."""
     _refuse_others(env.observation_space)
     return gym.wrappers.FilterObservation(env, list(USED_KEYS))
 
@@ -74,7 +74,10 @@ class CandidateExtractor(BaseFeaturesExtractor):
         self.network = CandidateNetwork(config)
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Return the scores of all rows, then the value."""
+        """Return the scores of the K rows, then the value of the state: [B, K + 1].
+
+        Raises `InputError` if the action mask has other numbers than 0 and 1.
+        """
         mask = observations["action_mask"]
         if not ((mask == 0) | (mask == 1)).all():
             raise InputError(
@@ -86,22 +89,22 @@ class CandidateExtractor(BaseFeaturesExtractor):
 
 
 class _Split(nn.Module):
-    """Split scores and value; it replaces the two hidden networks of stable-baselines3."""
+    """Split the extractor's output [B, K + 1] into scores and value, instead of stable-baselines3's hidden networks."""
 
     def __init__(self, rows: int) -> None:
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = rows, 1
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return scores and value."""
+        """Return the scores [B, K] and the value [B, 1]."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: Tensor) -> Tensor:
-        """Return the scores."""
+        """Return the scores [B, K]."""
         return features[:, :-1]
 
     def forward_critic(self, features: Tensor) -> Tensor:
-        """Return the value."""
+        """Return the value [B, 1]."""
         return features[:, -1:]
 
 
@@ -133,14 +136,14 @@ class CandidateHeads(BasePolicy):
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Any) -> None:
-        """Create the optimiser, and identity layers in place of the heads."""
+        """Create the optimiser, and identity layers in place of stable-baselines3's heads for actions and value."""
         self.mlp_extractor = _Split(self.features_dim - 1)
         self.action_net, self.value_net = nn.Identity(), nn.Identity()
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     @property
     def network(self) -> CandidateNetwork:
-        """Return the network."""
+        """Return the candidate-set network inside the feature extractor."""
         return self.features_extractor.network  # type: ignore[return-value,union-attr]
 
     def begin_from(self, place: str | os.PathLike[str]) -> None:

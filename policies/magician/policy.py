@@ -15,8 +15,9 @@ Search = Literal["beam", "greedy"]
 class Magician(Planner):
     """Choose the first view of plan* = argmax of the sum of G over its views.
 
-    G is the imagined surface that a view sees and that no earlier view of the plan has seen. Each decision plans anew.
-    By the abstract and a digest of [magician], without equation numbers.
+    G is the imagined surface that a view sees and that no earlier view of the plan has seen. Imagined surface extends
+    the known planes through unseen space (feature `magician`). Each decision plans anew. The source is the abstract and
+    a summary of [magician], without equation numbers.
 
     Parameters
     ----------

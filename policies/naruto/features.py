@@ -12,31 +12,32 @@ from activestructure_gym.features.voxel_errors import squared_depth_error, voxel
 from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
-INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # initial sigma, of a place that no ray has measured
-FLOOR = 0.01  # minimum sigma
+INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # 3.06 m^2, sigma of a place that no ray has measured
+FLOOR = 0.01  # m^2, minimum sigma
 POOL = 4000  # maximum number of most uncertain voxels, from which targets are chosen
 TARGETS = 300  # maximum number of targets
-POOL_SHARE = 0.035  # the pool's maximum share of the grid's voxels: 4000 of room0's 80 x 48 x 30
-TARGET_SHARE = 0.075  # the targets' share of the pool
+POOL_SHARE = 0.035  # maximum size of the pool as a share of all voxels: 4000 of the 80 x 48 x 30 voxels of room0
+TARGET_SHARE = 0.075  # maximum number of targets as a share of the pool
 MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and a target that it sees
-SAMPLES = 30  # points between goal and target that must be free
-LISTED = 10  # targets of the look-at list
+SAMPLES = 30  # number of points between goal and target that must be free
+LISTED = 10  # maximum number of targets in the look-at list
 
 
 @dataclass(frozen=True)
 class Targets:
-    """Hold the uncertain places of a step, and the candidates that see them."""
+    """Hold the T most uncertain places of a step, and which of K positions see them."""
 
     positions: np.ndarray  # [T, 3] metres, world, the most uncertain first
-    sigma: np.ndarray  # [T] m^2
-    seen: np.ndarray  # [K, T] bool, from every candidate's position
+    sigma: np.ndarray  # [T] m^2, uncertainty
+    seen: np.ndarray  # [K, T] bool, whether the target is seen from each position
 
 
 @FEATURES.register("naruto", unit="sum of uncertainties", low=0.0)
 def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
     """Compute S(g) = sum over targets t of sigma(t) [0.5 m < |g - t| < 2 m] [all 30 samples of g..t are free].
 
-    g is the candidate's position; its view direction has no effect. Source: [naruto, code].
+    sigma is the uncertainty of a target in m^2. A bracket is 1 if its condition holds, else 0. g is the candidate's
+    position; its view direction has no effect. Source: [naruto, code].
     """
     targets = context.once(find_targets)
     return targets.seen @ targets.sigma
@@ -62,7 +63,7 @@ def find_targets(context: FeatureContext) -> Targets:
 
 
 def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, positions: np.ndarray) -> Targets:  # [K, 3] metres
-    """Return the targets and their visibility from each position."""
+    """Return up to 300 of the most uncertain places, and their visibility from each of K positions (metres, world)."""
     voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
     kept = chosen(voxel_ids, sigma, volume.state.size)
@@ -76,7 +77,7 @@ def uncertainty(
     errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of the pixels in each voxel
     pixels: np.ndarray,  # [X, Y, Z] number of these pixels
 ) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
-    """Return the free voxels next to a voxel that is not free, and the uncertainty sigma of each.
+    """Return the V free voxels next to a voxel that is not free, and the uncertainty sigma (m^2) of each.
 
     sigma is the mean squared depth error of the pixels on the nearby surface, at least `FLOOR`. These are the pixels in
     the voxel, in its non-free neighbours and in the non-free neighbours of those. The second ring is needed because a
@@ -114,9 +115,10 @@ def _neighbour_sum(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over t
 
 
 def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
-    """Return the rows that become targets, the most uncertain first: a random part of the most uncertain voxels.
+    """Return the rows of the voxels that become targets, the most uncertain first.
 
-    A hash of the voxel's index replaces random numbers and breaks ties, so that the choice is the same in every step.
+    They are a random part of the most uncertain voxels. A hash of the voxel's index replaces random numbers and breaks
+    ties, so that the choice is the same in every step. ``voxels`` is the number of all voxels of the grid.
     """
     key = voxel_ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
     pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
@@ -126,7 +128,7 @@ def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:
 
 
 def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.ndarray:  # [P, 3], [T, 3] -> [P, T]
-    """Return which targets each place sees: at a distance within the limits, with only free voxels in between."""
+    """Return which targets each place sees: at a distance of 0.5 to 2 m, with 30 free samples in between."""
     distance = np.linalg.norm(places[:, None] - targets, axis=2)
     seen = (distance > MIN_TARGET_DISTANCE_M) & (distance < MAX_TARGET_DISTANCE_M)
     place, target = np.nonzero(seen)

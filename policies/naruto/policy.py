@@ -9,7 +9,7 @@ from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
 
-AT_GOAL = 0.75  # metres; views within this distance are at the goal, since a table has few directions of one position
+AT_GOAL = 0.75  # metres; views within it count as views at the goal, since a table has few directions per position
 FACING = float(np.cos(np.radians(25.0)))  # cosine; a target this near to the optical axis is in the image
 
 
@@ -17,9 +17,9 @@ FACING = float(np.cos(np.radians(25.0)))  # cosine; a target this near to the op
 class Naruto(Planner):
     """Choose g* = argmax S(g), where S(g) is the sum of sigma(t) over the targets t seen from g ([naruto]).
 
-    sigma(t) is the mean squared error of the rendered depth at t, and 3.06 where no ray has measured. The 300 targets
-    are a part of the 4000 most uncertain places in front of surfaces. A target is seen from 0.5 to 2 m if 30 samples in
-    between are free (feature ``naruto``). There is no travel term. There are two stages:
+    sigma(t) is the mean squared error of the rendered depth at t, and 3.06 m^2 where no ray has measured. The 300
+    targets are a part of the 4000 most uncertain places in front of surfaces. A target is seen from 0.5 to 2 m if 30
+    samples in between are free (feature ``naruto``). There is no travel term. There are two stages:
 
     - goal: at g*, the candidate that faces the most uncertain target;
     - look: at g*, the candidate with the smallest rotation that faces a remaining target of the look-at list (feature
@@ -78,7 +78,10 @@ class Naruto(Planner):
         return best_valid(np.where(rows, turn, -2.0), observation)
 
     def _next_goal(self, observation: Observation, candidates: Candidates) -> int:
-        """Return the best goal's candidate that faces the first target of its list, else any target, else any."""
+        """Choose the goal with the largest score, store its look-at list, and return a candidate at the goal.
+
+        The candidate faces the most uncertain target of the list if there is one, else any target of the list.
+        """
         gain = np.where(candidates.revisit, 0.0, candidates["naruto"])
         if not gain[candidates.valid].any():  # no candidate sees a target
             self._left = self._left[:0]
@@ -96,7 +99,7 @@ class Naruto(Planner):
         return best
 
     def _around(self, candidates: Candidates) -> np.ndarray:  # [K] bool
-        """Return which candidates are at the goal."""
+        """Return which candidates are within 0.75 m of the goal, without revisits."""
         near = np.linalg.norm(candidates.xyz - self._goal, axis=1) <= AT_GOAL
         return near & ~candidates.revisit
 
@@ -109,6 +112,6 @@ def faced(candidates: Candidates, targets: np.ndarray) -> np.ndarray:  # [T, 3] 
 
 
 def forward(quaternion: np.ndarray) -> np.ndarray:  # [4] wxyz -> [3]
-    """Return the view direction of a camera with this orientation, its z axis."""
+    """Return the view direction (world) of a camera with this orientation: its z axis; ``quaternion`` is w, x, y, z."""
     w, x, y, z = quaternion.astype(np.float64)
     return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])

@@ -12,7 +12,7 @@ from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Sourc
 from activestructure_gym.sources.facing import camera_positions
 from activestructure_gym.sources.places import looking
 
-_MAX_PLACES = 600  # places whose score is computed; of more places, an even part is used
+_MAX_PLACES = 600  # maximum number of places whose score is computed; of more places, every n-th is used
 
 
 @SOURCES.register("targets")
@@ -30,7 +30,7 @@ class TargetFacing(Source):
         check_ranges(self, {"rows": f"[1, {MAX_ROWS}]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return turns on the spot, then goals, the best first."""
+        """Return turns on the spot, then views at the places with the largest S(g), the best first."""
         places = camera_positions(context)
         step = max(1, -(-len(places) // _MAX_PLACES))
         here = context.agent.pose[:3, 3]

@@ -15,9 +15,9 @@ COLOR_SHARE, DEPTH_SHARE = 0.1, 1.0  # alpha and beta of the paper
 def next_best_sense(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute I = 0.1 I_colour + I_depth, each the sum of H_c / (H_train + lambda), per Gaussian of the map.
 
-    I_colour is `fisherrf`. For I_depth, H is J^T J of the rendered depth with respect to mean, log-scale and opacity
-    logit, with its own H_train, units and lambda. The sum and its weights alpha = 0.1 and beta = 1 are from the text of
-    [next_best_sense]. Parameters, and the units of lambda, are those of `fisherrf`.
+    I_colour is the feature `fisherrf`. For I_depth, H is J^T J of the rendered depth with respect to mean, log-scale
+    and opacity logit, with its own H_train and units; lambda is 0.01 of a unit in both. The sum and its weights alpha =
+    0.1 and beta = 1 are from the text of [next_best_sense].
     """
     of_depth = diagonal_gain(context, lambda known, seen: seen / known, kinds=(MEAN, LOG_SCALE, LOGIT), of_depth=True)
     return COLOR_SHARE * context.once(fisherrf) + DEPTH_SHARE * of_depth

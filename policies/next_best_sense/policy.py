@@ -11,7 +11,10 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("next_best_sense")
 class NextBestSense(Greedy):
-    """Choose argmax 0.1 I_colour + I_depth, the published view selection, without a travel term."""
+    """Choose argmax 0.1 I_colour + I_depth, the published view selection, without a travel term.
+
+    I_colour and I_depth are the Fisher information of the candidate's colours and depth, relative to all keyframes.
+    """
 
     criterion = "Fisher information of a view, mainly of its depth, relative to that of all keyframes"
     source = "Strong et al., Next Best Sense, ICRA 2025"
@@ -21,7 +24,10 @@ class NextBestSense(Greedy):
 
 @POLICIES.register("next_best_sense_cov")
 class NextBestSenseCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = 0.1 I_colour + I_depth, without a travel term."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = 0.1 I_colour + I_depth, without a travel term.
+
+    G_cov is `hole_area`, and lambda_o the share of observed space around the agent (`adaptive`).
+    """
 
     criterion = "Fisher information of a view, mainly of its depth, and unseen space"
     source = "this project, with the gain of Strong et al., Next Best Sense, ICRA 2025"

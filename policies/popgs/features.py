@@ -1,7 +1,9 @@
 """Compute POp-GS's gains: the reduction of the map's uncertainty, by criteria of optimal experimental design ([popgs]).
 
-h is the diagonal of H_train + lambda and d that of H_c, over means and log-scales. The paper's names of the criteria
-differ from those in textbooks, so the features are named by their formulas. Source: [popgs], by its text.
+H_train and H_c are the Fisher information of all keyframes and of the candidate about means and log-scales of the
+Gaussians. h is the diagonal of H_train + lambda, and d is the diagonal of H_c. Both are in units of the median of
+H_train. The paper's names of the criteria differ from the names in textbooks, so the features are named by their
+formulas. Source: [popgs], by its text.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from activestructure_gym.features.information import (
 def popgs_logdet(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute the sum of log(1 + d / h), per Gaussian of the map: the log volume removed from the uncertainty.
 
-    Source: [popgs], D-optimality.
+    h is the information of the keyframes about a parameter, d that of the candidate. Source: [popgs], D-optimality.
     """
     # The product needs one logarithm per Gaussian. Six factors cannot overflow float64.
     return diagonal_gain(context, lambda known, seen: np.log(np.prod(1.0 + seen / known, axis=1)))
@@ -36,27 +38,29 @@ def popgs_logdet(context: FeatureContext) -> np.ndarray:  # [K]
 def popgs_cov_trace(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute the sum of 1 / h - 1 / (h + d), per Gaussian of the map: the reduction of the variances.
 
-    Source: [popgs], where it is called T-optimality; textbooks call it A-optimality.
+    h is the information of the keyframes about a parameter, d that of the candidate. Source: [popgs], where it is
+    called T-optimality; textbooks call it A-optimality.
     """
     return diagonal_gain(context, lambda known, seen: seen / (known * (known + seen)))
 
 
 @register_both("popgs_info_trace")
 def popgs_info_trace(context: FeatureContext) -> np.ndarray:  # [K]
-    """Compute the sum of d, per Gaussian of the map, independent of the keyframes.
+    """Compute the sum of d, the information of the candidate about each parameter, per Gaussian of the map.
 
-    It is large for views near mapped surface. Source: [popgs], where it is called A-optimality; textbooks call it
-    T-optimality.
+    It does not depend on the keyframes, and is large for views near mapped surface. Source: [popgs], where it is called
+    A-optimality; textbooks call it T-optimality.
     """
     return diagonal_gain(context, lambda known, seen: seen)
 
 
 @register_both("popgs_min_eig", unit="of what is known in the median")
 def popgs_min_eig(context: FeatureContext) -> np.ndarray:  # [K]
-    """Compute min (h + d) - min h, the growth of the smallest entry of the map, in units of the median information.
+    """Compute min (h + d) - min h, the growth of the smallest information in the map, in units of the median one.
 
-    This entry belongs to a Gaussian that hardly any candidate sees, so in most maps the gain is 0 for all candidates.
-    Source: [popgs], E-optimality.
+    h is the information of the keyframes about a parameter, d that of the candidate. The smallest entry belongs to a
+    Gaussian that hardly any candidate sees, so in most maps the gain is 0 for all candidates. Source: [popgs],
+    E-optimality.
     """
     columns, unit = diagonal_units(context, (MEAN, LOG_SCALE))
     known = trained(context)[:, columns] / unit + LAMBDA

@@ -1,7 +1,7 @@
 """Define the policies of POp-GS ([popgs]), one for each criterion of optimal design, without a travel term.
 
-H is the information of the keyframes and h its diagonal; B and d are those of a candidate. The unit is the median of H.
-The features of the same names compute:
+H is the Fisher information of all keyframes about the map, and h is its diagonal. B is the information of a candidate,
+and d is its diagonal. The unit is the median of H. The features of the same names compute:
 
 - ``popgs_logdet``: sum of log(1 + d / (h + lambda)) (D);
 - ``popgs_cov_trace``: sum of 1 / (h + lambda) - 1 / (h + lambda + d) (A in textbooks, T in the paper);
@@ -21,7 +21,10 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("popgs_logdet")
 class LogDet(Greedy):
-    """Choose argmax sum log(1 + d / h): D-optimality. h includes lambda."""
+    """Choose argmax sum log(1 + d / h): D-optimality.
+
+    h is the information of the keyframes about a parameter plus lambda, d that of the candidate.
+    """
 
     criterion = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -40,7 +43,10 @@ class LogDetCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace")
 class CovTrace(Greedy):
-    """Choose argmax sum 1 / h - 1 / (h + d): trace of the covariance. h includes lambda."""
+    """Choose argmax sum 1 / h - 1 / (h + d): reduction of the trace of the covariance.
+
+    h is the information of the keyframes about a parameter plus lambda, d that of the candidate.
+    """
 
     criterion = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -59,7 +65,7 @@ class CovTraceCov(Greedy):
 
 @POLICIES.register("popgs_info_trace")
 class InfoTrace(Greedy):
-    """Choose argmax sum d: trace of the information."""
+    """Choose argmax sum d: trace of the candidate's information, independent of the keyframes."""
 
     criterion = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -78,7 +84,10 @@ class InfoTraceCov(Greedy):
 
 @POLICIES.register("popgs_min_eig")
 class MinEig(Greedy):
-    """Choose argmax min (h + d) - min h, both over the whole map: E-optimality. h includes lambda."""
+    """Choose argmax min (h + d) - min h, both over the whole map: E-optimality.
+
+    h is the information of the keyframes about a parameter plus lambda, d that of the candidate.
+    """
 
     criterion = "the least known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -97,7 +106,10 @@ class MinEigCov(Greedy):
 
 @POLICIES.register("popgs_logdet_block")
 class LogDetBlock(Greedy):
-    """Choose argmax sum log det(H + B) - log det H: D-optimality by blocks. H includes lambda."""
+    """Choose argmax sum log det(H + B) - log det H: D-optimality with one 6 x 6 block per Gaussian.
+
+    H is the information of the keyframes plus lambda, B that of the candidate.
+    """
 
     criterion = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -116,7 +128,10 @@ class LogDetBlockCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block")
 class CovTraceBlock(Greedy):
-    """Choose argmax sum tr H^-1 - tr (H + B)^-1: trace of the covariance by blocks. H includes lambda."""
+    """Choose argmax sum tr H^-1 - tr (H + B)^-1: reduction of the trace of the covariance, with 6 x 6 blocks.
+
+    H is the information of the keyframes plus lambda, B that of the candidate.
+    """
 
     criterion = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"

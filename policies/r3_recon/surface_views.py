@@ -14,13 +14,13 @@ import numpy as np
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.frame import Frame
 
-VOXEL = 0.05  # metres
-DIRECTIONS = 64  # number of direction bins, one bit of a word each
-_HALF = 1 << 20  # voxels on each side of the origin along an axis, 52 km
+VOXEL = 0.05  # metres, side length of a surface voxel
+DIRECTIONS = 64  # number of direction bins, one bit of a 64-bit word each
+_HALF = 1 << 20  # number of voxels from the origin to the limit of the index along an axis, 52 km
 
 
 class SurfaceViews:
-    """Hold the V observed surface voxels, in increasing order of their keys."""
+    """Hold the record of the V observed surface voxels, in increasing order of their integer keys."""
 
     def __init__(self) -> None:
         self._keys = np.zeros(0, np.int64)
@@ -34,7 +34,7 @@ class SurfaceViews:
 
     @property
     def spread(self) -> np.ndarray:  # [V]
-        """Return the trace of the covariance of the colours; 0 after one view."""
+        """Return the trace of the covariance of the colours that keyframes saw of each voxel; 0 after one view."""
         return self.deviation / np.maximum(self.views - 1.0, 1.0)
 
     def update(self, keyframes: Sequence[Frame]) -> SurfaceViews:
@@ -47,7 +47,7 @@ class SurfaceViews:
         return self
 
     def _add(self, frame: Frame) -> None:
-        """Add the view of one keyframe."""
+        """Add the colours, directions and distances of one keyframe to the record of the voxels that it sees."""
         measured = frame.depth > 0
         pose = frame.world_from_camera.astype(np.float64)
         points = frame.camera.backproject(frame.depth)[measured] @ pose[:3, :3].T + pose[:3, 3]
@@ -70,7 +70,7 @@ class SurfaceViews:
         self.nearest[rows] = np.minimum(self.nearest[rows], distance)
 
     def _rows_of(self, keys: np.ndarray) -> np.ndarray:  # [n] int64, increasing -> [n]
-        """Return the rows of the voxels; insert those that are missing."""
+        """Return the row of the voxel with each key; insert a row for each voxel that is missing."""
         places = np.searchsorted(self._keys, keys)
         there = places < len(self._keys)
         there[there] = self._keys[places[there]] == keys[there]

@@ -1,3 +1,3 @@
-"""Provide uniform random choice, the lower reference of comparisons."""
+"""Provide a policy that chooses at random, the lower reference of comparisons."""
 
 from activestructure_gym.policies.random.policy import Random as Random

@@ -1,4 +1,4 @@
-"""Define uniform random choice, the lower reference of comparisons."""
+"""Define a policy that chooses at random, the lower reference of comparisons."""
 
 from __future__ import annotations
 

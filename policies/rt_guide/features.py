@@ -11,8 +11,8 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import sums_in_front
 from activestructure_gym.policies.rt_guide.displacement import Displacement
 
-CUBOID_M = 2.5  # metres, side of a region
-_SPREAD = 0.5  # standard deviations between the mean and the sets H and L
+CUBOID_M = 2.5  # metres, side of the cubes that are the regions
+_SPREAD = 0.5  # standard deviations from the mean displacement to the limits of the sets H and L (`moving_in_view`)
 _LOW = 1.0  # weight of the set L
 
 
@@ -26,15 +26,18 @@ _LOW = 1.0  # weight of the set L
 def rt_guide(context: FeatureContext) -> np.ndarray:  # [K, 3]
     """Compute xi of the view (share of the Gaussians), Omega of its cuboid (m), and the index of the cuboid.
 
-    xi is `moving_in_view`. Omega is the mean uncertainty of the Gaussians in the cuboid that contains the view's
-    position; 0 without Gaussians.
+    xi is `moving_in_view`. The cuboid is the cube of 2.5 m that contains the view's position. Omega is the mean
+    uncertainty (`displacement`) of the Gaussians in it; 0 without Gaussians.
     """
     regions = _regions(context)
     return np.column_stack([moving_in_view(context), regions.uncertainty, regions.cuboid])
 
 
 def displacement(context: FeatureContext) -> np.ndarray:  # [N] float32 metres
-    """Return the metres that each Gaussian moved in the last event that moved it, since the first call; 0 for none."""
+    """Return how far each Gaussian moved in the last mapping event that moved it, in metres; 0 without one.
+
+    Events before the first call of the episode are not recorded.
+    """
     return context.episode(_displacement).metres()
 
 
@@ -45,9 +48,9 @@ def _displacement(context: FeatureContext) -> Displacement:
 def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
     """Return xi = (#H - 1.0 #L) / #Gaussians, where H and L are Gaussians in the frustum ([rt_guide]).
 
-    The uncertainty of a Gaussian is |change of its mean| in the last mapping event that changed it. That of H exceeds
-    the mean of all by half a standard deviation; that of L is below it by as much. Gaussians beyond the depth range of
-    the volume are left out; occlusion is not tested.
+    The uncertainty of a Gaussian is |change of its mean| in the last mapping event that changed it. In H it exceeds the
+    mean over all Gaussians by half a standard deviation; in L it is below the mean by as much. Gaussians beyond the
+    depth range of the volume are left out; occlusion is not tested.
     """
     moved = displacement(context).astype(np.float64)
     if not len(moved):
@@ -65,14 +68,14 @@ def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
 
 @dataclass(frozen=True)
 class _Regions:
-    """Hold the region of each candidate."""
+    """Hold the cuboid that contains each of K candidates, and its mean uncertainty."""
 
     uncertainty: np.ndarray  # [K] metres
     cuboid: np.ndarray  # [K] int64
 
 
 def _regions(context: FeatureContext) -> _Regions:
-    """Return the cuboid of each candidate, and the mean uncertainty of its Gaussians."""
+    """Return the index of the cuboid of each candidate, and the mean uncertainty of the Gaussians in it."""
     volume, moved = context.volume, displacement(context).astype(np.float64)
     shape = np.ceil(np.array(volume.state.shape) * volume.config.voxel_size / CUBOID_M).astype(int)
 

@@ -15,9 +15,10 @@ _NOTHING = -1e6  # score of a region where no Gaussian has moved; below any othe
 class RTGuide(Planner):
     """Choose the region argmax Omega / e^d, and in it the view argmax xi (feature `rt_guide`).
 
-    Omega is the mean uncertainty of the region's Gaussians, d the path length in metres to its nearest view. With the
-    shared travel term there are no regions: the score is xi minus the lowest xi of the candidates, times the factor.
-    Revisits are not candidates.
+    Omega is the mean uncertainty of the region's Gaussians, and d the path length in metres to its nearest view. xi is
+    the share of Gaussians in view that moved much in the last optimisation, minus the share that moved little. With the
+    shared travel term there are no regions: the score is xi minus the lowest xi of the candidates, times the travel
+    factor. Revisits are not candidates.
     """
 
     criterion = "Gaussians that still move, minus those that do not"

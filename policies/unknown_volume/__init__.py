@@ -1,3 +1,3 @@
-"""Provide exploration by volume: score the unknown space that the path to a view would reveal."""
+"""Provide a policy that explores by volume: it scores the unknown space that the path to a view would reveal."""
 
 from activestructure_gym.policies.unknown_volume.policy import UnknownVolume as UnknownVolume

@@ -1,4 +1,4 @@
-"""Define exploration by volume: score the unknown space that the path to a view would reveal."""
+"""Define a policy that explores by volume: it scores the unknown space that the path to a view would reveal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("unknown_volume")
 class UnknownVolume(SharedGreedy):
-    """Choose argmax V / (1 + frames / 5), where V is the unknown space revealed along the path.
+    """Choose argmax V / (1 + frames / 5), where V is the unknown volume in m^3 that the path to a view would reveal.
 
     It equals phase I of `activestructure` without planes.
     """

@@ -1,3 +1,3 @@
-"""Provide exploration of unknown space and of unseen sides of known surfaces."""
+"""Provide a policy that explores unknown space and unseen sides of known surfaces."""
 
 from activestructure_gym.policies.unseen.policy import Unseen as Unseen

@@ -1,4 +1,4 @@
-"""Define exploration of unknown space and of unseen sides of known surfaces."""
+"""Define a policy that explores unknown space and unseen sides of known surfaces."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SIDE_DEPTH = 0.35  # metres; an area of unseen side counts as unknown space of t
 class Unseen(SharedGreedy):
     """Choose argmax (V + 0.35 m A) / (1 + frames / 5).
 
-    V is the unknown space revealed along the path in m^3. A is the visible area in m^2 of surfaces of which only the
-    other side is mapped. V is much larger during exploration, so the policy then acts like `unknown_volume`. A decides
-    once all space has been seen.
+    V is the unknown volume in m^3 that the path to a view would reveal. A is the visible area in m^2 of surfaces of
+    which only the other side is mapped. V is much larger during exploration, so the policy then acts like
+    `unknown_volume`. A decides once all space has been seen.
     """
 
     criterion = "unknown space revealed along the path, and unseen sides"

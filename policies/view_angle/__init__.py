@@ -1,3 +1,3 @@
-"""Provide COVER ([cover]): choose the view from the directions least similar to those seen so far."""
+"""Provide COVER ([cover]): choose the view whose directions differ most from the directions seen so far."""
 
 from activestructure_gym.policies.view_angle.policy import ViewAngle as ViewAngle

@@ -1,4 +1,4 @@
-"""Define COVER ([cover]): choose the view from the directions least similar to those seen so far."""
+"""Define COVER ([cover]): choose the view whose directions differ most from the directions seen so far."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from activestructure_gym.policies.greedy import Planner
 class ViewAngle(Planner):
     """Choose argmin of the mean coverage of a view's directions, without a travel term.
 
-    Of equal views, the nearest is chosen. Early in an episode, many views see no mapped surface and score exactly 1.
+    A direction is covered if a keyframe saw the surface from a near direction (feature `view_angle`). Of equal views,
+    the nearest is chosen. Early in an episode, many views see no mapped surface and score exactly 1.
     """
 
     criterion = "directions from which the map was not seen"

@@ -1,6 +1,6 @@
-"""Compute the true gain of going to a view: newly observed surface, and the change of the map's quality.
+"""Compute the true gain of moving to a view: newly observed surface, and the change of the map's quality.
 
-Both use the ground truth. They are for references and benchmarks; no observation contains them.
+Both gains use the ground truth. They are for references (oracles) and benchmarks; no observation contains them.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import RGBDSensor
 
-QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # sign: +1 if more is better, -1 if less
+QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # +1 if higher is better, -1 if lower
 
-_SAMPLES = 4000  # samples of the observable surface
-_RATIO_SAMPLES = 10_000  # surface samples for a completion ratio
-_BLOCKS = 96  # minimum number of blocks of a held-out view; a block's error is assigned to one surface point
+_SAMPLES = 4000  # approximate number of samples of the observable surface
+_RATIO_SAMPLES = 10_000  # approximate number of surface samples for a completion ratio
+_BLOCKS = 96  # approximate number of blocks of a held-out view; a block's error is assigned to one surface point
 
 
 def whole_pool(reconstruction: Reconstruction, most: int | None = None) -> np.ndarray:  # [n, 4, 4] world_from_camera
-    """Return all reachable views of the pool, without the row limit of the candidate table.
+    """Return all reachable views of the candidate pool, without the row limit of the candidate table.
 
-    If ``most`` is given, at most that many are drawn at random.
+    If ``most`` is given, at most that many views are drawn at random.
     """
     pool = copy.copy(reconstruction.pool)
     rows = pool.positions.shape[0] * pool.config.directions if most is None else most
@@ -43,22 +43,22 @@ def whole_pool(reconstruction: Reconstruction, most: int | None = None) -> np.nd
 
 
 class TrueSurface:
-    """Track which part of the observable surface the keyframes of an episode have seen.
+    """Track which part of the observable surface was visible in the keyframes of an episode.
 
-    Visibility is tested by lines of sight from the keyframes' true poses, as in `observed` of the standard protocol.
-    The sensor's depth is not used.
+    Visibility is tested by lines of sight from the true poses of the keyframes, as for ``observed`` in the standard
+    protocol. The depth images are not used.
     """
 
     def __init__(self, truth: GroundTruth) -> None:
         surface = truth.observable_surface
         self._scene = truth.scene
         self.points = surface.points[:: max(1, len(surface.points) // _SAMPLES)]  # [S, 3]
-        self.area = surface.area / max(1, len(self.points))  # m^2 of a point
+        self.area = surface.area / max(1, len(self.points))  # m^2 per point
         self._counted = 0  # keyframes processed so far
-        self.seen = np.zeros(len(self.points), dtype=bool)
+        self.seen = np.zeros(len(self.points), dtype=bool)  # [S]
 
     def follow(self, reconstruction: Reconstruction) -> None:
-        """Mark the points that are visible in the keyframes since the last call as seen."""
+        """Mark as seen the points that are visible in the keyframes since the last call of this method."""
         new = reconstruction.keyframe_indices[self._counted :]
         if new:
             poses = np.stack([reconstruction.trajectory[index] for index in new])
@@ -67,21 +67,21 @@ class TrueSurface:
             self._counted += len(new)
 
     def new_area(self, reconstruction: Reconstruction, keyframes: np.ndarray) -> float:  # [K, 4, 4] -> m^2
-        """Return the unseen area that these keyframes together would show."""
+        """Return the unseen area that is visible from at least one of the poses ``keyframes``, world_from_camera."""
         return self.area * int(visible_points(reconstruction, self._scene, keyframes, self.points[~self.seen]).sum())
 
     def rates(
         self, reconstruction: Reconstruction, paths: Sequence[PlannedPath | None]
     ) -> np.ndarray:  # [n] m^2 per frame
-        """Return the newly observed area of each path per frame; 0 for a candidate without a path."""
+        """Return for each path the newly observed area per frame; 0 for a candidate without a path (None)."""
         found = [0.0 if p is None else self.new_area(reconstruction, p.keyframes) / max(p.frames, 1) for p in paths]
         return np.array(found, np.float64)
 
 
 class TrueQuality:
-    """Measure the quality of a map on held-out views, and how mapping the keyframes of a path changes it.
+    """Measure the quality of a map on held-out views, and its change if the keyframes of a path were mapped.
 
-    The views are those with which ``protocol`` measures a finished map.
+    ``protocol`` draws the held-out views and computes the scores.
     """
 
     def __init__(self, truth: GroundTruth, protocol: StandardProtocol) -> None:
@@ -90,12 +90,12 @@ class TrueQuality:
 
     def changes(
         self, reconstruction: Reconstruction, paths: Mapping[int, PlannedPath]
-    ) -> dict[int, dict[str, float]]:  # changes of QUALITY, by the same rows
-        """Return the changes of the held-out scores per 100 frames from mapping each path's keyframes in a map copy.
+    ) -> dict[int, dict[str, float]]:  # changes of the scores in `QUALITY` by row
+        """Map the keyframes of each path in a copy of the map; return the changes of the scores per 100 frames.
 
-        The keys are rows of the candidate table; a path to a revisited keyframe is mapped with the iterations of a
-        revisit. The sensor noise differs from the noise that the episode would draw. Obstacles that would be discovered
-        along the path are not considered.
+        ``paths`` and the result have the rows of the candidate table as keys. At the end of a path that revisits a
+        keyframe, the mapper makes ``revisit_rounds`` times the iterations, as in the episode. The sensor noise differs
+        from the noise that the episode would draw. Obstacles that would be discovered on the path are ignored.
         """
         config = reconstruction.config
         before = self._measured(reconstruction.mapper.map)
@@ -119,11 +119,12 @@ class TrueQuality:
             sensor.close()
         return found
 
-    def error_points(self, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:  # [P, 3], [P]
-        """Return surface points in the held-out views, and the map's colour error in the block around each point.
+    def error_points(self, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:  # [P, 3] metres, [P]
+        """Return true surface points in the held-out views, and the map's relative colour error around each point.
 
-        Every view is divided into blocks. A block gives the true surface point at its centre and the sum of its squared
-        colour errors, divided by the sum of the view. To first order this is the block's share of the view's PSNR.
+        Every view is divided into about 96 blocks of pixels. Each block gives one point: the surface at its centre. Its
+        error is the sum of the squared colour errors in the block, divided by the sum over the view. To first order
+        this is the share of the block in the view's PSNR.
         """
         views = self._truth.views
         size = max(1, int(np.sqrt(views.camera.width * views.camera.height / _BLOCKS)))
@@ -147,7 +148,10 @@ class TrueQuality:
         paths: Sequence[PlannedPath | None],
         wrong: tuple[np.ndarray, np.ndarray],  # the result of `error_points`
     ) -> np.ndarray:  # [n] per frame
-        """Return the error visible from the keyframes of each path, per frame; 0 for a candidate without a path."""
+        """Return for each path the sum of the errors visible from its keyframes, divided by the frames of the path.
+
+        The value is 0 for a candidate without a path (None).
+        """
         points, errors = wrong
         found = [
             0.0
@@ -167,7 +171,7 @@ def visible_points(
     poses: np.ndarray,  # [K, 4, 4] world_from_camera of keyframes
     points: np.ndarray,  # [P, 3] on the surface
 ) -> np.ndarray:  # [P] bool
-    """Return which points are visible from keyframes of the episode's sensor at these poses."""
+    """Return which points are visible to the sensor of the episode in at least one of the poses."""
     sensor = reconstruction.config.sensor
     path = CameraPath(sensor.camera, poses[0], poses, sensor.max_range)
     return seen_by_keyframes(points, path, scene, SIGHT_MARGIN)

@@ -1,7 +1,7 @@
-"""Define references: oracles that choose views with the ground truth, as upper bounds for the tables.
+"""Define references: oracles that choose views with the ground truth, for comparison with policies.
 
-References are not policies: they are not registered, do not read the observation, and have an option of their own.
-Their jobs are called ``reference:NAME``.
+References are not policies: they are not registered, do not read the observation, and are requested by
+``--references``. Their jobs are called ``reference:NAME``.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import StandardProtocol
     from activestructure_gym.ground_truth import GroundTruth
 
-WHOLE_POOL = 16_384  # rows of a reference's candidate table: more than the views of any pool
-_HALF = 0.5  # share of the frame budget for which `OracleQuality` explores
-_NOTHING_NEW = 1e-3  # m^2 per frame; if no view gains more, exploration has ended
-_FOLLOWED = 64  # views whose paths `OracleQuality` evaluates
-_SHORTLIST = 6  # paths that `OracleQuality` maps at a decision
-_KEYFRAMES = 30  # limit of the keyframes of these paths together, unless the first path alone has more
-_VIEWS = 16  # number of held-out views used to score
+WHOLE_POOL = 16_384  # maximum number of rows in the candidate table of a reference: more than any pool has views
+_HALF = 0.5  # share of the frame budget in which `OracleQuality` explores
+_NOTHING_NEW = 1e-3  # m^2 per frame; exploration ends if no view gains more
+_FOLLOWED = 64  # number of views to which `OracleQuality` plans paths
+_SHORTLIST = 6  # maximum number of paths that `OracleQuality` maps at a decision
+_KEYFRAMES = 30  # maximum total of keyframes on these paths; the first path is mapped even if it has more
+_VIEWS = 16  # number of held-out views on which the map's gain is measured
 
 
 class Oracle:
-    """Choose greedily, from the whole pool, the view with the most newly observed true area per frame.
+    """Choose greedily, from the whole candidate pool, the view with the most newly observed true area per frame.
 
-    Area observed along the path counts. Of equal views the one with the shortest path is chosen. A planner that plans
-    several steps ahead can exceed this reference.
+    Area observed along the path counts. If views gain equally, the shortest path decides. A planner that plans several
+    steps ahead can exceed this reference.
     """
 
     def __init__(self, env: ReconstructionEnv, truth: GroundTruth, protocol: StandardProtocol) -> None:
@@ -48,13 +48,13 @@ class Oracle:
         self._surface = TrueSurface(self._truth)
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Return the row with the most newly observed area per frame."""
+        """Return the row of the candidate table with the most newly observed area per frame."""
         episode = self._env.reconstruction
         self._surface.follow(episode)
         return self._exploring(episode.agent.paths(episode.volume, episode.candidates.world_from_camera))
 
     def trace(self) -> dict[str, Any]:
-        """Return the newly observed area per frame of the last choice, m^2."""
+        """Return the gain of the last choice: ``m2_per_frame``, the newly observed area in m^2 per frame."""
         return self._trace
 
     def _exploring(self, paths: Sequence[PlannedPath | None]) -> int:
@@ -70,16 +70,17 @@ class OracleQuality(Oracle):
 
     The second phase begins earlier if no view shows unseen surface. The gain is measured on held-out views, after the
     keyframes of a path were mapped in a copy of the map with the episode's mapper. Since this is slow, only a shortlist
-    of the pool is mapped, selected by the visible part of the map's squared colour error in these views:
+    of the pool is mapped. The shortlist is selected by the map's squared colour error in the held-out views:
 
-    - The error visible from the view itself, per frame of the shortest path, selects `_FOLLOWED` views.
-    - The error visible along the planned path, per frame, orders these; the best view of every place comes first.
-    - The first `_SHORTLIST` paths are mapped, as long as they have at most `_KEYFRAMES` keyframes together.
+    - 64 views are selected by the error visible from the view itself, per frame of the shortest path.
+    - These views are ordered by the error visible along the planned path, per frame. The best view of every position
+      comes first.
+    - The first 6 paths are mapped, as long as they have at most 30 keyframes together.
 
     This is not an upper bound on planners. A view outside the shortlist may improve the map more, because the visible
     error does not predict the change. Paths are evaluated one at a time, so joint effects of several paths are missed.
-    The `_VIEWS` held-out views are a sample of those that measure the finished map, so a gain there may be a loss on
-    the others. The mapped result differs from the later one only by the sensor noise and by blocked paths.
+    The 16 held-out views are a part of the views that measure the finished map, so a gain may be a loss on the other
+    views. The mapped result differs from the later one only by the sensor noise and by blocked paths.
     """
 
     def reset(self, seed: int) -> None:
@@ -89,7 +90,7 @@ class OracleQuality(Oracle):
         self._refining = False
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Return the row with the most newly observed area per frame, in the second phase with the most PSNR gain."""
+        """Return a row of the candidate table: the most newly observed area per frame, later the most PSNR gain."""
         episode = self._env.reconstruction
         self._refining = self._refining or episode.frames >= _HALF * episode.frame_budget
         if not self._refining:
@@ -105,7 +106,10 @@ class OracleQuality(Oracle):
         return row
 
     def _shortlist(self) -> dict[int, PlannedPath]:
-        """Return the rows and paths to map, ordered by visible error, with the best view of every place first."""
+        """Return the paths to map by row of the candidate table, in the order of the visible error per frame.
+
+        The best view of every position comes first, then the other views.
+        """
         episode, wrong = self._env.reconstruction, self._quality.error_points(self._env.reconstruction)
         poses = episode.candidates.world_from_camera
         least = episode.agent.least_frames(poses)
@@ -115,7 +119,7 @@ class OracleQuality(Oracle):
         paths = dict(zip(rows.tolist(), episode.agent.paths(episode.volume, poses[rows])))
         along_path = self._quality.visible_errors(episode, list(paths.values()), wrong)
         order = [row for row in rows[np.argsort(-along_path, kind="stable")].tolist() if paths[row] is not None]
-        firsts: dict[bytes, int] = {}  # the best row by position
+        firsts: dict[bytes, int] = {}  # row of the best view by position
         for row in order:
             firsts.setdefault(episode.candidates.world_from_camera[row, :3, 3].tobytes(), row)
         found, keyframes = dict[int, PlannedPath](), 0
@@ -132,14 +136,17 @@ REFERENCES: dict[str, type[Oracle]] = {"oracle": Oracle, "oracle-quality": Oracl
 
 
 def reference_job(name: str) -> Spec:
-    """Return the ``policy`` of a reference's job; raise `InputError` for an unknown name."""
+    """Return the spec ``reference:NAME``, used as the policy of a job; raise `InputError` for an unknown name."""
     if name not in REFERENCES:
         raise unknown_name("reference", name, REFERENCES)
     return Spec(REFERENCE + name)
 
 
 def make_reference(job_policy: str, env: ReconstructionEnv, truth: GroundTruth, protocol: StandardProtocol) -> Oracle:
-    """Return the reference of a job, whose map is measured by ``protocol``; raise `InputError` for an unknown name."""
+    """Create the reference for ``job_policy``, a spec ``reference:NAME``; raise `InputError` for an unknown name.
+
+    ``env`` is the environment of the episode, ``truth`` the ground truth of its scene, and ``protocol`` measures maps.
+    """
     name = job_policy.removeprefix(REFERENCE)
     if name == job_policy or name not in REFERENCES:
         raise unknown_name("reference", name, REFERENCES)

@@ -1,4 +1,4 @@
-"""Parse and resolve a given trajectory, which a job names in place of a policy: ``trajectory:FILE``.
+"""Parse and load the trajectory that a job follows in place of a policy: ``trajectory:FILE``.
 
 ``trajectory:sweep`` is a generated passive sweep. ``trajectory:passive`` is the sequence recorded with the scene, or
 the sweep if there is none. If the file is the ``trajectory.npz`` of a run, the keyframes, iteration factors and
@@ -37,21 +37,21 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
 
 SWEEP, PASSIVE = "sweep", "passive"  # names used instead of a file
-_DIGITS = 8  # digits of the file's SHA-256 in a spec
-_ROOM = 1e-3  # metres of clearance required at the start of a given trajectory
+_DIGITS = 8  # number of digits of the file's SHA-256 in a spec
+_ROOM = 1e-3  # metres; radius of the body, hence the clearance required at the first given pose
 
 
 @dataclass(frozen=True)
 class TrajectorySpec:
-    """Hold the options of a requested trajectory."""
+    """Hold the place and the options of a trajectory, as given in ``trajectory:PLACE?OPTIONS``."""
 
     place: str  # a file, or a folder that contains one; or `SWEEP`, `PASSIVE`
-    digits: str = ""  # expected first digits of the content's SHA-256
-    format: str = "auto"  # see `formats`
-    axes: str = ""  # axis convention, see `axes`; default: the usual one of the format
+    digits: str = ""  # expected first 8 digits of the content's SHA-256; empty: any content
+    format: str = "auto"  # format of the file, see `formats`
+    axes: str = ""  # axis convention, see `axes`; empty: the usual convention of the format
     inverted: bool = False  # whether poses map world to camera
     start: tuple[float, float, float, float] | None = None  # x, y, z in metres and yaw in degrees of the first pose
-    mapper: str = ""  # name of the mapper; default: that of the configuration
+    mapper: str = ""  # name of the mapper; empty: the mapper of the configuration
 
     @classmethod
     def of(cls, spec: Spec) -> TrajectorySpec:
@@ -84,9 +84,9 @@ class TrajectorySpec:
 
     @property
     def spec(self) -> Spec:
-        """Return the canonical spec: absolute path, the first digits of the content, and options that are not default.
+        """Return the canonical spec: the absolute path, first digits of its SHA-256, and options with other values.
 
-        Raise `InputError` if the file is missing or has changed.
+        Options with their default values are left out. Raise `InputError` if the file is missing or has changed.
         """
         if not self.of_file:
             return Spec.joined(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else "")
@@ -103,7 +103,7 @@ class TrajectorySpec:
         return Spec.joined(f"{TRAJECTORY}{file}@{_digits(file)}", query)
 
     def file(self) -> tuple[Path, str]:
-        """Return the file and its format; raise `InputError` if the content differs from the expected digits."""
+        """Return the path of the file (or folder) and its format; raise `InputError` if its content has changed."""
         file, kind = find_file(self.place, self.format)
         # A symbolic link to a folder is not resolved, because the scan's text file is next to the link.
         file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()
@@ -114,15 +114,16 @@ class TrajectorySpec:
         return file, kind
 
     def changes(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        """Return all changes of the preset: the ``overrides``, the mapper, and a small body radius for given poses."""
+        """Return the changes of the preset by key: ``overrides``, the mapper, and for given poses the body radius."""
         mapper = {"mapper.name": self.mapper} if self.mapper else {}
         room = {} if self.place == SWEEP else {"motion.body_radius": _ROOM}
         return {**room, **overrides, **mapper}
 
     def resolve(self, truth: GroundTruth, keyframe_every: int) -> ResolvedTrajectory | None:
-        """Return the trajectory in a scene; None for a sweep, which depends on the start of an episode.
+        """Load the trajectory and check it against the free space of a scene.
 
-        Raise `InputError` if the poses do not fit the scene's free space.
+        Return None for a sweep, which is generated at the start of an episode. ``keyframe_every`` is the number of
+        frames between keyframes where the trajectory has none. Raise `InputError` if the poses do not fit the scene.
         """
         if self.place == PASSIVE and truth.scene.evaluation_views is not None:
             poses = truth.scene.evaluation_views.world_from_camera
@@ -146,7 +147,7 @@ class TrajectorySpec:
 
 @dataclass(frozen=True)
 class ResolvedTrajectory:
-    """Hold a trajectory in a scene."""
+    """Hold the poses of a trajectory in the frame of a scene, divided into segments."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera
     segments: Sequence[PathSegment]  # the poses with their keyframes, one segment per step
@@ -164,7 +165,10 @@ def named_trajectory(spec: str) -> Spec:
 
 
 def with_mappers(policies: Sequence[Spec], mappers: Sequence[str]) -> list[Spec]:
-    """Return the policies with every trajectory repeated for each mapper; raise `InputError` without a trajectory."""
+    """Return the policies with every trajectory repeated for each mapper by name.
+
+    Raise `InputError` if mappers are given without a trajectory.
+    """
     if not mappers:
         return list(policies)
     if not any(policy.kind == "trajectory" for policy in policies):
@@ -184,7 +188,7 @@ def with_mappers(policies: Sequence[Spec], mappers: Sequence[str]) -> list[Spec]
 
 
 def _digits(file: Path) -> str:
-    """Return the first digits of the SHA-256 of a trajectory's file or folder."""
+    """Return the first 8 digits of the SHA-256 of a trajectory's file or folder."""
     if file.is_dir():  # one file per pose
         whole = hashlib.sha256()
         for one in (*pose_files(file), *filter(Path.is_file, [scan_text(file)])):

@@ -1,4 +1,4 @@
-"""Follow the trajectory of a job with the same sensor, mapper and protocols as in every other run."""
+"""Follow the trajectory of a job with the sensor, mapper and protocols of all other runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 class TrajectoryEnv(ReconstructionEnv):
-    """Follow the next segment of a trajectory at every step and ignore the action."""
+    """Follow the next segment of a trajectory at every step, and ignore the action.
+
+    ``resolved`` is the trajectory, or None for a sweep, which is generated at every reset.
+    """
 
     resolved: ResolvedTrajectory
 
@@ -33,7 +36,7 @@ class TrajectoryEnv(ReconstructionEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin at the first pose of the trajectory; a sweep begins at the usual start pose of an episode."""
+        """Begin at the first pose of the trajectory; a sweep begins at the start pose that the seed draws."""
         self._next = 0
         begun = super().reset(seed=seed, options=options)
         self.resolved = self._given or self._sweep()
@@ -75,7 +78,10 @@ class TrajectoryPolicy:
 
 
 def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryPolicy, TrajectoryEnv]:
-    """Return a policy without effect and the env that follows the trajectory of a job."""
+    """Create a policy without effect, and the environment that follows the trajectory of a job.
+
+    ``known`` is the ground truth of the job's scene.
+    """
     given = TrajectorySpec.of(job.policy)
     changes = given.changes(job.conditions.overrides)
     config = configure(job.conditions.preset, changes)
@@ -85,7 +91,10 @@ def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryP
 
 
 def followed_metrics(env: TrajectoryEnv) -> dict[str, float]:
-    """Return how the executed trajectory compares with the motion limits, and its number of poses outside."""
+    """Return the motion statistics of the executed trajectory, and its number of poses outside the free space.
+
+    The statistics compare steps (metres) and turns (degrees) with the motion limits, see `motion_report`.
+    """
     motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
     report = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
     return {**report, "poses_outside": env.resolved.outside}

@@ -1,4 +1,4 @@
-"""Pack a recording for its page: the film and facts about the run, deflated, in base64."""
+"""Pack a recording for the viewer's page: the map over time and facts about the run, compressed, in base64."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.viewer import film_parts, packed
 
 
 def pack(recording: Recording) -> str:
-    """Return a recording in the layout of `activestructure_gym.viewer.packing`, deflated, in base64."""
+    """Return the data of a recording in the layout of `viewer.packing`, compressed with zlib, as base64 text."""
     arrays, header = film_parts(recording)
     data = packed(arrays, header | _facts(recording, header["every"]))
     return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
@@ -28,7 +28,7 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
         {
             "number": first + 1,
             "phase": (run.steps[first].get("trace") or {}).get("phase"),
-            "metres": round(run.steps[following - 1]["metres"], 2),  # before the next decision that is shown
+            "metres": round(run.steps[following - 1]["metres"], 2),  # path length at the next decision on the page
         }
         for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
@@ -45,7 +45,10 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
 
 
 def _left_out(recording: Recording, shown: int, every: int) -> list[str]:
-    """Describe the decisions and Gaussians left out to limit the page's size."""
+    """Return sentences on the decisions and Gaussians that were left out to limit the size of the page.
+
+    ``shown`` is the number of decisions on the page; one of ``every`` Gaussians is shown.
+    """
     decisions, gaussians = len(recording.run.steps), recording.gaussians.shape[1]
     left_out = shown < decisions and not recording.divergence
     texts = [f"{shown:,} of {decisions:,} decisions are shown"] if left_out else []

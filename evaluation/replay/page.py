@@ -1,4 +1,4 @@
-"""Write a replay as one HTML file that contains the recordings and the viewer, and loads nothing."""
+"""Write a replay as one HTML file that contains the recordings and the viewer, and loads no other file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from activestructure_gym.viewer import viewer_page
 
 
 def replay_page(recordings: Sequence[Recording]) -> str:
-    """Return the page of one recording, or of two side by side on one clock.
+    """Return the page of one recording, or of two recordings side by side with a common time control.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def replay_page(recordings: Sequence[Recording]) -> str:
 
 
 def write_replay(recordings: Sequence[Recording], path: Path) -> int:
-    """Write the page atomically.
+    """Write the page of one or two recordings completely or not at all.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Replay a stored run action by action, and record it for the viewer.
 
 ``steps.jsonl`` holds the actions and ``config.json`` all settings. The same code on the same machine
-plays the same episode, so a run directory does not contain the map over time.
+plays the same episode. So the run directory need not contain the map at every decision.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from activestructure_gym.viewer import Film, Recorder
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
 
-_MAX_BYTES = 150 << 20  # of a recording's moments; browsers read texts of up to 500 MB
+_MAX_BYTES = 150 << 20  # maximum size of the recorded decisions; browsers read texts of up to 500 MB
 
 
 @dataclass(frozen=True)
 class Recording(Film):
-    """Hold a finished run for the viewer.
+    """Hold a finished run and its replay for the viewer.
 
     Parameters
     ----------
     run
         The stored run.
     divergence
-        Sentence on the first decision after which this replay differs from the stored run; empty if none.
+        Sentence on the first decision after which the replay differs from the stored run; empty without a difference.
 
     The other fields are those of `activestructure_gym.viewer.Film`.
     """
@@ -53,7 +53,7 @@ def play_again(
     report_progress
         Called after each decision with the frames used so far and the frame budget.
     trusted
-        Whether code that the run's files name may be executed.
+        Whether code named in the run's files may be executed.
 
     Returns
     -------
@@ -78,7 +78,10 @@ def play_again(
 
 @contextmanager
 def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
-    """Yield the environment of a stored run after its reset; raises as `play_again`."""
+    """Yield the environment of a stored run after its reset; raise the errors of `play_again`.
+
+    ``trusted`` allows code named in the run's files.
+    """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
@@ -87,7 +90,7 @@ def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv
     job, stored = run.job, run.config["configuration"]
     if "features" not in stored or "max_candidates" not in stored.get("views", {}):
         raise InputError(f"'{run.directory / CONFIG}' lacks features or views.max_candidates, which a replay needs")
-    if not trusted:  # the policy's code is executed in the native setup only, to read its settings
+    if not trusted:  # the policy's code is needed in the native setup only, for its settings
         refuse_code(
             [job if job.conditions.setup == "native" else replace(job, policy=Spec("random"))], run.directory / CONFIG
         )
@@ -113,12 +116,13 @@ def replay_actions(
     before: Callable[[int], object],
     report_progress: Callable[[int, int], None],
 ) -> str:
-    """Take the stored actions, and call ``before`` with each action before it is taken.
+    """Take the stored actions in ``env``, which `replay_env` has yielded.
 
-    Return a sentence on the first difference from the stored run; empty if there is none.
+    ``before`` is called with each action before the step, and ``report_progress`` after it with the frames used so far
+    and the frame budget. Return a sentence on the first difference from the stored run; empty without a difference.
     """
     episode, divergence = env.reconstruction, ""
-    for number, step in enumerate(run.steps, start=1):  # only a replay needs these fields, so `read_run` accepts less
+    for number, step in enumerate(run.steps, start=1):  # only a replay needs these fields
         if lacks := [name for name in ("decision", "action", "gaussians", "metres") if step.get(name) is None]:
             raise InputError(
                 f"line {number} of '{run.directory / STEPS}' lacks {', '.join(lacks)}, which a replay needs"
@@ -140,7 +144,7 @@ def replay_actions(
 
 
 def _overrides(run: Run) -> dict[str, Any]:
-    """Return the run's changes to its preset: the user's overrides and, in the native setup, the policy's settings."""
+    """Return the run's changes of the preset: the user's overrides and, in the native setup, the policy's settings."""
     from activestructure_gym.policies import make_policy
 
     if run.job.conditions.setup == "shared" or run.job.policy.kind == "reference":  # references have no settings
@@ -149,7 +153,10 @@ def _overrides(run: Run) -> dict[str, Any]:
 
 
 def _first_known_feature(features: list[str]) -> tuple[str, ...]:
-    """Return the first built-in feature, without features from plug-ins; it only colours the candidates."""
+    """Return the first built-in feature of a list, or an empty tuple; the viewer colours the candidates by it.
+
+    Features of plug-ins are left out.
+    """
     from activestructure_gym.features import FEATURES
 
     return tuple(name for name in features if ":" not in name and any(name.startswith(known) for known in FEATURES))[:1]

@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.recording import replay_actions, replay_env
 from activestructure_gym.viewer.recorder import after_keyframes
 
-# By file extension. Players and editors read MPEG-4; browsers also read VP9, which takes longer to write.
+# OpenCV's codec by file extension. Players and editors read MPEG-4. Browsers also read VP9, which is written slower.
 CODECS = {".mp4": "mp4v", ".webm": "VP90"}
 FRAMES_PER_SECOND = 10.0
 _LAST_REPEATS = 20  # the last image is shown 2 s longer
@@ -58,9 +58,9 @@ def write_video(
     *,
     trusted: bool = False,
 ) -> float:
-    """Replay a stored run into a video of ten keyframes per second, written atomically.
+    """Replay a stored run and write a video of ten keyframes per second, completely or not at all.
 
-    Warns if the replay differs from the stored run.
+    Warn if the replay differs from the stored run.
 
     Parameters
     ----------

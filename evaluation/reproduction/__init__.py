@@ -1,1 +1,1 @@
-"""Reproduce finished runs: play a run again and compare it, or measure its map again."""
+"""Reproduce finished runs: play a run again and compare the files, or measure its stored map again."""

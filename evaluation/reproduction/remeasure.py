@@ -1,4 +1,4 @@
-"""Measure stored maps: that of a run's directory, or a map file of any origin."""
+"""Measure stored maps: the map in a run's directory, or a map file of any origin."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from activestructure_gym.specs import Spec
 
 
 def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationProtocol, dict[str, Any] | None]]:
-    """Return the named protocols, each with the run's stored metrics; by default all protocols that the run stores.
+    """Return the protocols with these ``names``, each with the run's stored metrics; by default all stored protocols.
 
-    A stored protocol has the recorded constants. A protocol without stored metrics has its default constants and None.
+    A protocol of the run has the recorded constants. Another protocol has its default constants, and None for metrics.
     """
     stored = run.protocols
     for name in names:
@@ -40,20 +40,20 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
 
 
 def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
-    """Return the protocol's metrics, measured on ``map.npz`` and ``trajectory.npz`` alone, as JSON types."""
+    """Measure the run's ``map.npz`` and ``trajectory.npz`` again, and return the metrics as JSON types."""
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
-    # No policy acts here: only the scene of the job is loaded.
+    # Only the scene of the job is loaded, so the code of its policy is not needed.
     refuse_code([replace(run.job, policy=Spec("random"), conditions=Conditions())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 
 
 def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
-    """Return the names of the numbers that are not bit-identical to the stored ones.
+    """Return the names of the metrics in ``numbers`` that are not bit-identical in ``stored``.
 
-    LPIPS is compared only if both have it, because its weights may be missing on this machine.
+    LPIPS is compared only if both hold it, because its weights may be missing on this machine.
     """
     partial = stored.get("lpips") is None or numbers.get("lpips") is None
     if partial:
@@ -62,7 +62,7 @@ def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
 
 
 def without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Return the metrics without LPIPS, also in the views and the notes."""
+    """Return the metrics of a protocol without LPIPS, also without LPIPS in the entries ``views`` and ``notes``."""
     kept = {name: value for name, value in numbers.items() if not name.startswith("lpips")}
     kept["views"] = [{k: v for k, v in view.items() if k != "lpips"} for view in numbers["views"]]
     kept["notes"] = {k: v for k, v in numbers["notes"].items() if k != "lpips"}
@@ -72,11 +72,11 @@ def without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
 def measure_file(
     map_file: str | Path, scene: str, protocol: EvaluationProtocol, *, poses: str | None = None
 ) -> dict[str, Any]:
-    """Return a protocol's metrics of a map file: ``map.npz`` of a run, ``params.npz`` of SplaTAM, or a 3DGS PLY.
+    """Measure a map file: ``map.npz`` of a run, ``params.npz`` of SplaTAM, or a PLY of 3D Gaussian splatting.
 
-    A PLY must be in the scene's frame (z up, metres). A ``params.npz`` is in the frame of its first camera, whose pose
-    is the first one of ``poses``, a ``trajectory.npz``. Metrics that need poses are None without them. Raise
-    `InputError` for a file that cannot be read.
+    A PLY must be in the frame of the scene (z up, metres). A ``params.npz`` is in the frame of its first camera.
+    ``poses`` is a ``trajectory.npz`` in the frame of the scene; its first pose places that camera. Without poses the
+    metrics that need them are None. Return the metrics as JSON types. Raise `InputError` for an unreadable file.
     """
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.mapping.files import map_kind, read_map
@@ -93,9 +93,9 @@ def measure_file(
 
 
 def _refuse_turned(map_file: str | Path) -> None:
-    """Raise `InputError` if the header of a PLY names x or y as the up axis.
+    """Raise `InputError` if the header of a PLY names x or y as the up axis; a map is measured with z up.
 
-    ``asg export --up`` writes this comment. A map is measured with z up.
+    ``asg export --up`` writes the axis into a comment of the header.
     """
     with suppress(OSError), open(map_file, "rb") as file:
         comment = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
@@ -131,7 +131,7 @@ def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
 
 
 def _as_stored(name: str, array: np.ndarray) -> np.ndarray:
-    """Convert an array to the stored type: trajectories of other programs may use float32, for example."""
+    """Convert an array of a trajectory to the type that runs store; other programs may use float32, for example."""
     wanted = run_files.TRAJECTORY.get(name)
     same_kind = wanted is not None and array.dtype.kind in ("f" if wanted.dtype == "f8" else "iu")
     return array.astype(wanted.dtype) if wanted is not None and same_kind else array

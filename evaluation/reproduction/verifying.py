@@ -2,8 +2,8 @@
 
 Equal jobs give equal bytes with the same processor model and package versions. So equal bytes confirm a run, and
 different bytes refute it if processor and versions are the same. With another processor or other versions, different
-bytes decide nothing: rounding differs, and a close decision may change. The run itself records its processor and
-versions, so they never confirm a run. Such a run is refuted only if its own files contradict each other.
+bytes decide nothing: rounding differs, and a close decision may change. Such a run is refuted only if its own files
+contradict each other. The processor and the versions are read from the run itself, so they never confirm it.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.reproduction.remeasure import differing, measure_again, protocols_of, without_lpips
 from activestructure_gym.evaluation.running.episode import Progress, run_job
 
-# Files that depend only on the job. Times are not compared, nor pictures and pages, which are drawn from these files.
+# Files that depend only on the job. Times are not compared. Images and pages are not compared either, because they are
+# drawn from these files.
 COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP,
             store.PLY)  # fmt: skip
-# Tolerance between numbers of one map measured on two processors. Own choice, far above rounding: agreement within it
-# confirms nothing.
+# Tolerances between the numbers of one map on two processors: own choice, far above rounding. So agreement within them
+# does not confirm a run.
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
-_MAX_NAMED = 5  # numbers listed in a message, those of `_LEADING` first
+_MAX_NAMED = 5  # maximum number of metrics listed in a message; metrics in `_LEADING` come first
 _LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
-_SHOWING = ("rich", "tyro", "pillow")  # packages that affect no number
+_SHOWING = ("rich", "tyro", "pillow")  # packages for output and images, which affect no number
 
 Verdict = Literal["identical", "not comparable here", "differs", "damaged"]
 REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
@@ -43,17 +44,17 @@ REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
 
 @dataclass(frozen=True)
 class Verification:
-    """Hold the result of playing a run again."""
+    """Hold the verdict on a run that was played again, and the reasons."""
 
     verdict: Verdict
-    why: tuple[str, ...] = ()  # the differences of files, of the processor, and of versions
+    why: tuple[str, ...] = ()  # sentences on differences of files, processor and versions
 
 
 def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None) -> Verification:
-    """Compare the files of ``run`` with their checksums, play its job again, and compare the results.
+    """Compare the files of a run with their checksums, play its job again, and compare the results.
 
-    Raise `InputError` if the job cannot be played here: its scene or policy is missing or has changed, or its files
-    name code that is not trusted.
+    ``notify`` is called with the progress of the new episode. Raise `InputError` if the job cannot be played here: its
+    scene or policy is missing or has changed, or its files name code that is not trusted.
     """
     try:
         run = store.open_run(run.directory, run.scene)
@@ -87,7 +88,7 @@ def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None)
 
 
 def numbers_that_differ(run: Run, again: Run) -> list[str]:
-    """Describe up to `_MAX_NAMED` stored metrics that differ from the new ones."""
+    """Return texts on up to 5 metrics (`_MAX_NAMED`) that differ between the stored ``run`` and ``again``."""
     stored, found = (one.metrics["metrics"] for one in (run, again))
     names = dict.fromkeys((*_LEADING, *found, *stored))
     return _first(
@@ -98,13 +99,13 @@ def numbers_that_differ(run: Run, again: Run) -> list[str]:
 
 
 def contradictions(run: Run) -> list[str]:
-    """Describe stored metrics that contradict the run's own map, trajectory and curve.
+    """Return texts on stored metrics that contradict the run's own map, trajectory and curve.
 
-    The map is measured on this machine, which works for runs of any processor.
+    The stored map is measured again on this machine. No episode is played, so the run may be of any processor.
     """
     planned, _ = planning_scores(run.metrics["curve"], run.config["configuration"]["frame_budget"])
     wrong = []
-    with suppress(InputError):  # a protocol that this version does not have
+    with suppress(InputError):  # this version does not have the protocol
         for protocol, stored in protocols_of(run):
             stored = stored or {}
             own = protocol.name == run.job.conditions.protocol.name
@@ -119,7 +120,7 @@ def contradictions(run: Run) -> list[str]:
 
 
 def altered_evaluations(run: Run) -> list[str]:
-    """Describe evaluations by the job's protocol that differ from the run's metrics in more than LPIPS."""
+    """Return texts on stored evaluations by the job's protocol that differ from the run's metrics in more than LPIPS."""
     own, parameters = run.metrics["metrics"], json_files.plain(run.job.conditions.protocol.parameters())
     wrong = []
     for name, content in run.evaluations.items():
@@ -133,10 +134,10 @@ def altered_evaluations(run: Run) -> list[str]:
 
 
 def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
-    """Measure every stored evaluation again, also those measured after the run.
+    """Compare every stored evaluation of ``run`` with the new run, ``again``; if it lacks one, measure its map.
 
-    Return the files whose numbers differ, and messages about numbers that cannot be measured here: LPIPS without its
-    weights, and protocols that this version does not have.
+    Return the evaluation files whose numbers differ, and texts on numbers that cannot be measured here: LPIPS without
+    its weights, and protocols that this version does not have.
     """
     wrong, unknown = [name for name in again.evaluations if name not in run.evaluations], []
     own, found = run.metrics["metrics"], again.metrics["metrics"]
@@ -165,7 +166,7 @@ def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
 
 
 def environment_differences(run: Run, again: Run) -> list[str]:
-    """Describe the differences of processor, versions, plug-in code and LPIPS weights that can change bytes."""
+    """Return texts on differences between two runs that can change bytes: processor, versions, code, LPIPS weights."""
     found = []
     before, now = (str(one.timing["hardware"]["processor"]) for one in (run, again))
     if before != now:
@@ -182,7 +183,7 @@ def environment_differences(run: Run, again: Run) -> list[str]:
 
 
 def _same(run: Run, again: Run, name: str) -> bool:
-    """Return whether a file is equal in both runs, without the differences that are allowed in JSON files."""
+    """Return whether the file ``name`` is equal in both runs, apart from the differences allowed in JSON files."""
     files = [one.directory / name for one in (run, again)]
     if name == store.PLY and not files[0].exists():  # a user may delete it
         return True
@@ -200,32 +201,38 @@ def _same(run: Run, again: Run, name: str) -> bool:
 
 
 def _job_alone(config: dict[str, Any]) -> dict[str, Any]:
-    """Return a configuration without versions and without the scene's path and name; its content hash is kept."""
+    """Return the content of a ``config.json`` without versions and without the scene's path and name.
+
+    The hash of the scene's content is kept.
+    """
     kept = {name: value for name, value in config.items() if name not in ("versions", OWN_CODE)}
     scene = {name: value for name, value in config["scene"].items() if name not in ("spec", "source", "name")}
     return {**kept, "scene": scene, "job": {**config["job"], "scene": None}}
 
 
 def _same_numbers(stored: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Return whether all numbers are bit-identical, ignoring LPIPS if one side has none."""
+    """Return whether all metrics are bit-identical; LPIPS is ignored if one side has none."""
     if _lpips_of(stored) is None or _lpips_of(found) is None:
         stored, found = without_lpips(stored), without_lpips(found)
     return _text(stored) == _text(found)
 
 
 def _lpips_of(numbers: dict[str, Any]) -> list[Any] | None:
-    """Return the mean LPIPS followed by that of every view; None if all are missing."""
+    """Return the mean LPIPS followed by the LPIPS of every view; None if all are missing."""
     values = [numbers.get("lpips"), *(view.get("lpips") for view in numbers["views"])]
     return None if values == [None] * len(values) else values
 
 
 def _is_as_written(file: Path, content: Any) -> bool:
-    """Return whether a file's bytes are those that `json_files.json_text` gives: no repeated keys, no other layout."""
+    """Return whether a file's bytes equal the text that `json_files.json_text` writes for its content.
+
+    So repeated keys and another layout are detected.
+    """
     return file.read_bytes() == json_files.json_text(content).encode("utf-8")
 
 
 def _text(content: Any) -> str:
-    """Return the content as text, which distinguishes 1, 1.0 and true."""
+    """Return JSON text with sorted keys; unlike values in Python, the text distinguishes 1, 1.0 and true."""
     return json.dumps(content, sort_keys=True)
 
 

@@ -120,7 +120,7 @@ def contradictions(run: Run) -> list[str]:
 
 
 def altered_evaluations(run: Run) -> list[str]:
-    """Return texts on stored evaluations by the job's protocol that differ from the run's metrics in more than LPIPS."""
+    """Return texts on evaluations by the protocol of the job that differ from the run's metrics in more than LPIPS."""
     own, parameters = run.metrics["metrics"], json_files.plain(run.job.conditions.protocol.parameters())
     wrong = []
     for name, content in run.evaluations.items():

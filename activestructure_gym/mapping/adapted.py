@@ -1,4 +1,7 @@
-"""Adapt a mapper with only the six names of `MapperProtocol` to the interface `KeyframeMapper` that features need."""
+"""Adapt a mapper that has only the six members of `MapperProtocol` to the interface `KeyframeMapper`.
+
+Features and observations need `KeyframeMapper`, for example its PSNR per keyframe.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ _NAMES = ("observe", "refine", "render", "render_depth_alpha", "keyframes", "map
 
 
 def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> KeyframeMapper:
-    """Return the mapper, adapted if it is not a `KeyframeMapper`; raise `InputError` if it lacks one of the names."""
+    """Return the mapper as a `KeyframeMapper`; an adapter is used if it is not one.
+
+    Raises `InputError` if the mapper lacks a member of `MapperProtocol`.
+    """
     if isinstance(mapper, KeyframeMapper):
         return mapper
     missing = [name for name in _NAMES if not hasattr(mapper, name)]
@@ -30,15 +36,15 @@ def keyframe_mapper(mapper: MapperProtocol, config: BaseMapperConfig) -> Keyfram
 
 
 class AdaptedMapper(KeyframeMapper):
-    """Delegate to a mapper; count its events, and measure the PSNR of its keyframes with its method `render`."""
+    """Call another mapper, count its mapping events, and measure the PSNR of its keyframes on its renderings."""
 
     def __init__(self, mapper: MapperProtocol, config: BaseMapperConfig) -> None:
         self.adapted = mapper
-        super().__init__(config, np.random.default_rng(0))  # the generator is not used
+        super().__init__(config, np.random.default_rng(0))  # the base class needs a generator, which is never used
 
     @property
     def map(self) -> GaussianMap:
-        """Return the adapted mapper's Gaussians."""
+        """Return the Gaussians of the adapted mapper."""
         return self.adapted.map
 
     @map.setter
@@ -46,7 +52,7 @@ class AdaptedMapper(KeyframeMapper):
         pass
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Call `observe` of the adapted mapper, and measure the PSNR of the new keyframe."""
+        """Call ``observe`` of the adapted mapper, and measure the PSNR of the new keyframe."""
         self.events += 1
         self._before_steps()
         report = self.adapted.observe(frame, iterations=iterations)
@@ -56,7 +62,7 @@ class AdaptedMapper(KeyframeMapper):
         return report
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Call `refine` of the adapted mapper."""
+        """Call ``refine`` of the adapted mapper."""
         self.events += 1
         self._before_steps()
         report = self.adapted.refine(iterations, keyframe_indices=keyframe_indices)
@@ -64,15 +70,15 @@ class AdaptedMapper(KeyframeMapper):
         return report
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render with the adapted mapper."""
+        """Render colour, depth and alpha from a pose with the adapted mapper."""
         return self.adapted.render(camera, world_from_camera)
 
     def render_depth_alpha(
         self,
         camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [C, 4, 4]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Render depth [C, H, W] and alpha [C, H, W] with the adapted mapper."""
+        world_from_camera: np.ndarray,  # [C, 4, 4] poses
+    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W] in metres, alpha [C, H, W]
+        """Render accumulated depth and alpha from C poses with the adapted mapper."""
         return self.adapted.render_depth_alpha(camera, world_from_camera)
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:

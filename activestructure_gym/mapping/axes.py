@@ -1,6 +1,6 @@
-"""Rotate a Gaussian map for viewers of other axes: our world has z up, most splat viewers have y up or y down.
+"""Rotate a Gaussian map to the axes of other programs: the world here has z up, most splat viewers have y up or y down.
 
-Colours do not depend on the view direction (spherical harmonics of degree 0), so only means and quaternions rotate.
+Colours do not depend on the view direction (spherical harmonics of degree 0), so only means and quaternions change.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import MEAN, QUATERNION, GaussianMap
 
 UpInFile = Literal["z", "y", "-y"]
-# Rotation from world axes to file axes, by the up axis of the file; all are rotations about x.
+# Rotation matrix from the world's axes to the axes of a file, for each up axis of the file. All rotate about the x
+# axis.
 FILE_FROM_WORLD: MappingProxyType[UpInFile, np.ndarray] = MappingProxyType(
     {
         "z": np.eye(3),
@@ -25,7 +26,7 @@ FILE_FROM_WORLD: MappingProxyType[UpInFile, np.ndarray] = MappingProxyType(
 
 
 def turned_map(gaussians: GaussianMap, rotation: np.ndarray) -> GaussianMap:
-    """Return the map rotated about the origin by a rotation matrix [3, 3]; moments are 0."""
+    """Return a copy of the map rotated about the origin by a rotation matrix [3, 3]; its Adam moments are 0."""
     block = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     block[MEAN] = rotation @ block[MEAN]
     block[QUATERNION] = turned(quaternion_of(rotation), block[QUATERNION].T).T

@@ -1,4 +1,4 @@
-"""Read map files, and detect their kind by content: our npz, SplaTAM's npz, 3DGS PLY."""
+"""Read map files. The kind of a file is detected from its content: npz of this package, npz of SplaTAM, or 3DGS PLY."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ MapKind = Literal["ply", "splatam", "npz"]
 
 
 def map_kind(path: str | os.PathLike[str]) -> MapKind:
-    """Return the kind of a map file, ``"npz"`` for ours; raise `InputError` for any other file."""
+    """Return the kind of a map file; ``"npz"`` is the ``map.npz`` of this package.
+
+    Raise `InputError` for any other file.
+    """
     try:
         with open(path, "rb") as file:
             start = file.read(4)
@@ -52,7 +55,7 @@ def read_map(path: str | os.PathLike[str], world_from_first: np.ndarray | None =
     Returns
     -------
     GaussianMap
-        The Gaussians in the world frame, in metres; moments are 0 unless the file is a run's.
+        The Gaussians in the world frame, in metres. Adam moments are 0, except from a ``map.npz``.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Read and write Gaussian maps as SplaTAM's ``params.npz``, a checkpoint format that derived programs share.
+"""Read and write Gaussian maps as SplaTAM's ``params.npz``, a checkpoint format that programs based on SplaTAM share.
 
-Keys and conventions are those of [splatam, code]. The map and all poses are in the frame of the first camera, whose
-world pose is not part of the original format. Files written here add it as ``world_from_first_camera`` [4, 4].
+Array names and conventions are those of [splatam, code]. The map and all poses are in the frame of the first camera.
+The original format lacks the world pose of that camera. Files written here add it as ``world_from_first_camera`` [4,
+4].
 """
 
 from __future__ import annotations
@@ -27,23 +28,24 @@ from activestructure_gym.mapping.gaussian_map import (
 )
 from activestructure_gym.npz import read_npz
 
-_PLACE = "world_from_first_camera"
-_MAX_NUMBER = 1e9  # largest number of a camera, in metres or pixels
+_PLACE = "world_from_first_camera"  # array name of the world pose of the first camera
+_MAX_NUMBER = 1e9  # largest number accepted in a camera, in metres or pixels
+# Arrays that every file must have.
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
 
 
 def write_splatam(
     gaussians: GaussianMap,
     path: str | os.PathLike[str],
-    world_from_camera: np.ndarray,  # [T, 4, 4]; the frame of the first is that of the file
+    world_from_camera: np.ndarray,  # [T, 4, 4]; the file uses the frame of the first pose
     camera: PinholeCamera,
-    keyframes: np.ndarray,  # [K] indices into the poses
+    keyframes: np.ndarray,  # [K] indices of poses that are keyframes
 ) -> None:
-    """Write the Gaussians and the camera poses, atomically."""
+    """Write the Gaussians and the camera poses. An existing file is replaced only when the new one is complete."""
     used = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     poses = np.asarray(world_from_camera, np.float64)
     first = invert_rigid(poses[0])
-    in_first = invert_rigid(poses) @ poses[0]  # camera t from camera 0, [T, 4, 4]
+    in_first = invert_rigid(poses) @ poses[0]  # [T, 4, 4] camera t from camera 0
     content = {
         "means3D": (used[MEAN].T @ first[:3, :3].T + first[:3, 3]).astype(np.float32),
         "rgb_colors": used[COLOR].T.astype(np.float32),
@@ -68,10 +70,11 @@ def write_splatam(
 
 
 def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
-    """Read a ``params.npz`` into the world frame, by ``world_from_first`` [4, 4] or the pose in the file.
+    """Read a ``params.npz`` and return its Gaussians in the world frame.
 
-    Without either, the map remains in the frame of its first camera, with a warning. Isotropic scales [N, 1] become
-    balls. Gaussians with a value that is not finite are dropped, with a warning. Raises `InputError` for other files.
+    ``world_from_first`` [4, 4] is the world pose of the first camera; None means the pose in the file. Without either,
+    the map remains in the frame of the first camera, with a warning. Isotropic scales [N, 1] become balls. Gaussians
+    with a value that is not finite are dropped, with a warning. Raises `InputError` for other files.
     """
     content = _read(path)
     for name in _NEEDED:
@@ -114,7 +117,10 @@ def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | No
 
 
 def splatam_path(path: str | os.PathLike[str]) -> dict[str, np.ndarray] | None:
-    """Return poses and camera of a ``params.npz`` as the arrays of a ``trajectory.npz``; None if the file has none."""
+    """Return poses and camera of a ``params.npz`` as the arrays of a run's ``trajectory.npz``.
+
+    None if the file has no poses.
+    """
     content = _read(path)
     needed = ("gt_w2c_all_frames", "intrinsics", "org_width", "org_height", "keyframe_time_indices")
     if any(name not in content for name in needed):
@@ -141,11 +147,10 @@ def splatam_path(path: str | os.PathLike[str]) -> dict[str, np.ndarray] | None:
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """Return the world pose of the first camera: the given one, else that of the file, else the first true pose.
+    """Return the world pose of the first camera: ``given``, or the pose in the file, or the first true pose.
 
-    Without true poses, or if they start with the identity, the result is the identity, with a warning.
-
-    Raises `InputError` if it is not a rigid motion.
+    If the file has no ground-truth camera poses, or they begin with the identity, return the identity, with a warning.
+    Raises `InputError` if the pose is not a rigid transform.
     """
     if given is not None:
         return np.asarray(given, np.float64)

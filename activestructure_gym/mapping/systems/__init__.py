@@ -1,1 +1,1 @@
-"""Reimplement published mapping systems with given poses, one folder each: ``config.py`` and ``mapper.py``."""
+"""Reimplement published mapping systems with given poses. Each package has a ``config.py`` and a ``mapper.py``."""

@@ -1,6 +1,6 @@
-"""Map with torch: a loss over images, autograd, and Adam on every Gaussian, visible or not.
+"""Map with torch: gradients from autograd, and Adam steps on all Gaussians, visible or not.
 
-This is the common part of MonoGS and Gaussian-SLAM with given poses. An event seeds Gaussians from the new keyframe,
+This is the common part of MonoGS and Gaussian-SLAM with given poses. A mapping event adds seeds from the new keyframe,
 takes optimiser steps, and prunes.
 """
 
@@ -25,29 +25,33 @@ from activestructure_gym.splatting import LossWeights
 from activestructure_gym.splatting.api import Rasterization, rasterize
 from activestructure_gym.splatting.torch_losses import MappingLoss, mapping_loss
 
-# Arguments: rendering, colours [H, W, 3], depth [H, W].
+# Function from a rendering, true colours [H, W, 3] and measured depth [H, W] in metres to the loss of an image.
 ViewLoss = Callable[[Rasterization, torch.Tensor, torch.Tensor], MappingLoss]
 
-_NEIGHBOURS = 3
-# Loss of colours alone, as in 3D Gaussian splatting ([kerbl2023]); both systems refine a finished map with it.
+_NEIGHBOURS = 3  # nearest points whose distance gives the size of a seed
+# Loss of colours only, as in 3D Gaussian splatting ([kerbl2023]). Both systems refine a finished map with it.
 _REFINING = LossWeights(image=1.0, l1_share=0.8, depth=0.0, normalised_depth=False)
 
 
 class DenseMapper(KeyframeMapper):
-    """Change every Gaussian in every step, by Adam. Subclasses define the seeds and the steps of an event."""
+    """Define a mapper whose steps change every Gaussian. Subclasses define the seeds and the steps of an event."""
 
     config: DenseConfig
 
     @abstractmethod
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
-        """Return new Gaussians [14, n] for a frame not stored yet, and the share of its pixels missing in the map."""
+        """Return the seeds [14, n] for a new frame, and the share of its pixels that are missing in the map."""
 
     @abstractmethod
     def _event(self, index: int, iterations: int) -> tuple[list[int], np.ndarray, int]:
-        """Optimise after keyframe ``index`` is added; return the views, losses [views, 3] and the number pruned."""
+        """Optimise the map after keyframe ``index`` was added.
+
+        Returns the keyframe of each loss, the losses [views, 3] (colour, depth, ssim), and the number of Gaussians
+        pruned.
+        """
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe, seed by the rule of the system, and optimise (default: ``config.iterations``)."""
+        """Add a keyframe, seed by the rule of the system, and take optimiser steps (default: ``config.iterations``)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
@@ -71,7 +75,10 @@ class DenseMapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise the whole map on the colours of all or the given keyframes, shuffled repeatedly."""
+        """Optimise all Gaussians on the colours of all or the given keyframes, in ``iterations`` steps.
+
+        The keyframes are shuffled repeatedly.
+        """
         views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
         losses = np.full((len(views), 3), np.nan)
@@ -86,7 +93,10 @@ class DenseMapper(KeyframeMapper):
         return report_of(self.map.count, views, losses, 0)
 
     def _append(self, block: np.ndarray) -> tuple[int, int]:
-        """Insert the Gaussians that fit, chosen evenly; return the numbers inserted and left out."""
+        """Insert Gaussians ``block`` [14, n], or an even selection if ``max_gaussians`` does not allow all.
+
+        Returns the number inserted and the number left out.
+        """
         bound, count = self.config.max_gaussians, block.shape[1]
         room = count if bound is None else min(count, max(0, bound - self.map.count))
         if room < count:
@@ -95,7 +105,10 @@ class DenseMapper(KeyframeMapper):
         return room, count - room
 
     def _add_loss(self, rows: torch.Tensor, view: int, compare: ViewLoss) -> tuple[float, float, float]:
-        """Add the gradient of the loss of a keyframe to ``rows``; return colour error, depth error and SSIM."""
+        """Add the gradient of a keyframe's loss to ``rows`` [14, n].
+
+        Return colour error, depth error in metres and SSIM.
+        """
         frame = self.keyframes[view]
         shown = drawn(rows, frame, self.config)
         loss = compare(
@@ -106,10 +119,10 @@ class DenseMapper(KeyframeMapper):
 
     def _step(
         self,
-        rows: torch.Tensor,  # [14, n] with its gradient
-        columns: slice,  # columns of the map that ``rows`` contains
-        rates: np.ndarray,  # [14]
-        number: int | np.ndarray,  # steps since the moments were 0; [14] if they differ by parameter
+        rows: torch.Tensor,  # [14, n] parameters with their gradient
+        columns: slice,  # columns of the map from which ``rows`` was copied
+        rates: np.ndarray,  # [14] learning rates
+        number: int | np.ndarray,  # steps since the moments were 0; [14] if they differ by row
     ) -> None:
         config, gaussians = self.config, self.map
         assert rows.grad is not None
@@ -126,9 +139,9 @@ class DenseMapper(KeyframeMapper):
         gaussians.touched()
 
     def _transparent(self, threshold: float, start: int = 0) -> np.ndarray:  # [count] bool
-        """Return a mask of Gaussians from column ``start`` with an opacity below the threshold or not finite."""
+        """Return a mask of the Gaussians from column ``start`` on whose opacity is below a threshold or not finite."""
         logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
-        with np.errstate(divide="ignore"):  # thresholds of 0 and 1
+        with np.errstate(divide="ignore"):  # the thresholds 0 and 1 give infinite logits
             least = np.log(threshold) - np.log1p(-threshold)
         return (np.arange(self.map.count) >= start) & ~(logits >= least)
 
@@ -138,7 +151,7 @@ def _refining_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor)
 
 
 def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
-    """Return a copy that requires a gradient, in the memory layout that the kernels need."""
+    """Return a copy of the parameters that requires a gradient, in the memory layout that the kernels need."""
     count = parameters.shape[1]
     padded = np.zeros((ROWS, -(-max(1, count) // 16) * 16), np.float32)
     padded[:, :count] = parameters
@@ -146,7 +159,7 @@ def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
 
 
 def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterization:
-    """Render Gaussians [14, n] from the pose of a keyframe."""
+    """Render Gaussians ``rows`` [14, n] from the pose of a keyframe, differentiably."""
     pose = torch.from_numpy(invert_rigid(frame.world_from_camera)).to(rows)
     if config.backend == "gsplat":
         rows, pose = rows.cuda(), pose.cuda()
@@ -164,7 +177,10 @@ def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterizatio
 
 
 def roundness(rows: torch.Tensor) -> torch.Tensor:  # [14, n] -> metres
-    """Return the mean difference between a scale and the mean scale of its Gaussian; 0 for balls ([monogs, code])."""
+    """Return the mean difference between a scale and the mean scale of its Gaussian.
+
+    0 if all are balls ([monogs, code]).
+    """
     scales = rows[7:10].exp()
     return (scales - scales.mean(dim=0)).abs().mean()
 
@@ -175,12 +191,12 @@ def adam_step(
     second_moment: np.ndarray,  # [14, n], changed in place
     gradient: np.ndarray,  # [14, n]
     *,
-    rates: np.ndarray,  # [14]
-    number: int | np.ndarray,  # steps since the moments were 0, or [14]
-    betas: tuple[float, float],
+    rates: np.ndarray,  # [14] learning rates
+    number: int | np.ndarray,  # steps since the moments were 0; [14] if they differ by row
+    betas: tuple[float, float],  # decay rates of first and second moment
     epsilon: float,
 ) -> None:
-    """Take one step of Adam with bias correction ([adam], algorithm 1), equal to `torch.optim.Adam`."""
+    """Take one Adam step with bias correction ([adam], algorithm 1), equal to a step of `torch.optim.Adam`."""
     first, second = betas
     count = np.broadcast_to(np.asarray(number, np.float64), ROWS)[:, None]
     first_moment += np.float32(1.0 - first) * (gradient - first_moment)
@@ -191,9 +207,9 @@ def adam_step(
 
 
 def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n, 3], [m, 3] -> [n] m^2
-    """Return the mean squared distance of every point to its three nearest neighbours in ``around``.
+    """Return the mean squared distance of each point to its three nearest neighbours in ``around``.
 
-    ``around`` contains the points. The result is nan if it has fewer than two.
+    ``around`` must contain the points themselves. The result is nan if it has fewer than two.
     """
     if len(around) < 2:
         return np.full(len(points), np.nan)
@@ -204,7 +220,7 @@ def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit torch to one thread, so that sums do not depend on the number of cores."""
+    """Limit torch to one thread during the block, so that rounding does not depend on the number of cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,1 +1,1 @@
-"""Provide Co-SLAM with given poses."""
+"""Provide the mapper of Co-SLAM with given poses."""

@@ -1,16 +1,18 @@
-"""Run Co-SLAM as a mapper with given poses ([co_slam, code]): distance and colour learnt from rays of all keyframes.
+"""Map with Co-SLAM and given poses ([co_slam, code]): a neural field of distance and colour.
 
-`map` is the zero level set of the field as disks, extracted from a grid as a mesh would be, where keyframes observed
-it. Protocols evaluate this map, including its images, which are worse than the volume rendering of `render`.
+The field gives the signed distance to the surface and the colour of a point. It is trained on rays of keyframes. `map`
+is the surface as disks, where keyframes observed it. The disks are extracted at the sign changes of the distance along
+the edges of a grid, as the vertices of a marching-cubes mesh would be. Protocols evaluate this map, including its
+images. These are worse than the images of `render`, which integrates the field along rays.
 
 Differences from [co_slam]:
 
 - Poses are given.
 - The field is smaller: 8 levels down to 5 cm with 2^15 entries, instead of 16 levels down to 2 cm with 2^16.
 - There are fewer rays, and a larger share of a keyframe's pixels is stored, for a CPU and small images.
-- Samples cover the whole box.
+- Samples along a ray cover the whole box.
 - There is no smoothness term (weight 1e-6 there).
-- One-blobs are Gaussians instead of a polynomial approximation.
+- The one-blob encoding uses Gaussians instead of a polynomial approximation.
 - The surface is extracted from a coarser grid.
 """
 
@@ -35,32 +37,32 @@ from activestructure_gym.mapping.systems.co_slam.zero_level import VertexGrid, d
 from activestructure_gym.mapping.systems.dense import one_thread
 from activestructure_gym.splatting import Rendering
 
-_AT_ONCE = 1 << 17  # points per evaluation of the field
-_RENDER_STEP = 0.05  # metres between the samples of a ray in a rendered image
-_PSNR_STRIDE = 4  # pixels, in both directions, between those that measure the PSNR of a keyframe
+_AT_ONCE = 1 << 17  # points per evaluation of the field, which limits the memory
+_RENDER_STEP = 0.05  # metres between two samples of a ray when an image is rendered
+_PSNR_STRIDE = 4  # pixels: every fourth row and column is used to measure the PSNR of a keyframe
 
 
 class Rays(NamedTuple):
-    """Hold pixels of keyframes as rays, with the depth as ray parameter."""
+    """Hold r rays through pixels of keyframes; a ray's parameter is its depth."""
 
-    keyframe: np.ndarray  # [r] int
-    directions: np.ndarray  # [r, 3] float32, world, z of the camera = 1
+    keyframe: np.ndarray  # [r] int, index of the keyframe
+    directions: np.ndarray  # [r, 3] float32, world; scaled to z = 1 in the camera frame
     colors: np.ndarray  # [r, 3] float32 0..1
     depths: np.ndarray  # [r] float32 metres, 0 = no return
 
     def some(self, index: np.ndarray) -> Rays:
-        """Return the rays at the given indices."""
+        """Return the rays at the indices ``index`` [n]."""
         return Rays(*(array[index] for array in self))
 
 
 class CoSLAMMapper(KeyframeMapper):
-    """Map with Co-SLAM. ``bounds`` [2, 3] is the box of the field, in metres."""
+    """Map with Co-SLAM; ``bounds`` [2, 3] is the box of the field in metres."""
 
     config: CoSLAMConfig
 
     def __init__(self, config: CoSLAMConfig, rng: np.random.Generator, bounds: np.ndarray) -> None:
         self._gaussians = GaussianMap()
-        self._mapped = 0  # event number of the extracted disks
+        self._mapped = 0  # number of the event after which the disks were extracted
         super().__init__(config, rng)
         self._low = torch.tensor(np.asarray(bounds[0]), dtype=torch.float32)
         self._extent = torch.tensor(np.asarray(bounds[1]) - np.asarray(bounds[0]), dtype=torch.float32)
@@ -76,11 +78,11 @@ class CoSLAMMapper(KeyframeMapper):
             betas=(0.9, 0.99),
         )
         self._vertices = VertexGrid(np.asarray(bounds, dtype=np.float64), config.surface_m)
-        self._rays: list[Rays] = []  # stored rays per keyframe
+        self._rays: list[Rays] = []  # one entry per keyframe: its stored rays
 
     @property
     def map(self) -> GaussianMap:
-        """Return the zero level set of the field as disks, extracted again after every event."""
+        """Return the surface of the field as disks. They are extracted again after every mapping event."""
         if self._mapped != self.events:
             self._gaussians.keep(np.zeros(self._gaussians.count, dtype=bool))
             self._gaussians.append(self._surface())
@@ -92,12 +94,12 @@ class CoSLAMMapper(KeyframeMapper):
         self._gaussians = gaussians
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe, store some of its rays, and learn (default: ``config.iterations``)."""
+        """Add a keyframe, store some of its rays, and train the field in ``iterations`` steps (None: as configured)."""
         frame = checked_frame(frame)
         config = self.config
         iterations = config.iterations if iterations is None else iterations
         self.events += 1
-        # The new share counts vertices instead of pixels.
+        # Here the new share is the share of newly observed grid vertices, not of pixels.
         before = int(np.count_nonzero(self._vertices.seen))
         self._vertices.observe(frame, config.truncation)
         after = int(np.count_nonzero(self._vertices.seen))
@@ -114,7 +116,7 @@ class CoSLAMMapper(KeyframeMapper):
             losses = self._learn(all_rays, iterations * (config.first_rounds if index == 0 else 1))
             self._measure_psnr(self._store.stalest(1))
         return report_of(
-            self._gaussians.count,  # at the last extraction
+            self._gaussians.count,  # number at the last extraction
             [index] * len(losses),
             losses,
             0,
@@ -123,7 +125,7 @@ class CoSLAMMapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Learn from the stored rays of all or the given keyframes."""
+        """Train the field in ``iterations`` steps on the stored rays of all or the given keyframes."""
         indices = sorted(set(self._shuffled_views(len(self.keyframes), keyframe_indices)))
         self.events += 1
         with one_thread():
@@ -131,7 +133,10 @@ class CoSLAMMapper(KeyframeMapper):
         return report_of(self._gaussians.count, indices[:iterations], losses, 0)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render the field by integration along rays; alpha is 1 where a ray meets the surface, else 0."""
+        """Render colour, depth and alpha by integrating the field along rays.
+
+        Alpha is 1 where a ray meets the surface, else 0.
+        """
         directions = (camera.rays().reshape(-1, 3) @ world_from_camera[:3, :3].T).astype(np.float32)
         with one_thread():
             color, depth, met = self._integrated(world_from_camera[:3, 3], directions)
@@ -141,7 +146,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     @property
     def persistent_map(self) -> GaussianMap:
-        """Raise `InputError`, since the Gaussians are extracted again after every event."""
+        """Raise `InputError`: no Gaussian of this mapper exists for more than one event."""
         raise InputError(
             "mapper co_slam creates new Gaussians in every event, but a feature of this planner needs persistent ones: "
             "choose another mapper or planner"
@@ -149,8 +154,12 @@ class CoSLAMMapper(KeyframeMapper):
 
     def _learn(
         self, newest: Rays | None, steps: int, keyframes: Sequence[int] | None = None
-    ) -> np.ndarray:  # [steps, 3]
-        """Take steps on stored rays of the keyframes, and on rays drawn from all of the newest one; return losses."""
+    ) -> np.ndarray:  # [steps, 3] losses: colour, depth in metres, nan
+        """Train the field in ``steps`` steps, and return the losses of each.
+
+        A step uses stored rays of the ``keyframes`` (None: all), and rays from all pixels of the ``newest`` keyframe,
+        if given.
+        """
         config = self.config
         chosen = self._rays if keyframes is None else [self._rays[k] for k in keyframes]
         kept = Rays(*(np.concatenate(arrays) for arrays in zip(*chosen)))
@@ -169,7 +178,7 @@ class CoSLAMMapper(KeyframeMapper):
         return losses
 
     def _loss(self, rays: Rays) -> tuple[torch.Tensor, float, float]:
-        """Return the total loss, and the mean absolute errors of colour and depth (metres)."""
+        """Return the total loss of the rays, and their mean absolute errors of colour and depth (metres)."""
         config, truncation = self.config, self.config.truncation
         measured = torch.from_numpy(rays.depths)
         depths = torch.from_numpy(self._sampled(rays.depths))
@@ -194,7 +203,11 @@ class CoSLAMMapper(KeyframeMapper):
         return total, float(color_off.detach().abs().mean()), error
 
     def _sampled(self, measured: np.ndarray) -> np.ndarray:  # [r] -> [r, s] float32 metres, rising
-        """Return sample depths along rays: even in the box and around the measured depth, with jitter."""
+        """Return the depths of s samples along each ray, for measured depths [r] in metres.
+
+        Some samples are distributed evenly over the box, others around the measured depth. Each is moved at random by
+        up to half the distance to its neighbours.
+        """
         config, farthest = self.config, self._farthest
         even = np.broadcast_to(np.linspace(0.0, farthest, config.even_samples), (len(measured), config.even_samples))
         around = measured[:, None] + np.linspace(-config.truncation, config.truncation, config.near_samples)
@@ -207,7 +220,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     @property
     def _farthest(self) -> float:
-        """Return the diagonal of the box in metres, the largest length of a ray."""
+        """Return the length of the box's diagonal in metres, the largest depth of a sample."""
         return float(torch.linalg.norm(self._extent))
 
     def _ask(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 3] metres -> [n], [n, 3]
@@ -216,7 +229,7 @@ class CoSLAMMapper(KeyframeMapper):
 
     def _integrated(
         self, eye: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [r, 3], [r] metres, [r] bool: whether the surface was met
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # colour [r, 3], depth [r] metres, surface met [r] bool
         depths = torch.arange(0.0, self._farthest, _RENDER_STEP)
         at_once = max(1, _AT_ONCE // len(depths))
         parts = []
@@ -235,7 +248,7 @@ class CoSLAMMapper(KeyframeMapper):
         return found[0], found[1], found[2]
 
     def _surface(self) -> np.ndarray:  # [14, n]
-        """Return the zero level set as disks."""
+        """Return the surface of the field as disks, the columns of a map."""
         config, vertices = self.config, self._vertices
         values = np.ones(vertices.shape, dtype=np.float32)
         seen = np.flatnonzero(vertices.seen)
@@ -250,8 +263,8 @@ class CoSLAMMapper(KeyframeMapper):
         sigma = config.disk_share * config.surface_m
         return disks(crossings, colors, sigma, thickness=config.disk_thickness, opacity=config.disk_opacity)
 
-    def _values(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n], [n, 3]
-        """Return distances and colours, without gradients."""
+    def _values(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] metres -> [n], [n, 3]
+        """Return distances (in units of the truncation) and colours of points, without gradients."""
         distances, colors = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
         with torch.no_grad():
             for first in range(0, len(points), _AT_ONCE):
@@ -272,7 +285,7 @@ class CoSLAMMapper(KeyframeMapper):
 
 
 def rays_of(frame: Frame, index: int) -> Rays:
-    """Return all pixels of a keyframe as rays."""
+    """Return all pixels of the keyframe with index ``index`` as rays."""
     directions = frame.camera.rays().reshape(-1, 3) @ frame.world_from_camera[:3, :3].T
     return Rays(
         np.full(len(directions), index),

@@ -1,4 +1,4 @@
-"""Convert the zero level set of a distance field to Gaussians: a disk where a grid edge crosses the surface."""
+"""Convert the surface of a distance field to Gaussians: one disk where an edge of a grid crosses the surface."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 
 
 class Crossings(NamedTuple):
-    """Hold the crossings of grid edges with the surface, which are the vertices of a marching-cubes mesh."""
+    """Hold n points where edges of a grid cross the surface. They are the vertices of a marching-cubes mesh."""
 
-    points: np.ndarray  # [n, 3] metres
+    points: np.ndarray  # [n, 3] metres, world
     normals: np.ndarray  # [n, 3] unit, towards positive distances
 
 
 class VertexGrid:
-    """Hold the vertices of a grid in a box, and which of them keyframes observed."""
+    """Hold the vertices of a cubic grid in a box, and a mask of the vertices that keyframes have observed."""
 
-    def __init__(self, bounds: np.ndarray, step: float) -> None:  # [2, 3] metres, metres
+    def __init__(self, bounds: np.ndarray, step: float) -> None:  # [2, 3] metres, metres between vertices
         self.step, self.low = step, np.asarray(bounds[0], dtype=np.float64)
         cells = np.ceil((np.asarray(bounds[1]) - self.low) / step - 1e-9).astype(int)
         self.shape = tuple(int(count) + 1 for count in np.maximum(cells, 1))
         self.seen = np.zeros(self.shape, dtype=bool)
 
     def points(self, index: np.ndarray | None = None) -> np.ndarray:  # flat indices [n] (None: all) -> [n, 3]
-        """Return the positions of vertices, in metres."""
+        """Return the world positions of vertices in metres."""
         index = np.arange(self.seen.size) if index is None else index
         return self.low + self.step * np.stack(np.unravel_index(index, self.shape), axis=1)
 
     def observe(self, frame: Frame, behind: float) -> None:
-        """Mark the vertices in view of a keyframe, up to ``behind`` metres behind the measured depth."""
+        """Mark the vertices that are in view of a keyframe and at most ``behind`` metres behind its measured depth."""
         left = np.flatnonzero(~self.seen)
         points = transform_points(invert_rigid(frame.world_from_camera), self.points(left))
         camera, z = frame.camera, points[:, 2]
@@ -46,8 +46,8 @@ class VertexGrid:
         measured = frame.depth[v[inside].astype(int), u[inside].astype(int)]
         self.seen.reshape(-1)[left[ahead[(measured > 0) & (z[ahead] <= measured + behind)]]] = True
 
-    def crossings(self, values: np.ndarray) -> Crossings:  # [shape], used where observed
-        """Return the sign changes of the values between two observed neighbours."""
+    def crossings(self, values: np.ndarray) -> Crossings:  # distances at all vertices; unobserved ones are not used
+        """Return the points on grid edges where the distance changes sign between two observed vertices."""
         slopes = _slopes(values, self.seen)
         points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for axis in range(3):
@@ -69,9 +69,10 @@ class VertexGrid:
 
 
 def _slopes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:  # [X, Y, Z], [X, Y, Z] bool -> [X, Y, Z, 3]
-    """Return the slope per step, averaged over both sides with observed neighbours; 0 without any.
+    """Return the gradient of ``values`` per grid step, by differences with the observed neighbours on both sides.
 
-    Values at unobserved vertices are undefined, and behind a slanted surface such vertices are one or two steps away.
+    A component without observed neighbours is 0. Unobserved vertices have no valid value, and behind a slanted surface
+    they are one or two steps away.
     """
     slopes = np.zeros((*values.shape, 3))
     for axis in range(3):
@@ -91,12 +92,12 @@ def _slopes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:  # [X, Y, Z], [
 def disks(
     crossings: Crossings,
     colors: np.ndarray,  # [n, 3]
-    sigma: float,  # metres, in the plane
+    sigma: float,  # metres, in-plane standard deviation
     *,
-    thickness: float,  # along the normal / sigma
+    thickness: float,  # standard deviation along the normal / ``sigma``
     opacity: float,
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """Return one disk per point, perpendicular to its normal."""
+    """Return one disk per crossing, perpendicular to the normal there."""
     count = len(crossings.points)
     block = np.empty((ROWS, count), dtype=np.float32)
     block[MEAN] = crossings.points.T

@@ -1,1 +1,1 @@
-"""Provide Gaussian-SLAM with given poses."""
+"""Provide the mapper of Gaussian-SLAM with given poses."""

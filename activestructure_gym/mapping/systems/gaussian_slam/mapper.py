@@ -1,17 +1,17 @@
-"""Run Gaussian-SLAM as a mapper with given poses ([gaussian_slam, code]): sub-maps, of which only the newest learns.
+"""Map with Gaussian-SLAM and given poses ([gaussian_slam, code]): the map is a sequence of sub-maps.
 
-A new sub-map begins when the camera has moved or turned far enough. The Gaussians of the previous sub-maps remain in
-the map unchanged, but are not rendered while the newest one is seeded and optimised.
+Only the newest sub-map is optimised. A new sub-map begins when the camera has moved or turned far enough. The Gaussians
+of earlier sub-maps remain in the map unchanged, but are not rendered while the newest sub-map is seeded and optimised.
 
 Differences from [gaussian_slam, code]:
 
 - Poses are given.
-- For a CPU, a sub-map begins with fewer pixels, and events are shorter. Pixels are drawn by gradient as there, but not
-  from Canny edges.
+- For a CPU, a sub-map begins with fewer pixels, and a mapping event has fewer iterations. Seed pixels are drawn by
+  image gradient as there, but not from Canny edges.
 - Rays go through pixel centres.
-- Sub-maps are not thinned where they overlap (there with a cell of 2 cm at the end of a run, for more than a million
-  Gaussians).
-- `refine` learns colours of degree 0.
+- Overlapping sub-maps are not thinned. The original thins them at the end of a run with cells of 2 cm, for more than a
+  million Gaussians.
+- `refine` optimises colours of degree 0.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from activestructure_gym.splatting.torch_losses import MappingLoss, ssim
 
 
 class GaussianSLAMMapper(DenseMapper):
-    """Map with Gaussian-SLAM."""
+    """Map with Gaussian-SLAM; ``bounds`` is not used."""
 
     config: GaussianSLAMConfig
 
     def __init__(self, config: GaussianSLAMConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
-        self._origin: np.ndarray | None = None  # [4, 4] world_from_camera, first pose of the newest sub-map
-        self._start = 0  # first column of the newest sub-map
-        self.submap_keyframes: list[int] = []  # keyframes of the newest sub-map, in order
+        self._origin: np.ndarray | None = None  # [4, 4] world_from_camera: first pose of the newest sub-map
+        self._start = 0  # first column of the newest sub-map in the arrays of the map
+        self.submap_keyframes: list[int] = []  # indices of the keyframes of the newest sub-map, in order
 
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
         config, pose = self.config, frame.world_from_camera
@@ -82,7 +82,7 @@ class GaussianSLAMMapper(DenseMapper):
         )
 
     def _first_pixels(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Return seed pixels for the first keyframe of a sub-map: drawn uniformly, and more by image gradient."""
+        """Return rows and columns of the seed pixels of a new sub-map, drawn uniformly and by image gradient."""
         config, size = self.config, frame.depth.size
         even = self._rng.choice(size, max(1, round(config.submap_seed_share * size)), replace=False)
         steep = gradient_size(frame.rgb).ravel()
@@ -143,9 +143,10 @@ def submap_loss(
     l1_share: float,
     depth_weight: float,
 ) -> MappingLoss:
-    """Return image * (l1_share * mean |C - I| + (1 - l1_share) * (1 - SSIM)) + depth_weight * mean |D - depth|.
+    """Return the loss of one image: w (s mean |C - I| + (1 - s) (1 - SSIM)) + v mean |D - depth|.
 
-    The depth is accumulated. Absolute differences are over pixels with a depth return, SSIM is over all pixels.
+    C and D are the rendered colour and accumulated depth, and I is ``rgb``. The weights are w = ``image``, s =
+    ``l1_share`` and v = ``depth_weight``. The two means are over pixels with a depth return; SSIM is over all pixels.
     """
     measured = depth > 0
     count = max(1, int(measured.sum()))
@@ -157,7 +158,10 @@ def submap_loss(
 
 
 def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: float) -> bool:  # [4, 4] each
-    """Return whether a camera is too far from the origin of a sub-map, by distance or by any Euler angle."""
+    """Return whether ``pose`` exceeds a distance in metres, or an angle in degrees, from the first pose of a sub-map.
+
+    The angle is the largest of the three Euler angles of the relative rotation.
+    """
     moved = invert_rigid(origin) @ pose
     turn = moved[:3, :3]
     level = float(np.hypot(turn[0, 0], turn[1, 0]))
@@ -173,7 +177,10 @@ def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: flo
 
 
 def view_shares(keyframes: int, current: float) -> np.ndarray:  # [keyframes]
-    """Return the probability of each keyframe of the sub-map in a step, the current one first."""
+    """Return the probability that a step uses each keyframe of the sub-map; the current keyframe is the first.
+
+    ``current`` is the probability of the current keyframe, and the others share the rest equally.
+    """
     if keyframes == 1:
         return np.ones(1)
     shares = np.full(keyframes, (1.0 - current) / (keyframes - 1))
@@ -182,7 +189,7 @@ def view_shares(keyframes: int, current: float) -> np.ndarray:  # [keyframes]
 
 
 def gradient_size(rgb: np.ndarray) -> np.ndarray:  # [H, W, 3] uint8 -> [H, W] float64
-    """Return the magnitude of the brightness gradient, by the Sobel filter."""
+    """Return the magnitude of the brightness gradient at each pixel, from 3 x 3 Sobel filters."""
     import cv2
 
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)

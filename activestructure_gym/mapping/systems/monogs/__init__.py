@@ -1,1 +1,1 @@
-"""Provide MonoGS with given poses."""
+"""Provide the mapper of MonoGS with given poses."""

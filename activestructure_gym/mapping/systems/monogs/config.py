@@ -1,4 +1,4 @@
-"""Define the constants of MonoGS."""
+"""Define the configuration of MonoGS."""
 
 from __future__ import annotations
 
@@ -30,24 +30,26 @@ class MonoGSConfig(DenseConfig):
     made_by: ClassVar[str] = "activestructure_gym.mapping.systems.monogs.mapper:MonoGSMapper"
 
     name: str = "monogs"
-    iterations: int = 10  # per keyframe, each on the whole window (the value with a separate mapping process)
-    mean_rate: float = 9.6e-4  # metres per step: 1.6e-4 times the scene extent of 6 m
-    mean_rate_end: float = 9.6e-6  # metres per step, after ``mean_rate_steps``
+    # Optimiser steps per keyframe, each on the whole window (the original's value with a separate mapping process).
+    iterations: int = 10
+    mean_rate: float = 9.6e-4  # learning rate of the means, metres per step: 1.6e-4 times the scene extent of 6 m
+    mean_rate_end: float = 9.6e-6  # learning rate of the means after ``mean_rate_steps``, metres per step
     mean_rate_steps: int = 30_000  # steps over which the rate of the means decreases
-    log_scale_rate: float = 6e-3  # per step
-    window: int = 10  # keyframes that every step renders
+    log_scale_rate: float = 6e-3  # learning rate of the log scales, per step
+    window: int = 10  # number of keyframes that every step renders
     prune_opacity: float = 0.7  # tested Gaussians with a lower opacity are removed
     color_share: float = 0.95  # weight of the colour term in the loss; the rest is depth, in metres
-    roundness_weight: float = 10.0  # weight of `roundness`, per metre
-    seed_share: float = 0.125  # share of a keyframe's pixels (1/64 of 1200 x 680 in the original)
-    first_seed_share: float = 0.25  # share of the first keyframe's pixels (1/32 in the original)
+    roundness_weight: float = 10.0  # weight of the shape term `roundness` in the loss, per metre
+    seed_share: float = 0.125  # share of a keyframe's pixels with a seed (1/64 of 1200 x 680 in the original)
+    first_seed_share: float = 0.25  # share of the first keyframe's pixels with a seed (1/32 in the original)
     point_size: float = 0.05  # factor in the size of seeds, see `seed_sigmas`
-    first_rounds: int = 7  # factor on the iterations of the first keyframe (1050 / 150)
-    random_views: int = 2  # additional keyframes outside the window per step
-    least_overlap: float = 0.4  # smallest overlap with the newest keyframe inside the window
+    first_rounds: int = 7  # factor on the steps of the first keyframe (1050 / 150)
+    random_views: int = 2  # number of keyframes outside the window that every step renders too
+    least_overlap: float = 0.4  # the oldest keyframe with at most this overlap with the newest leaves the window
     prune_every: int = 150  # steps between prunings
     prune_after: int = 50  # steps after insertion before a Gaussian is tested, and step of the first pruning
-    prune_size: float = 0.6  # metres, largest sigma: a tenth of the scene extent of 6 m
+    # Metres; tested Gaussians with a larger sigma are removed: a tenth of the scene extent of 6 m.
+    prune_size: float = 0.6
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,13 +1,14 @@
-"""Run MonoGS with depth as a mapper with given poses ([monogs, code]): every step renders a window of keyframes.
+"""Map with MonoGS, depth and given poses ([monogs, code]): every optimiser step renders a window of keyframes.
 
-Every keyframe adds points, even on mapped surfaces. Gaussians that do not become opaque are pruned.
+Every keyframe adds seeds, even on mapped surfaces. Gaussians that do not become opaque are pruned.
 
 Differences from [monogs, code]:
 
 - Poses and exposure are not optimised.
-- Keyframes are those of the agent.
+- The agent chooses the keyframes.
 - Gaussians are not cloned or split, and opacities are not reset (there every 2001 steps).
-- The overlap of two keyframes counts means close to their measured depth, instead of Gaussians blended in their images.
+- The overlap of two keyframes counts Gaussians with their mean close to the measured depth of both. The original counts
+  Gaussians blended in both images.
 - Gaussians are not pruned by their radius in pixels. They are tested after `prune_after` steps, since there are fewer
   steps per keyframe than the original's 150.
 """
@@ -29,23 +30,24 @@ from activestructure_gym.mapping.systems.monogs.config import MonoGSConfig
 from activestructure_gym.splatting.api import Rasterization
 from activestructure_gym.splatting.torch_losses import MappingLoss
 
-_NEWEST = 2  # keyframes that remain in the window, whatever their overlap
-_DARK = 0.01  # a pixel is compared above this sum of the three colours, and above this depth in metres
-_MIN_SPACING_M2 = 1e-7  # m^2
-_SAME_SURFACE = 0.05  # share of the depth; a mean is visible if it is this close to the measured surface
+_NEWEST = 2  # newest keyframes that always remain in the window
+# Pixels with a smaller sum of the three colours have no colour error; also the smallest depth compared, metres.
+_DARK = 0.01
+_MIN_SPACING_M2 = 1e-7  # smallest mean squared distance between seeds, m^2
+_SAME_SURFACE = 0.05  # a Gaussian is visible if its mean is this close to the measured depth, as a share of its depth
 
 
 class MonoGSMapper(DenseMapper):
-    """Map with MonoGS."""
+    """Map with MonoGS; ``bounds`` is not used."""
 
     config: MonoGSConfig
 
     def __init__(self, config: MonoGSConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng)
-        self._window: list[int] = []  # keyframes, newest first
-        self._steps = 0  # number of steps taken
-        self._reset_at = 0  # step at which the moments were set to 0
-        self._ids_of_step: list[int] = []  # `GaussianMap.next_id` at each step
+        self._window: list[int] = []  # indices of the keyframes in the window, newest first
+        self._steps = 0  # number of optimiser steps taken
+        self._reset_at = 0  # value of ``_steps`` when the moments were last set to 0
+        self._ids_of_step: list[int] = []  # per step: `GaussianMap.next_id`, which shows the Gaussians inserted later
 
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
         config = self.config
@@ -85,7 +87,7 @@ class MonoGSMapper(DenseMapper):
         return views, np.array(losses).reshape(-1, 3), pruned
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise the whole map on the colours of all or the given keyframes; then set the moments to 0."""
+        """Optimise all Gaussians on the colours of all or the given keyframes; then set the moments to 0."""
         report = super().refine(iterations, keyframe_indices=keyframe_indices)
         self.map.reset_moments()
         self._reset_at = self._steps
@@ -95,7 +97,7 @@ class MonoGSMapper(DenseMapper):
         return window_loss(shown, rgb, depth, self.config.color_share)
 
     def _renew_window(self, index: int) -> None:
-        """Add the newest keyframe to the window, and remove keyframes by overlap and by number."""
+        """Add keyframe ``index`` to the window, and remove keyframes with little overlap or beyond its size."""
         window = [index, *self._window]
         frames = self.keyframes
         means = self.map.parameters[MEAN, : self.map.count].T.astype(np.float64)
@@ -110,7 +112,7 @@ class MonoGSMapper(DenseMapper):
         self._window = window
 
     def _prune_opaque(self) -> int:
-        """Remove Gaussians that are old enough to be tested and not opaque, or too large."""
+        """Remove Gaussians that are not opaque or too large. New Gaussians are not tested for ``prune_after`` steps."""
         config = self.config
         old = self._ids_of_step[-min(config.prune_after, len(self._ids_of_step))]
         tested = self.map.ids[: self.map.count] < old
@@ -120,18 +122,20 @@ class MonoGSMapper(DenseMapper):
 
 
 def seed_sigmas(points: np.ndarray, median_depth: float, point_size: float) -> np.ndarray:  # [n, 3] -> [n] metres
-    """Return the size of the points of a keyframe, sqrt(d^2 p).
+    """Return the standard deviations of the seeds of a keyframe: sqrt(d^2 p).
 
-    d^2 is the mean squared distance to the three nearest points, and p = min(0.05, point_size * median_depth).
+    d^2 is the mean squared distance of a point to its three nearest points, and p = min(0.05, point_size *
+    median_depth) with the median depth of the image in metres.
     """
     squared = np.maximum(np.nan_to_num(spacing_squared(points, points)), _MIN_SPACING_M2)
     return np.sqrt(squared * min(0.05, point_size * median_depth))
 
 
 def window_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor, color_share: float) -> MappingLoss:
-    """Return color_share * mean |C - I| + (1 - color_share) * mean |D - depth|, with accumulated depth.
+    """Return the loss of one image: color_share mean |C - I| + (1 - color_share) mean |D - depth|.
 
-    Means are over all pixels. Black pixels have no colour error, and pixels without a return no depth error.
+    C and D are the rendered colour and accumulated depth, and I is ``rgb``. Means are over all pixels. Black pixels
+    have no colour error, and pixels without a return no depth error.
     """
     lit, measured = (rgb.sum(dim=-1, keepdim=True) > _DARK), depth > _DARK
     by_color = ((shown.color - rgb) * lit).abs().mean()
@@ -141,7 +145,7 @@ def window_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor, co
 
 
 def mean_rate(config: MonoGSConfig, step: int) -> float:
-    """Return the learning rate of the means, which decreases exponentially to ``mean_rate_end``."""
+    """Return the learning rate of the means at a step. It decreases exponentially to ``config.mean_rate_end``."""
     share = min(1.0, step / config.mean_rate_steps)
     if config.mean_rate <= 0.0:
         return 0.0
@@ -149,7 +153,7 @@ def mean_rate(config: MonoGSConfig, step: int) -> float:
 
 
 def seen_means(means: np.ndarray, frame: Frame) -> np.ndarray:  # [n, 3] -> [n] bool
-    """Return the means in view of a keyframe and close to its measured surface."""
+    """Return the means [n, 3] that are in view of a keyframe and close to its measured depth."""
     camera = frame.camera
     points = transform_points(invert_rigid(frame.world_from_camera), means)
     z = points[:, 2]
@@ -163,14 +167,15 @@ def seen_means(means: np.ndarray, frame: Frame) -> np.ndarray:  # [n, 3] -> [n] 
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:  # [n] bool each
-    """Return the overlap coefficient: size of the intersection divided by that of the smaller set ([monogs, code])."""
+    """Return the overlap coefficient of two sets: size of intersection / size of the smaller set ([monogs, code])."""
     return int(np.count_nonzero(a & b)) / max(1, min(int(np.count_nonzero(a)), int(np.count_nonzero(b))))
 
 
 def crowded(places: Sequence[np.ndarray]) -> int:
-    """Return the index of the keyframe to remove from the window, newest first.
+    """Return the index of the keyframe to remove from the window; ``places`` are its camera positions, newest first.
 
-    It maximises sqrt(distance to the newest) * sum of 1 / distance to the other removable ones ([monogs, code]).
+    The two newest are never removed. Of the others, the result maximises sqrt(distance to the newest) times the sum of
+    1 / distance to the remaining ones ([monogs, code]).
     """
     rest = np.array(places[_NEWEST:])
     apart = np.linalg.norm(rest[:, None] - rest, axis=-1) + 1e-6

@@ -1,4 +1,4 @@
-"""Represent the space of a scene in which an agent fits, from the mesh; for start poses, rewards and tests."""
+"""Represent the space of a scene in which an agent fits, computed from the mesh for start poses, rewards and tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from activestructure_gym.scenes.scene import Scene
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Hold the free region of a scene on a grid.
+    """Hold the free region of a scene that the agent uses, on a voxel grid.
 
     Voxel (i, j, k) has its centre at ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_size``.
     """
@@ -40,7 +40,7 @@ class FreeSpace:
         return self.origin + (np.asarray(voxels) + 0.5) * self.voxel_size
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
-        """Return the clearance, interpolated trilinearly between voxel centres; 0 outside the free space."""
+        """Return the clearance at each point, interpolated trilinearly between voxel centres; 0 outside free space."""
         from scipy.ndimage import map_coordinates
 
         positions = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.origin) / self.voxel_size - 0.5
@@ -54,7 +54,7 @@ class FreeSpace:
         min_clearance: float = 0.3,  # metres
         heights: tuple[float, float] | None = None,  # metres above the surface below
     ) -> np.ndarray:  # [count, 3] metres
-        """Sample positions uniformly over the free space within both limits.
+        """Return random positions, uniform over the free space with enough clearance and a height within ``heights``.
 
         Raises `InputError` if the scene has no such position.
         """
@@ -78,12 +78,15 @@ class FreeSpace:
 
 
 def compute_free_space(scene: Scene, regions: Regions | None = None) -> FreeSpace:
-    """Compute the free space of a scene, without start poses. Raises `InputError` if there is none."""
+    """Compute the free space of a scene, without start poses; ``regions`` are its regions if known already.
+
+    Raises `InputError` if there is none.
+    """
     return free_space_in((regions or Regions(scene)).used)
 
 
 def free_space_in(region: Region) -> FreeSpace:
-    """Convert a region to free space, without start poses."""
+    """Return the free space of a region: clearance and height above the ground of its voxels, without start poses."""
     grid, clearance = region.grid, region.clearance
     height = _heights(grid.scene, clearance, grid.origin, grid.voxel_size)
     return FreeSpace(grid.origin, grid.voxel_size, clearance, height, np.zeros((0, 4, 4)))

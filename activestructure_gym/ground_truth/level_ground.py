@@ -13,24 +13,25 @@ from activestructure_gym.ground_truth.voxelized import VoxelizedScene
 
 CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried by hand or on a mast
 _LEVEL = 0.8  # minimum |z| of a level surface's normal: slopes up to 37 degrees
-_EYES = 200  # voxels of a region from which rays are cast
-_DIRECTIONS = 64
+_EYES = 200  # maximum number of voxels from which `front_share` casts rays
+_DIRECTIONS = 64  # number of rays per voxel
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Hold the surfaces below and above a region, one row for each vertical run of its voxels."""
+    """Hold the surfaces below and above a region, one row for each of R vertical runs of consecutive voxels."""
 
     columns: np.ndarray  # [R, 2] int64, x and y index of the run
     below: np.ndarray  # [R] float64 metres: z of the surface below the run, -inf = none
     above: np.ndarray  # [R] float64 metres: z of the surface above the run, inf = none
-    area: np.ndarray  # [R] float64 m2 of level ground below the run at camera height
-    floor_behind: np.ndarray  # [R] bool: the surface below is level and seen from its back side
-    ceiling_behind: np.ndarray  # [R] bool: the same for the surface above
+    # [R] float64 m^2: area of level ground below the run, times the share of the camera heights that are in the run
+    area: np.ndarray
+    floor_behind: np.ndarray  # [R] bool: the surface below is level, and its back side is towards the run
+    ceiling_behind: np.ndarray  # [R] bool: the surface above is level, and its back side is towards the run
 
     @cached_property
     def level_area(self) -> float:
-        """Return the square metres of level ground within a camera's reach."""
+        """Return the area in m^2 of level ground over which a camera can be carried."""
         return float(self.area.sum())
 
     @cached_property
@@ -39,7 +40,7 @@ class Ground:
         return _median(self.below, self.area)
 
     def standing(self, grid: VoxelizedScene) -> np.ndarray:  # [S, 3] int64
-        """Return the voxels at the camera's height above the level ground."""
+        """Return the indices of the voxels at camera height (1.35 m) above the level ground, one per run."""
         rows = np.flatnonzero(self.area > 0)
         height = self.below[rows] + 0.5 * sum(CAMERA_HEIGHTS)
         k = np.floor((height - grid.origin[2]) / grid.voxel_size).astype(np.int64)
@@ -60,17 +61,17 @@ class Ground:
 
     @cached_property
     def is_bare(self) -> bool:
-        """Return whether the floor is empty: all but 3 % of the runs end on it."""
+        """Return whether the floor is empty: it is the surface below (within 0.15 m) for more than 97 % of the runs."""
         return self.floor is not None and float((np.abs(self.below - self.floor) < 0.15).mean()) > 0.97
 
     @property
     def floor_behind_share(self) -> float:
-        """Return the fraction of level ground seen from its back side, 0..1."""
+        """Return the fraction of level ground with its back side towards the region, 0..1."""
         return float(self.area[self.floor_behind].sum() / max(self.level_area, 1e-9))
 
     @property
     def ceiling_behind_share(self) -> float:
-        """Return the fraction of level ground whose ceiling is seen from its back side, 0..1."""
+        """Return the fraction of level ground whose ceiling has its back side towards the region, 0..1."""
         return float(self.area[self.ceiling_behind].sum() / max(self.level_area, 1e-9))
 
 
@@ -79,7 +80,7 @@ def ground_of(
     voxels: np.ndarray,  # [X, Y, Z] bool, a part of the grid
     corner: Sequence[int] = (0, 0, 0),  # first index of the part
 ) -> Ground:
-    """Find the surfaces below and above the vertical runs of some voxels, by one ray down and one up per run."""
+    """Find the surfaces below and above the vertical runs of ``voxels``, by one ray down and one ray up per run."""
     steps = np.diff(np.pad(voxels, ((0, 0), (0, 0), (1, 1))).astype(np.int8), axis=2)
     # Both have the same order, since runs do not overlap.
     first, last = np.argwhere(steps == 1) + corner, np.argwhere(steps == -1) + corner - [0, 0, 1]
@@ -104,7 +105,7 @@ def ground_of(
 
 
 def front_share(grid: VoxelizedScene, places: np.ndarray) -> float:  # [N, 3] voxels -> 0..1
-    """Return the fraction of rays that hit a surface from its front, among rays that hit any surface.
+    """Return the fraction of rays from the voxels ``places`` that hit a surface from its front, among rays with a hit.
 
     Inside a solid body all surfaces are seen from the back; a mesh without consistent winding has about 0.5.
     """
@@ -135,7 +136,7 @@ def _normals(grid: VoxelizedScene, faces: np.ndarray) -> np.ndarray:  # [N] -> [
 
 
 def _median(values: np.ndarray, weights: np.ndarray) -> float | None:
-    """Return the weighted median of values with positive weights; None if there are none."""
+    """Return the weighted median of ``values``; None if no weight is positive."""
     values, weights = values[weights > 0], weights[weights > 0]
     if not len(values):
         return None

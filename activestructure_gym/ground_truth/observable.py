@@ -16,11 +16,11 @@ from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
-VIEW_CLEARANCE = 0.25  # metres between a viewpoint and the nearest surface
-SURFACE_SAMPLES = 50_000  # points drawn from the whole surface
+VIEW_CLEARANCE = 0.25  # metres, minimum distance between a viewpoint and the nearest surface
+SURFACE_SAMPLES = 50_000  # number of points drawn from the whole surface
 VIEW_RANGE = 10.0  # metres; the sensor's range
-# Metres before a sample that the visibility test ignores; float32 hits are exact to 1e-5 m, panels thicker than a few
-# mm.
+# Metres. The visibility test ignores surfaces this close in front of a sample. Ray hits in float32 are exact to 1e-5 m,
+# and real panels are thicker than this margin.
 SIGHT_MARGIN = 2e-3
 
 
@@ -39,7 +39,8 @@ def observable_surface_of(
 ) -> ObservableSurface:
     """Return the observable surface of a scene, from the disk cache if available.
 
-    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` are returned.
+    A point is observable if one of ``viewpoints`` random positions in the free space sees it. ``samples`` points are
+    drawn from the whole surface, so about ``samples * area_share`` are returned.
     """
     key = f"observable-{scene.content_hash}-{samples}-{viewpoints}"
     layout = {"points": ("f4", 2), "normals": ("f4", 2), "area_share": ("f8", 0), "area": ("f8", 0)}
@@ -75,7 +76,7 @@ def first_viewpoint(
     points: np.ndarray,  # [S, 3] on the surface
     eyes: np.ndarray,  # [E, 3]
 ) -> np.ndarray:  # [S] index of the first viewpoint that sees the point, -1 = none
-    """Return the first viewpoint that sees each point: within range and not occluded, from either side."""
+    """Return the first viewpoint that sees each point: within 10 m and not occluded; both sides of a face count."""
     places = np.asarray(eyes, dtype=np.float32)
 
     def near(index: int, positions: np.ndarray) -> np.ndarray:
@@ -92,7 +93,7 @@ def first_in_sight(
     in_view: Callable[[int, np.ndarray], np.ndarray],  # index of an eye, points [M, 3] float32 -> [M] bool
     margin: float,  # metres before a point that the occlusion test ignores
 ) -> np.ndarray:  # [S] index of the first eye that has the point in view without occlusion, -1 = none
-    """Return the first eye that sees each point; seen points are not tested again."""
+    """Return the first of the positions ``eyes`` that sees each point; a point is not tested again once it is seen."""
     seen_by = np.full(len(points), -1, dtype=np.int64)
     waiting, positions = np.arange(len(points)), np.asarray(points, dtype=np.float32)
     for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):

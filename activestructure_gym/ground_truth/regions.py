@@ -24,17 +24,17 @@ from activestructure_gym.ground_truth.voxelized import VoxelizedScene, voxelized
 from activestructure_gym.scenes.scene import Scene
 
 BODY_CLEARANCE = 0.2  # metres; the smallest clearance a path may have (motion.MotionConfig.min_clearance)
-MIN_VOLUME = 0.5  # cubic metres of free space of the smallest room
+MIN_VOLUME = 0.5  # m^3, minimum free space of a room
 # Fraction of directions that must hit a surface. A room without ceiling has about 0.78 at eye height, a room with a
 # glass front 0.95. Outside, next to a wall, it is at most 0.75 (half of all directions each for ground and wall).
 ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide scans without ceiling in which the first finds no region
-LISTED_GROUND = 1.0  # m2 of level ground; smaller regions (closed furniture) are listed only if used
-ROOM_GROUND = 4.0  # m2 of level ground; smaller regions are ignored if open or inside a body
+LISTED_GROUND = 1.0  # m^2 of level ground; regions with less (closed furniture) are listed only if used
+ROOM_GROUND = 4.0  # m^2 of level ground; regions with less are ignored if open or inside a body
 _FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # front fractions below / above which a region is / is not the inside of a body
 _MORE_GROUND = 1.1  # factor of level ground by which another enclosed region must exceed the largest to be used instead
-_BELOW_GROUND = 0.8  # minimum fraction of back-facing ground in the ceiling of a region below ground
-_OPEN_EDGE = 0.4  # minimum open fraction of the edge of a region that is part of another
-_NEAR = 2  # voxels: a point this close to a region and visible from it belongs to it
+_BELOW_GROUND = 0.8  # minimum fraction of the ceiling that is the back of a ground, for a region below ground
+_OPEN_EDGE = 0.4  # fraction of open ground beyond the edge of a region above which it is part of a larger place
+_NEAR = 2  # voxels; a point this close to a region and visible from it belongs to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,14 @@ class Region:
     """Represent a connected set of free voxels."""
 
     grid: VoxelizedScene
-    box: tuple[slice, ...]  # box within the grid
-    inside: np.ndarray  # bool, within the box: the region's voxels
-    distances: np.ndarray  # [X, Y, Z] float32 metres to the nearest surface; includes other regions
+    box: tuple[slice, ...]  # index ranges of a box around the region in the grid
+    inside: np.ndarray  # bool, of the shape of the box: the region's voxels
+    distances: np.ndarray  # [X, Y, Z] float32 metres to the nearest surface, in this and in other regions
     enclosed: bool  # True: enclosed by surfaces; False: open air
 
     @cached_property
     def voxels(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Return the region's voxels in the whole grid."""
+        """Return which voxels of the whole grid are in the region."""
         whole = np.zeros(self.grid.occupied.shape, dtype=bool)
         whole[self.box] = self.inside
         return whole
@@ -66,7 +66,7 @@ class Region:
 
     @cached_property
     def ground(self) -> Ground:
-        """Return the surfaces below and above."""
+        """Return the surfaces below and above the region, with the area of its level ground."""
         return ground_of(self.grid, self.inside, [side.start for side in self.box])
 
     @cached_property
@@ -75,7 +75,7 @@ class Region:
         return front_share(self.grid, np.argwhere(self.inside) + [side.start for side in self.box])
 
     def holds(self, point: np.ndarray, near: int = 0) -> bool:  # [3] metres
-        """Return whether a point is in the region, or visible from a voxel of it at most ``near`` voxels away."""
+        """Return whether a point is in the region, or visible from one of its voxels at most ``near`` voxels away."""
         low = self.grid.voxel_of(point) - near
         high = np.maximum(low + 2 * near + 1, 0)
         low = np.maximum(low, 0)
@@ -95,7 +95,10 @@ class Regions:
 
     @cached_property
     def used(self) -> Region:
-        """Return the region that contains the scene's ``inside``, else the default. Raises `InputError`."""
+        """Return the region that contains the scene's option ``inside``, or the default region without this option.
+
+        Raises `InputError` if the point is in no region.
+        """
         if self.scene.inside is None:
             return self.default
         point = np.array(self.scene.inside)
@@ -110,7 +113,10 @@ class Regions:
 
     @cached_property
     def default(self) -> Region:
-        """Return the region used without ``inside``. Raises `InputError` if there is none."""
+        """Return the region used for a scene without the option ``inside``, by the rules of the module's docstring.
+
+        Raises `InputError` if there is none.
+        """
         if not self.enclosed:
             if not self.open_air:
                 raise InputError(
@@ -151,7 +157,10 @@ class Regions:
 
     @cached_property
     def places(self) -> list[Region]:
-        """Return the regions that can be chosen: with level ground, and distinct from each other."""
+        """Return the regions that ``inside`` can select, the largest level ground first.
+
+        They have level ground and are distinct: a region that is part of open ground is left out.
+        """
         found = [region for region in self.open_air if not self._is_behind(region)]
         for region in self.enclosed:
             area, around = self.level_area(region), [one for one in self.open_air if _covers(one, region)]
@@ -166,13 +175,14 @@ class Regions:
     def at(self, point: np.ndarray) -> Region | None:  # [3] metres
         """Return the region at a point, or None.
 
-        Preferred is a region that contains it, then one next to it that sees it; enclosed regions come first.
+        A region that contains the point is preferred to a region next to the point that sees it. Of two such regions,
+        an enclosed one is preferred.
         """
         order = sorted(self.places, key=lambda one: not one.enclosed)
         return next((one for near in (0, _NEAR) for one in order if one.holds(point, near)), None)
 
     def number(self, region: Region) -> int:
-        """Return the number of a region in the list, from 1."""
+        """Return the number of a region in the list of `asg list scenes`, counted from 1."""
         return next(number for number, one in enumerate(self.places, 1) if one is region)
 
     def ground(self, region: Region) -> Ground:
@@ -189,7 +199,10 @@ class Regions:
         return self.ground(region).level_area
 
     def name_of(self, region: Region) -> np.ndarray:  # [3] metres
-        """Return a point that identifies the region: above its level ground if it has any, far from all surfaces."""
+        """Return a point that identifies the region: the point at camera height farthest from all surfaces.
+
+        Without level ground, it is the point of the region farthest from all surfaces.
+        """
         clearance = np.where(region.voxels if region.enclosed else self._own(region), region.distances, np.float32(0.0))
         over = np.zeros_like(clearance)
         standing = tuple(self.ground(region).standing(self.grid).T)
@@ -211,7 +224,7 @@ class Regions:
         return own
 
     def _nearest(self, point: np.ndarray) -> np.ndarray | None:
-        """Return the nearest voxel centre of any region in which a body fits."""
+        """Return the centre of the nearest voxel, in any region, where a body fits; None if there is none."""
         best, found = np.inf, None
         for region in self.places:
             centers = self.grid.centers(np.argwhere(region.clearance >= BODY_CLEARANCE))
@@ -231,7 +244,10 @@ class Regions:
         return self._open_edge(region) > _OPEN_EDGE
 
     def _may_be_below(self, region: Region) -> bool:
-        """Return whether the ceiling is the back of a ground, or may be one because the space is empty."""
+        """Return whether a region can be a void below a ground.
+
+        Its ceiling is the back of a ground, or the region is empty and shows many surfaces from the back.
+        """
         ground = region.ground
         return ground.covered_share >= _BELOW_GROUND and (
             ground.ceiling_behind_share >= _BELOW_GROUND or (region.front_share < _FROM_FRONT and ground.is_bare)
@@ -243,7 +259,7 @@ class Regions:
         return self._may_be_below(region) and not two_empty_storeys and self._is_over(other, region)
 
     def _is_over(self, other: Region, region: Region) -> bool:
-        """Return whether at least half of the other region's ground is above a region."""
+        """Return whether at least half of the level ground of ``other`` is above ``region``."""
         ground = self.ground(other)
         lowest = self.grid.origin[2] + region.box[2].start * self.grid.voxel_size
         covered = np.asarray(region.voxels.any(axis=2))
@@ -251,7 +267,10 @@ class Regions:
         return bool(ground.area[above].sum() >= 0.5 * ground.level_area)
 
     def _is_behind(self, other: Region) -> bool:
-        """Return whether an open region is behind the walls of the default: all surfaces show it their back sides."""
+        """Return whether the open region ``other`` is behind the walls of the default region.
+
+        From there, most surfaces are seen from the back.
+        """
         default = self.default
         return (
             default.enclosed
@@ -261,7 +280,7 @@ class Regions:
         )
 
     def _open_edge(self, region: Region) -> float:
-        """Return the fraction of a region's edge at camera height beyond which open ground continues."""
+        """Return the fraction, 0..1, of a region's edge at camera height beyond which open ground continues."""
         grid, voxels, at = self.grid, region.voxels, region.ground.standing(self.grid)
         goes_on = ~grid.occupied & (grid.share < self.threshold) & _within(grid) & _above_ground(grid)
         edge, open_edge = 0, 0
@@ -273,7 +292,10 @@ class Regions:
         return open_edge / max(edge, 1)
 
     def _replaces(self, other: Region, largest: Region) -> bool:
-        """Return whether open ground is preferred to the largest enclosed region, which may not be a room."""
+        """Return whether the open region ``other`` is preferred to the largest enclosed region.
+
+        This depends on the reason why the enclosed region may not be a room, and on the areas of level ground.
+        """
         area, given_up = self.level_area(other), self.level_area(largest)
         if self._is_body(largest) and other.front_share >= _FROM_FRONT:
             return area >= 0.1 * given_up
@@ -285,7 +307,7 @@ class Regions:
 
 
 def _covers(region: Region, part: Region) -> bool:
-    """Return whether at least half of a part is in a region."""
+    """Return whether at least half of the voxels of ``part`` are in ``region``."""
     return bool(np.mean(region.voxels[part.box][part.inside]) >= 0.5)
 
 
@@ -295,7 +317,10 @@ def in_text(point: np.ndarray | tuple[float, ...]) -> str:
 
 
 def _enclosed_regions(grid: VoxelizedScene) -> tuple[float, list[Region]]:
-    """Return the threshold that found enclosed regions, and the regions, the one with the largest core first."""
+    """Return the enclosed regions, the largest first, and the value of `ENCLOSED_SHARES` with which they were found.
+
+    The size of a region is the number of voxels in which a body fits.
+    """
     for threshold in ENCLOSED_SHARES:
         candidates = ~grid.occupied & (grid.share >= threshold)
         found = _connected(grid, candidates, grid.clearance(candidates), enclosed=True)
@@ -305,7 +330,10 @@ def _enclosed_regions(grid: VoxelizedScene) -> tuple[float, list[Region]]:
 
 
 def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarray, *, enclosed: bool) -> list[Region]:
-    """Return the connected candidate regions in which a body can move, the largest first; small ones are dropped."""
+    """Return the connected regions of the voxels ``candidates`` in which a body can move, the largest first.
+
+    ``clearance`` are metres to the nearest surface. Very small regions are left out.
+    """
     from scipy import ndimage
 
     # Voxels on both sides of a wall cannot both be this far from it, however thin it is.
@@ -316,7 +344,7 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
     sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable")
     boxes = ndimage.find_objects(labels)
-    # Extend to the walls: what the body covers when its centre is in the core.
+    # Extend each core to the walls, by the voxels that a body covers while its centre is in the core.
     steps = max(1, round(BODY_CLEARANCE / grid.voxel_size))
     found: list[Region] = []
     for index in order:
@@ -329,12 +357,12 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
 
 
 def _above_ground(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
-    """Return voxels with a surface in them or below them."""
+    """Return which voxels have a surface in them or below them."""
     return np.logical_or.accumulate(grid.occupied, axis=2)
 
 
 def _within(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
-    """Return voxels whose centres lie in the scene's bounds."""
+    """Return which voxels have their centre within the bounds of the scene."""
     low, high = grid.scene.bounds
     x, y, z = (
         (centers >= low[axis]) & (centers <= high[axis])

@@ -9,7 +9,7 @@ from activestructure_gym.ground_truth.regions import in_text
 from activestructure_gym.ground_truth.truth import GroundTruth
 from activestructure_gym.scenes.scene import Scene
 
-POSE_ROUNDING = 1e-3  # largest deviation of a given pose's axes from orthonormal: three decimals
+POSE_ROUNDING = 1e-3  # largest accepted entry of R R^T - I, since poses may be given with three decimals
 _IN_THE_SURFACE = 0.01  # metres; a camera closer to a surface counts as inside it
 
 
@@ -18,7 +18,7 @@ def check_start_pose(
     world_from_camera: np.ndarray,  # [4, 4]
     body_radius: float,  # metres
 ) -> None:
-    """Raise `InputError` unless a body fits at the pose, in the region of free space in use.
+    """Raise `InputError` unless a body of ``body_radius`` fits at the pose, in the region of free space in use.
 
     If the scene's own start poses have less clearance than the body radius, their smallest clearance is required
     instead.
@@ -46,7 +46,10 @@ def check_start_pose(
 
 
 def _reason(truth: GroundTruth, position: np.ndarray, required: float) -> str:
-    """Return where a position outside the used free space is, as the end of a sentence."""
+    """Return why a position [3] (metres) is not in the free space in use, as the end of a sentence.
+
+    ``required`` is the required clearance in metres.
+    """
     low, high = truth.scene.bounds
     if (position < low).any() or (position > high).any():
         return f"outside the scene's bounds, which go from ({in_text(low)}) to ({in_text(high)})"

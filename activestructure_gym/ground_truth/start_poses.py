@@ -1,4 +1,4 @@
-"""Choose start poses for a scene."""
+"""Choose the start poses of a scene: spread over its free space, at camera height, with open views."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from activestructure_gym.ground_truth.free_space import FreeSpace
 from activestructure_gym.ground_truth.level_ground import CAMERA_HEIGHTS
 from activestructure_gym.scenes.scene import Scene
 
-START_POSES = 16  # per scene; episodes draw from them by seed
-MIN_START_POSES = 8  # limits are relaxed until this many are found
-# Metres of clearance; the first value with enough positions is used. From the radius marked as free around the start
-# (MotionConfig.start_free_radius) down to the clearance of paths.
+START_POSES = 16  # maximum number of start poses per scene; the seed of an episode selects one
+MIN_START_POSES = 8  # minimum number of positions to choose from; limits are relaxed until there are as many
+# Metres of clearance; the first value with enough positions is used. The first is the radius that is marked as free
+# around the start (MotionConfig.start_free_radius), the last is the clearance of paths.
 _CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
 _VIEW_RANGE = 6.0  # metres; farther open space does not improve a view
-_HEADINGS = 72
+_HEADINGS = 72  # number of tested headings, 5 degrees apart
 
 
 def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 4] world_from_camera
-    """Choose up to `START_POSES` poses far apart, each looking into the most open direction.
+    """Choose up to 16 level poses far apart, each facing the most open direction.
 
-    Deterministic: the first position is drawn with the scene's content as seed, each next one is the farthest from all
-    chosen ones.
+    The choice is deterministic. The first position is drawn with the hash of the scene's content as seed, and each next
+    one is the farthest from all chosen positions.
     """
     places = _places(space)
     rng = np.random.default_rng(int(scene.content_hash[:16], 16))
@@ -53,7 +53,7 @@ def _places(space: FreeSpace) -> np.ndarray:  # [N, 3] metres
 
 
 def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
-    """Return voxels above a floor, excluding the tops of beds and tables.
+    """Return which free voxels are above a floor, and not above a bed or a table.
 
     A floor is a level below at least a quarter as many columns of free space as the most common level. Every storey of
     a house thus counts, and a bed in a bedroom does not.
@@ -75,7 +75,7 @@ def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
 
 
 def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
-    """Return the level direction with the largest mean distance to surfaces (over 60 degrees)."""
+    """Return the level unit direction with the largest mean distance to surfaces, averaged over 60 degrees."""
     angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
     # A ray without a hit leaves through a window or hole: nothing to map there.

@@ -12,10 +12,11 @@ def lattice_samples(
     faces: np.ndarray,  # [F, 3]
     spacing: float,  # metres
 ) -> np.ndarray:  # [S, 3] float64
-    """Sample so that every surface point is within ``spacing / sqrt(2)`` of a sample; at least one per face.
+    """Return points on the mesh such that every surface point is within ``spacing / sqrt(2)`` of one of them.
 
-    Rows are parallel to each triangle's longest edge, half a spacing apart, starting on that edge. From any point of
-    the triangle, the next row is perpendicularly below, however flat the triangle. A needle thus needs one row only.
+    Each face has at least one point. Points are in rows parallel to the longest edge of the triangle, half a spacing
+    apart, starting on that edge. From any point of the triangle, the next row is perpendicularly below, however flat
+    the triangle. A very thin triangle thus needs one row only.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]  # [F, 3, 3]
     edges = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)  # [F, 3]: from corner k to k + 1
@@ -36,7 +37,7 @@ def lattice_samples(
 
 
 def samples_per_area(spacing: float) -> float:  # metres -> samples per m^2
-    """Return the samples per square metre of `lattice_samples` on triangles much larger than the spacing."""
+    """Return the number of points per m^2 that `lattice_samples` places on triangles much larger than the spacing."""
     return 2.0 / spacing**2
 
 
@@ -60,7 +61,7 @@ def uniform_samples(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Sample random points [count, 3] uniformly by area; return them, their faces' unit normals, and the area in m^2.
+    """Return random points [count, 3] uniform by area, the unit normals of their faces, and the total area in m^2.
 
     Triangles are drawn by stratified sampling over the cumulated area. The points are spread more evenly than
     independent draws, and each one is uniform.
@@ -79,7 +80,7 @@ def samples_by_area(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, float]:  # [count, 3] metres, [count] index of the triangle, m^2 of all triangles
-    """Sample the points of `uniform_samples` on triangles with known areas."""
+    """Return random points uniform by area on triangles with given areas, drawn as in `uniform_samples`."""
     cumulated = np.cumsum(area)
     drawn = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     face = np.minimum(np.searchsorted(cumulated, drawn, side="right"), len(area) - 1)
@@ -91,7 +92,7 @@ def on_triangles(
     u: np.ndarray,  # [N] 0..1, modified
     v: np.ndarray,  # [N] 0..1, modified
 ) -> np.ndarray:  # [N, 3] metres
-    """Return a point of each triangle, uniform by area if ``u`` and ``v`` are uniform."""
+    """Return one point of each triangle from two random numbers; uniform by area if ``u`` and ``v`` are uniform."""
     outside = u + v > 1.0  # fold the other half of the parallelogram back
     u[outside], v[outside] = 1.0 - u[outside], 1.0 - v[outside]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]

@@ -29,8 +29,8 @@ class GroundTruth:
     do; the sensor takes the `Scene` alone. Properties raise `InputError` if the scene has no free space.
     """
 
-    scene: Scene  # the scene described
-    surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, visible or not
+    scene: Scene
+    surface_samples: int = SURFACE_SAMPLES  # number of points drawn from the whole surface, visible or not
 
     @cached_property
     def free_space(self) -> FreeSpace:
@@ -39,12 +39,12 @@ class GroundTruth:
 
     @cached_property
     def regions(self) -> Regions:
-        """Return all regions of free space, one of which is used. Expensive; only listings and messages need it."""
+        """Return all regions of free space, one of which is used; slow, so only listings and messages read it."""
         return Regions(self.scene)
 
     @cached_property
     def observable_surface(self) -> ObservableSurface:
-        """Return the part of the surface visible from some free pose."""
+        """Return samples of the part of the surface that is visible from the free space."""
         return observable_surface_of(self.scene, self.free_space, self.surface_samples)
 
 
@@ -68,7 +68,7 @@ def hardly_seen(truth: GroundTruth) -> str:
 def free_space_of(scene: Scene, regions: Regions | None = None) -> FreeSpace:
     """Return the free space of a scene with its start poses, from the disk cache if available.
 
-    ``regions`` are the scene's, if known already. Raises `InputError` if there is no free space.
+    ``regions`` are the scene's regions, if computed already. Raises `InputError` if there is no free space.
     """
 
     def compute() -> dict[str, np.ndarray]:

@@ -99,7 +99,7 @@ class _Renderer(pyrender.Renderer):
 
 
 class _LinearColorPrograms(ShaderProgramCache):
-    """Provide pyrender's shaders with vertex colours converted to display-referred after interpolation."""
+    """Provide pyrender's shaders, changed to convert vertex colours from linear light to sRGB after interpolation."""
 
     def get_program(
         self, vertex_shader: str, fragment_shader: str, geometry_shader: str | None = None, defines: Any = None
@@ -116,7 +116,7 @@ _DISPLAYED = (
 
 
 def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
-    """Return one primitive per texture (and one for untextured faces), with the vertices it uses."""
+    """Return one primitive of pyrender per texture, and one for untextured faces, with the vertices that it uses."""
     primitives = []
     for texture in np.unique(mesh.face_texture):
         used, faces = np.unique(mesh.faces[mesh.face_texture == texture], return_inverse=True)
@@ -146,7 +146,7 @@ def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
 
 
 def _release(platform: _Platform, renderer: _Renderer, process: int) -> None:
-    """Free a context, unless this is a forked copy of the process that created it."""
+    """Free an OpenGL context, unless this is a fork of the process with the id ``process`` that created it."""
     if process != os.getpid():
         return
     platform.make_current()

@@ -17,22 +17,25 @@ DepthNoise = Literal["none", "kinect", "redwood"]
 DEPTH_NOISE: tuple[DepthNoise, ...] = get_args(DepthNoise)
 
 _SOURCE_FOCAL = 525.0  # px; both models were measured with this 640-wide camera
-_DISPARITY_METRES = 35.130  # focal length times baseline, px m (Redwood); a disparity step is 1/8 px
-_DISPARITY_STEP = 1.0 / 8.0
-_DISPARITY_SIGMA = 0.027778  # px (Redwood)
+_DISPARITY_METRES = 35.130  # px m, focal length times baseline: the disparity is this number over the depth (Redwood)
+_DISPARITY_STEP = 1.0 / 8.0  # px, step to which disparities are rounded
+_DISPARITY_SIGMA = 0.027778  # px, standard deviation of the disparity (Redwood)
 _REDWOOD_RANGE = 10.0  # m; the Redwood model returns nothing beyond
 # Nguyen's terms diverge towards grazing incidence and were fitted up to 60 deg; they are clamped at this angle.
 _MAX_INCIDENCE = np.radians(80.0)
-_DROPOUT_JUMP = 0.05  # neighbouring pixels whose depths differ by more than this fraction lie on two surfaces
-_DROPOUT_RADIUS = 2.0  # px of the source camera
-_DROPOUT_INCIDENCE = np.radians(75.0)
+_DROPOUT_JUMP = 0.05  # relative depth difference above which neighbouring pixels show two surfaces
+_DROPOUT_RADIUS = 2.0  # px of the source camera; pixels this near to a depth jump are at risk
+_DROPOUT_INCIDENCE = np.radians(75.0)  # incidence above which pixels are at risk
 # Fraction of the pixels at risk that is lost: 1 to 9 % of an image in the four test scenes. Real frames lose 7 to 12 %,
 # including dark and shiny surfaces, which are not modelled.
 _DROPOUT_SHARE = 0.5
 
 
 def _slope(values: np.ndarray, valid: np.ndarray, axis: int) -> np.ndarray:
-    """Return the difference to the neighbour along ``axis`` on the side where it is smaller (same surface at edges)."""
+    """Return the difference of each pixel of ``values`` [H, W] to its neighbour along ``axis``.
+
+    Of the two neighbours, the valid one with the smaller difference counts, since it is on the same surface at edges.
+    """
     values, valid = np.moveaxis(values, axis, 0), np.moveaxis(valid, axis, 0)
     step = np.full((len(values) + 1, *values.shape[1:]), np.inf)
     step[1:-1] = np.where(valid[1:] & valid[:-1], values[1:] - values[:-1], np.inf)
@@ -59,6 +62,7 @@ def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  #
 def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
     """Return the standard deviation in metres of the axial error of a Kinect v1 ([nguyen2012]).
 
+    z is the depth in metres and theta the incidence in radians, at most 80 degrees:
     0.0012 + 0.0019 (z - 0.4)^2 + 0.0001 / sqrt(z) * theta^2 / (pi / 2 - theta)^2
     """
     theta = np.minimum(incidence, _MAX_INCIDENCE)
@@ -67,7 +71,7 @@ def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
 
 
 def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
-    """Return the depth in metres of disparities rounded to ``step`` px; 0 where the disparity rounds to 0."""
+    """Return the depth in metres of ``disparity`` px, rounded to multiples of ``step`` px; 0 where it rounds to 0."""
     disparity = np.round(disparity / step) * step
     return np.where(disparity > 1e-5, _DISPARITY_METRES / np.maximum(disparity, 1e-5), 0.0)
 
@@ -75,7 +79,7 @@ def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
 def _jittered(
     shape: tuple[int, ...], sigma: np.ndarray | float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:  # [H, W] rows, [H, W] columns
-    """Return for each pixel a Gaussian-displaced position (``sigma`` px), rounded and clamped to the image."""
+    """Return for each pixel its position displaced by Gaussian noise of ``sigma`` px, rounded, within the image."""
     height, width = shape
     off = np.rint(rng.standard_normal((2, height, width)) * sigma).astype(int)
     rows = np.clip(np.arange(height)[:, None] + off[0], 0, height - 1)
@@ -113,7 +117,7 @@ def noisy_depth(
     model: DepthNoise,
     multiplier: float = 1.0,
 ) -> np.ndarray:  # [H, W] float32
-    """Return depth as a camera of the given model reports it. ``multiplier`` scales every error; 0 changes nothing.
+    """Return the depth image with the noise of a camera model; ``multiplier`` scales every error, 0 changes nothing.
 
     ``kinect``: axial noise of `kinect_sigma`, lateral noise of at least 0.8 px, disparity in steps of 1/8 px.
     ``redwood``: the simulation of [choi2015] without its lens distortion table. Its disparity is 35.13 / z + N(0,
@@ -167,7 +171,10 @@ def noisy_pose(
     sigma_m: float,  # standard deviation of the translation, metres per axis
     sigma_deg: float,  # standard deviation of the rotation vector, degrees per axis
 ) -> np.ndarray:  # [4, 4]
-    """Return the pose times exp of a Gaussian twist in the camera frame: independent errors, no drift."""
+    """Return the pose with a random error: world_from_camera exp(twist), with a Gaussian twist in the camera frame.
+
+    Errors of successive poses are independent; there is no drift.
+    """
     if sigma_m == 0 and sigma_deg == 0:
         return world_from_camera
     tangent = rng.standard_normal(6) * np.repeat([sigma_m, np.radians(sigma_deg)], 3)

@@ -32,7 +32,7 @@ _gl_process: int | None = None
 
 
 def _import_gl_scene() -> Any:
-    """Import `gl_scene`; raise `InputError` naming what is missing."""
+    """Import and return the module `gl_scene`; raise `InputError` that names a missing package or library."""
     platform = os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if platform != "egl":
         raise InputError(

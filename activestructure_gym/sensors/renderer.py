@@ -18,7 +18,7 @@ from activestructure_gym.scenes.scene import Scene
 
 
 class Renderer(Protocol):
-    """Draw one scene without noise and range limit.
+    """Draw colour and depth images of one scene, without noise and without a range limit.
 
     Implementations can be pickled; heavy parts are rebuilt in the receiving process.
     """

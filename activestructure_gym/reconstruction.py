@@ -1,8 +1,11 @@
 """Run one episode of active reconstruction, from the first frame to the last, without Gymnasium.
 
-Each decision runs: scene -> sensor -> map, volume, planes -> candidate views -> features. The caller then chooses a
+Each decision runs: world -> frame -> map, volume, planes -> candidate views -> features. The caller then chooses a
 view, and the agent moves there (`Reconstruction.move_to`). Every frame costs 1 of the budget. Every
-``keyframe_every``-th frame and the last frame of a path are keyframes: rendered, integrated and mapped.
+``keyframe_every``-th frame and the last frame of a path are keyframes: captured, integrated and mapped.
+
+`Reconstruction.start`, `move_to` and `follow` capture the keyframes in a `World`. `starting`, `moving` and `following`
+are generators that ask their caller for each keyframe instead.
 """
 
 from __future__ import annotations
@@ -10,10 +13,11 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,7 +25,7 @@ from activestructure_gym.compiling.thread_team import default_threads
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.ground_truth import GroundTruth, check_start_pose
+from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.mapping import KeyframeMapper, track_pose
 from activestructure_gym.mapping.adapted import keyframe_mapper
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
@@ -30,10 +34,11 @@ from activestructure_gym.motion import (
     DistanceMap,
     PathSegment,
     first_blocked,
+    arrived_at,
     interpolate,
+    levelled,
     path_lengths,
     plan_path,
-    unrounded_start,
 )
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
@@ -42,6 +47,30 @@ from activestructure_gym.sources import SourceContext, make_stages, offer, rando
 from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.worlds import SceneWorld, World, checked_bounds, checked_start, frame_from
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class CaptureRequest:
+    """Ask for the next keyframe: the poses to pass, one per frame, and the pose to take it at.
+
+    Attributes
+    ----------
+    path
+        ``world_from_camera`` [P, 4, 4], P >= 1, without the agent's current pose; the keyframe is taken at the last.
+    """
+
+    path: np.ndarray
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Return the pose [4, 4] of the keyframe."""
+        return np.asarray(self.path[-1])
+
+
+Capturing = Generator[CaptureRequest, Frame, T]  # asks for keyframes, receives them, and returns a T
 
 
 @dataclass(frozen=True)
@@ -72,8 +101,10 @@ class Reconstruction:
     (True, True)
     """
 
-    scene: Scene
-    sensor: RGBDSensor
+    world: World
+    scene: Scene  # in a `SceneWorld` only
+    sensor: RGBDSensor  # in a `SceneWorld` only
+    bounds: np.ndarray  # [2, 3] metres, world: lowest and highest corner of the space to explore
     mapper: KeyframeMapper
     volume: VoxelVolume
     planes: PlaneSceneGraph
@@ -91,34 +122,61 @@ class Reconstruction:
         )
         self._sources = make_stages(config.views.stages, config.views.max_candidates)
 
-    def start(self, truth: GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
-        """Begin an episode in ``truth.scene`` and return its first keyframe.
+    def start(self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
+        """Begin an episode and return its first keyframe.
 
-        The ground truth gives the start pose and the free radius around it; it is not stored. ``start_pose`` is
-        ``world_from_camera`` [4, 4]; by default one of the scene's start poses is drawn from the seed. Raises
-        `InputError` if the pose is outside the scene or in collision.
+        Parameters
+        ----------
+        world
+            What to explore. A `GroundTruth` stands for its scene with the configured sensor.
+        seed
+            Determines every random choice.
+        start_pose
+            ``world_from_camera`` [4, 4], only with a ground truth. Default: one of the scene's start poses, drawn from
+            the seed. A `World` states its start itself.
+
+        Raises
+        ------
+        InputError
+            If the pose is outside the scene or in collision, or the world's camera is not the configured one.
         """
-        config, scene = self.config, truth.scene
+        return self._captured(self.starting(world, seed, start_pose))
+
+    def starting(
+        self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None
+    ) -> Capturing[Frame]:
+        """Do the same as `start`, but ask for the keyframe."""
+        config = self.config
         # One random stream per consumer: a policy's choices cannot change the noise, nor the noise the planned paths.
         choice, noise, mapping, planning, pool, sources = np.random.SeedSequence(seed).spawn(6)
-        if start_pose is None:
-            poses = truth.free_space.start_poses
-            start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
-        start_pose = np.array(start_pose, dtype=np.float64)
-        if start_pose.shape != (4, 4):
-            raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
-        check_start_pose(truth, start_pose, config.motion.body_radius)
-        start_pose = unrounded_start(start_pose)
+        if isinstance(world, GroundTruth):
+            if start_pose is None:
+                poses = world.free_space.start_poses
+                start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
+            self._set_scene(SceneWorld(
+                world, config.sensor, np.random.default_rng(noise),
+                start_pose=start_pose, body_radius=config.motion.body_radius,
+            ))  # fmt: skip
+        else:
+            if start_pose is not None:
+                raise InputError("a world states where its camera is: leave start_pose out")
+            if world.camera != config.sensor.camera:
+                raise InputError(
+                    f"the configured sensor is {config.sensor.camera}, and the world's camera is {world.camera}; set "
+                    "it with activestructure_gym.worlds.with_camera(config, camera)"
+                )
+            self.world, self._exact = world, bool(getattr(world, "exact_motion", False))
+        bounds = self.bounds = checked_bounds(self.world.bounds)
+        start = checked_start(self.world.start, bounds)
+        start_pose = start.pose if self._exact else levelled(start.pose)
 
-        self.scene = scene
-        self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
         # The mapper assumes at least the sensor's own noise scale, 0 for a sensor without noise.
         multiplier = config.sensor.noise_multiplier if config.sensor.depth_noise != "none" else 0.0
-        made = config.mapper.make(np.random.default_rng(mapping), scene.bounds, depth_noise_scale=multiplier)
+        made = config.mapper.make(np.random.default_rng(mapping), bounds, depth_noise_scale=multiplier)
         self.mapper = keyframe_mapper(made, config.mapper)
         # The volume's margins are tuned for Kinect noise; a noisier sensor widens them.
         widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * max(1.0, multiplier)})
-        self.volume = VoxelVolume(scene.bounds, widened)
+        self.volume = VoxelVolume(bounds, widened)
         # The plane detector assumes at least the sensor's own noise scale.
         noise_scale = max(
             config.planes.detection.depth_noise_scale,
@@ -127,7 +185,7 @@ class Reconstruction:
         self.planes = PlaneSceneGraph(replaced(config.planes, {"detection": {"depth_noise_scale": noise_scale}}))
         self.pool = CandidatePool(
             start_pose[:3, 3],
-            scene.bounds,
+            bounds,
             config.views,
             int(pool.generate_state(1)[0]),
             clearance_m=config.motion.candidate_clearance,
@@ -139,7 +197,7 @@ class Reconstruction:
         self._offered = {0}  # stages offered since the last frame was used
         self._empty = set[int]()  # offered stages that had no candidates
         self.pose = start_pose
-        self.trajectory = [start_pose]  # every executed pose
+        self.trajectory = [start.pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
         self.refine_factors: list[int] = []  # iteration factor of each keyframe
         # At the end of each decision: number of poses executed, frames used, 1 if they were spent optimising in place.
@@ -152,12 +210,28 @@ class Reconstruction:
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
         # The start pose is collision-free, so a sphere within the start's clearance is marked as free.
-        clearance = float(truth.free_space.clearance_at(start_pose[:3, 3])[0])
-        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, clearance))
-        frame = self._keyframe()
+        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, start.free_radius))
+        frame = yield from self._keyframe(start.pose[None])
         self.frames = 1
         self._refresh()
         return frame
+
+    def _set_scene(self, world: SceneWorld) -> None:
+        self.world, self._exact, self.scene, self.sensor = world, True, world.scene, world.sensor
+
+    def _captured(self, asking: Capturing[T]) -> T:
+        """Run a generator that asks for keyframes, capture them in the world, and return its result."""
+        try:
+            request = next(asking)
+            while True:
+                with self._timed("sensor"):
+                    if (travel := getattr(self.world, "travel", None)) is not None:
+                        travel(request.path.copy())
+                    frame = self.world.capture(request.pose)
+                request = asking.send(frame)
+        except StopIteration as done:
+            result: T = done.value
+            return result
 
     @property
     def agent(self) -> Agent:
@@ -184,12 +258,17 @@ class Reconstruction:
         return self.frames >= self.config.frame_budget
 
     def move_to(self, index: int) -> StepResult:
-        """Execute candidate ``index`` of the current table and map on the path to it.
+        """Execute candidate ``index`` of the current table and capture the keyframes on the path; see `moving`."""
+        return self._captured(self.moving(index))
+
+    def moving(self, index: int) -> Capturing[StepResult]:
+        """Execute candidate ``index`` of the current table and ask for the keyframes on the path to it.
 
         Most rows are views to move to. Others optimise in place, look at a point on the path, end the episode, or
         switch to another candidate stage, which costs no frame. An index beyond the table, and a view without a path,
         cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
-        observed obstacles block ends before the obstacle.
+        observed obstacles block ends before the obstacle. A path ends too if a keyframe was taken elsewhere than asked
+        for, by more than one frame's step or turn; planning continues from there.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
@@ -216,7 +295,7 @@ class Reconstruction:
                 self.pool.drop(int(self.candidates.ids[index]))
                 self._let_pass()
             else:
-                reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
+                reached, keyframes = yield from self._walk(poses, revisits=bool(self.candidates.revisit[index]))
                 if not reached and not self.exhausted:
                     # Blocked by an obstacle that is now in the volume: the same view is not tried again.
                     self.pool.drop(int(self.candidates.ids[index]))
@@ -233,6 +312,10 @@ class Reconstruction:
         self.frames = min(self.frames + 1, self.config.frame_budget)
 
     def follow(self, segment: PathSegment) -> StepResult:
+        """Execute given poses and capture the keyframes; see `following`."""
+        return self._captured(self.following(segment))
+
+    def following(self, segment: PathSegment) -> Capturing[StepResult]:
         """Execute given poses in place of a decision, within the budget, and map at the segment's keyframes.
 
         Neither collisions nor the distance between poses are checked. The last frame of the budget is a keyframe.
@@ -241,12 +324,14 @@ class Reconstruction:
         frames_before, metres_before, keyframes = self.frames, self.metres, list[Frame]()
         if segment.stays:
             self._stay(segment.stays)
-        for pose, refine_factor in zip(segment.poses, segment.refine_factors):
+        since = 0  # first pose after the last keyframe
+        for number, (pose, refine_factor) in enumerate(zip(segment.poses, segment.refine_factors), start=1):
             if self.exhausted:
                 break
             self._step_to(pose)
             if refine_factor or self.exhausted:
-                keyframes.append(self._keyframe(refine_factor or 1))
+                keyframes.append((yield from self._keyframe(segment.poses[since:number], refine_factor or 1)))
+                since = number
         self.frames = min(self.frames + segment.lost, self.frame_budget)
         self.stops.append(self.pose)
         self._note_segment(stays=bool(segment.stays))
@@ -291,19 +376,25 @@ class Reconstruction:
         self.trajectory.append(pose)
         self.frames += 1
 
-    def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
-        """Execute frames until the goal, the end of the budget or an obstacle; return whether the goal was reached.
+    def _walk(self, poses: np.ndarray, *, revisits: bool) -> Capturing[tuple[bool, list[Frame]]]:
+        """Execute frames until the goal, the end of the budget, an obstacle, or a keyframe taken elsewhere.
+
+        Return whether the goal was reached, and the keyframes.
 
         If ``revisits``, the frame at the goal is mapped with ``revisit_rounds`` times the iterations.
         """
         keyframes: list[Frame] = []
         index, end = 0, len(poses)  # poses[:end] is free in the current volume
+        since = 0  # first pose after the last keyframe
         while index < end and not self.exhausted:
             self._step_to(poses[index])
             index += 1
             if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
                 refine_factor = self.config.revisit_rounds if revisits and index == len(poses) else 1
-                keyframes.append(self._keyframe(refine_factor))
+                keyframes.append((yield from self._keyframe(poses[since:index], refine_factor)))
+                since = index
+                if not self._exact and not arrived_at(self.pose, poses[index - 1], self.config.motion):
+                    return False, keyframes
                 with self._timed("planning"):
                     blocked = first_blocked(
                         self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
@@ -311,13 +402,17 @@ class Reconstruction:
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
 
-    def _keyframe(self, refine_factor: int = 1) -> Frame:
-        with self._timed("sensor"):
-            frame = self.sensor.capture(self.pose)
+    def _keyframe(self, path: np.ndarray, refine_factor: int = 1) -> Capturing[Frame]:
+        """Ask for a keyframe at the last pose of ``path`` [P, 4, 4], integrate it and return it as integrated."""
+        frame = yield CaptureRequest(path)
         sensor = self.config.sensor
+        if not self._exact:
+            frame = frame_from(frame.rgb, frame.depth, frame.world_from_camera, sensor.camera, sensor.max_range)
         if self._tracking:
             with self._timed("tracking"):
                 frame = replace(frame, world_from_camera=self._tracked(frame))
+        if not self._exact:
+            self._correct_pose(frame.world_from_camera)
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with ThreadPoolExecutor(1) as beside:
@@ -334,6 +429,15 @@ class Reconstruction:
         self.refine_factors.append(refine_factor)
         return frame
 
+    def _correct_pose(self, taken: np.ndarray) -> None:
+        """Replace the last pose of the trajectory by the pose [4, 4] where the keyframe was really taken."""
+        if len(self.trajectory) > 1:
+            before, wanted = self.trajectory[-2][:3, 3], self.trajectory[-1][:3, 3]
+            walked = np.linalg.norm(taken[:3, 3] - before) - np.linalg.norm(wanted - before)
+            self.metres = max(0.0, self.metres + float(walked))
+        self.trajectory[-1] = taken
+        self.pose = levelled(taken)  # paths turn by yaw and pitch only
+
     @property
     def _tracking(self) -> bool:
         sensor = self.config.sensor
@@ -346,7 +450,7 @@ class Reconstruction:
         tilt that frame.
         """
         if not self.mapper.keyframes:
-            return self.pose.copy()
+            return self.trajectory[0].copy()
         sensor = self.config.sensor
         return track_pose(
             frame,
@@ -381,7 +485,7 @@ class Reconstruction:
                     volume=self.volume,
                     planes=self.planes,
                     camera=self.scoring_camera,
-                    bounds=self.scene.bounds.copy(),
+                    bounds=self.bounds.copy(),
                     max_range=config.sensor.max_range,
                     agent=agent,
                     start=self.trajectory[0][:3, 3].copy(),
@@ -422,7 +526,7 @@ class Reconstruction:
             volume=self.volume,
             planes=self.planes,
             camera=self.scoring_camera,
-            bounds=self.scene.bounds.copy(),
+            bounds=self.bounds.copy(),
             coverage_alpha=self.config.views.coverage_alpha,
             max_range=self.config.sensor.max_range,
             world_from_camera=world_from_camera.copy(),

@@ -5,10 +5,19 @@ from activestructure_gym.motion.planned_paths import Agent, PlannedPath, least_f
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
 from activestructure_gym.motion.segments import PathSegment, recorded_segments, regular_segments
-from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level, unrounded_start
+from activestructure_gym.motion.trajectory import (
+    MotionConfig,
+    arrived_at,
+    first_blocked,
+    interpolate,
+    is_level,
+    levelled,
+    unrounded_start,
+)
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
 
 __all__ = [
+    "arrived_at",
     "SAMPLING_DIP",
     "Agent",
     "DistanceMap",
@@ -21,6 +30,7 @@ __all__ = [
     "free_plan",
     "interpolate",
     "is_level",
+    "levelled",
     "least_frames",
     "path_lengths",
     "plan_path",

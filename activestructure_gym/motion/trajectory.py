@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import unrounded
+from activestructure_gym.geometry import look_along, rotation_angle, unrounded
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
@@ -147,6 +147,24 @@ def unrounded_start(
         return nearest
     yaw, pitch = yaw_pitch(pose)
     return poses_at(pose[None, :3, 3], np.array([yaw]), np.array([pitch]))[0]
+
+
+def levelled(
+    pose: np.ndarray,  # [4, 4] world_from_camera
+) -> np.ndarray:  # [4, 4]
+    """Return the pose without roll: the same position and optical axis, the image's right axis horizontal."""
+    return pose if is_level(pose) else look_along(pose[:3, 3], pose[:3, 2])
+
+
+def arrived_at(
+    pose: np.ndarray,  # [4, 4] world_from_camera, the agent's
+    goal: np.ndarray,  # [4, 4] world_from_camera
+    config: MotionConfig,
+) -> bool:
+    """Return whether the agent is within one frame's step and turn of a goal."""
+    metres = float(np.linalg.norm(pose[:3, 3] - goal[:3, 3]))
+    degrees = float(np.degrees(rotation_angle(pose, goal)))
+    return metres <= config.max_step_m and degrees <= config.max_turn_deg
 
 
 def yaw_pitch(

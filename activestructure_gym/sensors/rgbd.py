@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +37,7 @@ class SensorConfig:
     width: int = 160  # pixels
     height: int = 90  # pixels
     horizontal_fov_deg: float = 90.0  # degrees; the paper's 60 x 90 deg
+    intrinsics: tuple[float, float, float, float] | None = None  # fx, fy, cx, cy in pixels; overrides the field of view
     max_range: float = 10.0  # metres along the optical axis; farther returns become 0
     supersample: int = 2  # colour samples per pixel and axis; with 1, aliasing alone limits PSNR to about 30 dB
     backend: str = "auto"  # renderer: auto, raycast, pyrender, or package.module:Name
@@ -51,6 +54,8 @@ class SensorConfig:
                 f"the longer side of the sensor's image must be at most {MAX_ASPECT_RATIO} times the shorter one, got "
                 f"{self.width} x {self.height} pixels"
             )
+        if self.intrinsics is not None:
+            object.__setattr__(self, "intrinsics", _checked_intrinsics(self.intrinsics))
         rays = int(self.width) * int(self.height) * int(self.supersample) ** 2
         if rays > _MAX_RAYS:
             raise InputError(
@@ -65,8 +70,23 @@ class SensorConfig:
 
     @property
     def camera(self) -> PinholeCamera:
-        """Return the pinhole camera: square pixels, central principal point."""
+        """Return the pinhole camera; without ``intrinsics`` it has square pixels and a central principal point."""
+        if self.intrinsics is not None:
+            return PinholeCamera(self.width, self.height, *self.intrinsics)
         return PinholeCamera.from_size(self.width, self.height, self.horizontal_fov_deg)
+
+
+def _checked_intrinsics(value: Any) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy as floats; raise `InputError` for other values."""
+    numbers = tuple(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else ()
+    kinds = (int, float, np.integer, np.floating)
+    valid = len(numbers) == 4 and all(isinstance(one, kinds) and abs(one) < 1e6 for one in numbers)
+    if not valid or min(numbers[:2]) <= 1e-3:
+        raise InputError(
+            f"sensor intrinsics are fx, fy, cx, cy in pixels, focal lengths above 0, got {short_repr(value)}"
+        )
+    fx, fy, cx, cy = map(float, numbers)
+    return fx, fy, cx, cy
 
 
 # Tolerances of `numpy.allclose`, which takes ten times as long.

@@ -1,0 +1,30 @@
+"""Provide worlds: what an episode explores, behind one interface. A scene with the simulated sensor is one of them."""
+
+from activestructure_gym.worlds.base import (
+    CaptureFailed,
+    Start,
+    World,
+    checked_bounds,
+    checked_pose,
+    checked_start,
+    is_world,
+)
+from activestructure_gym.worlds.frames import frame_from
+from activestructure_gym.worlds.registry import WORLDS, load_world, names_world, with_camera
+from activestructure_gym.worlds.scene_world import SceneWorld
+
+__all__ = [
+    "WORLDS",
+    "CaptureFailed",
+    "SceneWorld",
+    "Start",
+    "World",
+    "checked_bounds",
+    "checked_pose",
+    "checked_start",
+    "frame_from",
+    "is_world",
+    "load_world",
+    "names_world",
+    "with_camera",
+]

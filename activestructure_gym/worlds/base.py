@@ -1,0 +1,126 @@
+"""Define the interface of a world: what the planner needs of a simulator, a recording or a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeGuard
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ranges import MAX_COORDINATE_M
+
+_RIGID = 1e-3  # largest deviation of an entry of R R^T from the identity: poses rounded to three decimals
+
+
+@dataclass(frozen=True)
+class Start:
+    """Hold where an episode begins.
+
+    Parameters
+    ----------
+    pose
+        ``world_from_camera`` [4, 4] of the camera now. Camera axes: x right, y down, z forward.
+    free_radius
+        Radius in metres of a sphere around the camera that is known to be free. It contains the agent's body.
+    """
+
+    pose: np.ndarray
+    free_radius: float = 0.6
+
+
+class World(Protocol):
+    """Define what an episode explores: a simulator, a recording, a robot. Positions are in metres, z is up.
+
+    Two further attributes are optional:
+
+    - ``truth``, a `GroundTruth`: rewards and metrics use it, planners never do.
+    - ``travel(path)``, called before each capture with the poses [P, 4, 4] that lead to it, one per frame. The first
+      one follows the current pose, the last one is the pose of the capture. A robot drives along them; `capture` is
+      then called for the last one.
+
+    Examples
+    --------
+    >>> from activestructure_gym.worlds import SceneWorld, World
+    >>> isinstance(SceneWorld, type)
+    True
+    """
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Return the lowest and the highest corner [2, 3] of the space to explore."""
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Return the intrinsics of the images that `capture` returns; any pinhole camera without distortion."""
+
+    @property
+    def start(self) -> Start:
+        """Return the camera's current pose, and the radius known to be free around it."""
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        """Go to a pose [4, 4], or render there, and return the frame taken.
+
+        ``Frame.world_from_camera`` is the pose where the frame was really taken, as well as the world knows it. Depth
+        is in metres along the optical axis; 0 means no return. Raise `CaptureFailed` if no frame can be taken.
+        """
+
+    def close(self) -> None:
+        """Release what the world holds; may be called twice."""
+
+
+class CaptureFailed(RuntimeError):
+    """Report that a world could not take a frame."""
+
+
+def is_world(value: Any) -> TypeGuard[World]:
+    """Return whether ``value`` has the five members of `World`."""
+    return not isinstance(value, type) and all(
+        hasattr(type(value), name) or name in getattr(value, "__dict__", ())
+        for name in ("bounds", "camera", "start", "capture", "close")
+    )
+
+
+def checked_bounds(bounds: Any) -> np.ndarray:  # [2, 3] float64
+    """Return bounds as an array; raise `InputError` unless they are two corners with a volume between them."""
+    try:
+        array = np.array(bounds, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"bounds are the lowest and the highest corner in metres, got {short_repr(bounds)}") from error
+    if array.shape != (2, 3) or not np.isfinite(array).all() or not (array[0] < array[1]).all():
+        raise InputError(f"bounds are the lowest and the highest corner [2, 3] in metres, got {short_repr(bounds)}")
+    if np.abs(array).max() > MAX_COORDINATE_M:
+        raise InputError(f"bounds must be within {MAX_COORDINATE_M:g} m of the origin, got {array.tolist()}")
+    return array
+
+
+def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
+    """Return a pose as an array; raise `InputError` unless it is a rigid motion. ``what`` begins the message."""
+    try:
+        array = np.array(pose, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} is a 4x4 world_from_camera matrix, got {short_repr(pose)}") from error
+    if array.shape != (4, 4) or not np.isfinite(array).all():
+        raise InputError(f"{what} is a finite 4x4 world_from_camera matrix, got {short_repr(pose)}")
+    rotation = array[:3, :3]
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if off > _RIGID or np.linalg.det(rotation) < 0 or np.abs(array[3] - (0, 0, 0, 1)).max() > _RIGID:
+        raise InputError(f"{what} must be a rigid motion (rotation and translation), got {array.round(3).tolist()}")
+    return array
+
+
+def checked_start(start: Start, bounds: np.ndarray) -> Start:
+    """Return a start with a checked pose; raise `InputError` if it is outside the bounds or its radius is not above 0."""
+    pose = checked_pose("a world's start pose", start.pose)
+    position = pose[:3, 3]
+    if (position < bounds[0]).any() or (position > bounds[1]).any():
+        raise InputError(
+            f"the start at {position.round(3).tolist()} is outside the world's bounds, which go from "
+            f"{bounds[0].round(3).tolist()} to {bounds[1].round(3).tolist()}"
+        )
+    radius = start.free_radius
+    if isinstance(radius, bool) or not isinstance(radius, int | float | np.number) or not 0 < radius < 1000:
+        raise InputError(f"a start's free_radius is a number of metres above 0, got {short_repr(radius)}")
+    return Start(pose, float(radius))

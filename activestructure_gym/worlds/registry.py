@@ -1,0 +1,67 @@
+"""Register worlds by name: ``world:recorded?path=FOLDER``, ``world:package.module:factory?option=value``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.registry import Registry
+from activestructure_gym.specs import Spec, typed_options
+from activestructure_gym.worlds.base import World, is_world
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import ReconstructionConfig
+
+PREFIX = "world:"
+
+# Functions, or classes, that make a world; their parameters are the options of its name.
+WORLDS: Registry[Callable[..., World]] = Registry(
+    "world", "worlds", fits=callable, wanted="a function that returns a World", files=("worlds/*_world.py",)
+)
+
+
+def names_world(scene: Any) -> bool:
+    """Return whether a scene's name is that of a world: ``world:NAME``."""
+    return isinstance(scene, str) and scene.startswith(PREFIX)
+
+
+def load_world(name: str) -> World:
+    """Make a world by its name.
+
+    Parameters
+    ----------
+    name
+        A registered name or ``package.module:factory``, with options after a question mark and with or without the
+        prefix ``world:``. The options are the parameters of the function.
+
+    Returns
+    -------
+    World
+        A new world.
+
+    Raises
+    ------
+    InputError
+        An unknown name or option, or a function that returns no world.
+    """
+    spec = Spec(name.removeprefix(PREFIX) if isinstance(name, str) else name)
+    make = WORLDS.get(spec.name)
+    label = f"world '{spec.name}'"
+    made = make(**typed_options(label, make, spec.options(label)))
+    if not is_world(made):
+        raise InputError(
+            f"{label} must return an object with bounds, camera, start, capture and close, got {short_repr(made)}"
+        )
+    return made
+
+
+def with_camera(config: ReconstructionConfig, camera: PinholeCamera) -> ReconstructionConfig:
+    """Return the configuration with the sensor's size and intrinsics replaced by those of ``camera``."""
+    if config.sensor.camera == camera:
+        return config
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    sensor = dataclasses.replace(config.sensor, width=camera.width, height=camera.height, intrinsics=lens)
+    return dataclasses.replace(config, sensor=sensor)

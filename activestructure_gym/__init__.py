@@ -1,8 +1,9 @@
 """ActiveStructure Gym: Gymnasium environments and planners for active 3D reconstruction with Gaussian maps.
 
 Importing the package registers the environments ``ActiveStructure/Room-v0``, ``Apartment-v0``, ``Mesh-v0``,
-``Replica-v0`` and ``Matterport3D-v0``; ``gymnasium.make("activestructure_gym:ActiveStructure/Room-v0")`` registers and
-makes one in a single call, also in worker processes. Submodules are imported on first use.
+``Replica-v0``, ``Matterport3D-v0`` and ``World-v0``. A call like
+``gymnasium.make("activestructure_gym:ActiveStructure/Room-v0")`` registers and makes one at once, also in worker
+processes. Submodules are imported on first use.
 
 >>> import activestructure_gym as asg
 >>> env, policy = asg.make_env_and_policy("hole_area", "box", preset="fast", frame_budget=20)
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from activestructure_gym.scenes import SCENES, Scene, load_scene
     from activestructure_gym.sources import SOURCES, Source
     from activestructure_gym.splatting.api import rasterize
+    from activestructure_gym.worlds import WORLDS, Start, World
 
 _PLACES = {
     "config": ("ReconstructionConfig", "configure"),
@@ -51,6 +53,7 @@ _PLACES = {
     "scenes": ("SCENES", "Scene", "load_scene"),
     "sources": ("SOURCES", "Source"),
     "splatting.api": ("rasterize",),
+    "worlds": ("WORLDS", "Start", "World"),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
 
@@ -60,6 +63,7 @@ __all__ = [
     "POLICIES",
     "SCENES",
     "SOURCES",
+    "WORLDS",
     "FeatureContext",
     "Frame",
     "GaussianMap",
@@ -75,6 +79,8 @@ __all__ = [
     "ReconstructionEnv",
     "Scene",
     "Source",
+    "Start",
+    "World",
     "__version__",
     "compare",
     "configure",

@@ -33,8 +33,8 @@ from activestructure_gym.motion import (
     Agent,
     DistanceMap,
     PathSegment,
-    first_blocked,
     arrived_at,
+    first_blocked,
     interpolate,
     levelled,
     path_lengths,
@@ -128,7 +128,7 @@ class Reconstruction:
         Parameters
         ----------
         world
-            What to explore. A `GroundTruth` stands for its scene with the configured sensor.
+            A world, or the `GroundTruth` of a scene, which the configured sensor then captures.
         seed
             Determines every random choice.
         start_pose
@@ -142,9 +142,7 @@ class Reconstruction:
         """
         return self._captured(self.starting(world, seed, start_pose))
 
-    def starting(
-        self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None
-    ) -> Capturing[Frame]:
+    def starting(self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Capturing[Frame]:
         """Do the same as `start`, but ask for the keyframe."""
         config = self.config
         # One random stream per consumer: a policy's choices cannot change the noise, nor the noise the planned paths.
@@ -166,6 +164,8 @@ class Reconstruction:
                     "it with activestructure_gym.worlds.with_camera(config, camera)"
                 )
             self.world, self._exact = world, bool(getattr(world, "exact_motion", False))
+            if (reset := getattr(world, "reset", None)) is not None:
+                reset(seed)
         bounds = self.bounds = checked_bounds(self.world.bounds)
         start = checked_start(self.world.start, bounds)
         start_pose = start.pose if self._exact else levelled(start.pose)

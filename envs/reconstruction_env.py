@@ -16,7 +16,7 @@ from activestructure_gym.config import Preset, ReconstructionConfig, configure, 
 from activestructure_gym.envs.exclusive_access import ExclusiveAccess
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
-from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
+from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
 from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
@@ -25,11 +25,12 @@ from activestructure_gym.reconstruction import Reconstruction, StepResult
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 from activestructure_gym.streams import write_line
+from activestructure_gym.worlds import World, is_world, load_world, names_world, with_camera
 
 if TYPE_CHECKING:
     from activestructure_gym.viewer import LiveView
 
-SceneSpec = str | PathLike[str] | Scene | GroundTruth
+SceneSpec = str | PathLike[str] | Scene | GroundTruth | World
 Scenes = SceneSpec | Sequence[SceneSpec]
 RenderMode = Literal["human", "rgb_array"]
 
@@ -71,7 +72,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
     `reward/path` = -0.01 x metres travelled, `reward/invalid` = -0.05 for a masked action. With
-    `reward={"noise_free": True}`, the observed surface is computed from depth without sensor noise.
+    `reward={"noise_free": True}`, the observed surface is computed from depth without sensor noise. In a world without
+    ground truth, `reward/known_volume` = 0.4 x newly known cubic metres replaces `reward/coverage`, and `info` has
+    `ground_truth` = False and no `is_success`.
 
     ## Starting State
     One of the scene's start poses, drawn from the seed (or `start_pose`); the first frame is mapped.
@@ -154,7 +157,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             if isinstance(features, str) or not isinstance(features, Sequence | np.ndarray):
                 raise InputError(f"features must be a list of names, got {short_repr(features)}")
             changes["features"] = tuple(features)
-        self.config = replaced(config, changes)
+        self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
+        if not self._scenes:
+            raise InputError("scene must name at least one scene, got an empty sequence")
+        if not all(isinstance(one, str | PathLike | Scene | GroundTruth) or is_world(one) for one in self._scenes):
+            raise InputError(
+                f"scene must be a name, a path, a Scene, a World, or a sequence of them, got {short_repr(scene)}"
+            )
+        config = replaced(config, changes)
+        self._world = self._only_world(start_pose)
+        self.config = config if self._world is None else with_camera(config, self._world.camera)
         self.reward_config = (
             reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), _fields("reward", reward))
         )
@@ -164,11 +176,6 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self.reconstruction = Reconstruction(self.config)
         self.observation_space = observation_space(self.config, max_planes)
         self.action_space = spaces.Discrete(self.config.views.max_candidates)
-        self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
-        if not self._scenes:
-            raise InputError("scene must name at least one scene, got an empty sequence")
-        if not all(isinstance(one, str | PathLike | Scene | GroundTruth) for one in self._scenes):
-            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {short_repr(scene)}")
         self._start_pose = None if start_pose is None else self._as_start(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
@@ -191,10 +198,18 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
-        truth = as_truth(options["scene"]) if "scene" in options else self._draw_scene()
+        if self._world is not None and options:
+            raise InputError(f"an episode in a world has no reset options, got {', '.join(sorted(options))}")
+        if names_world(options.get("scene")) or is_world(options.get("scene")):
+            raise InputError("a world is given when the environment is made, since its camera is the observation's")
+        where: World | GroundTruth
+        if self._world is not None:
+            where, truth = self._world, getattr(self._world, "truth", None)
+        else:
+            where = truth = as_truth(options["scene"]) if "scene" in options else self._draw_scene()
         start_pose = self._as_start(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
-        self._frame = self.reconstruction.start(truth, episode_seed, start_pose)
+        self._frame = self.reconstruction.start(where, episode_seed, start_pose)
         if not len(self.reconstruction.candidates):
             sources = ", ".join(self.config.views.stages[0])
             warnings.warn(
@@ -203,10 +218,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
                 InputWarning,
                 stacklevel=3,
             )
-        self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
-        self._count(self._frame, self.reconstruction.pose)
+        self._coverage = None if truth is None else SurfaceCoverage(truth.observable_surface.points, self.reward_config)
+        self._count(self._frame, self.reconstruction.trajectory[0])
         self._ended = False
-        terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
+        share = None if self._coverage is None else 0.0
+        terms = reward_terms(self.reward_config, share_gained=share, metres=0.0, invalid=False)
         if self.render_mode == "human":
             self._show_start()
         return self._observe(), self._info(terms, reached=True, invalid=False)
@@ -231,24 +247,40 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             invalid = not int(action) < len(self.reconstruction.candidates)
             if self._view is not None:
                 self._view.chosen(int(action))
-            return self._outcome(self.reconstruction.move_to(int(action)), invalid=invalid)
+            known = self._gained()
+            try:
+                result = self.reconstruction.move_to(int(action))
+            except BaseException:
+                self._ended = True  # the state is that of an interrupted movement: only `reset` helps
+                raise
+            return self._outcome(result, known, invalid=invalid)
 
     def is_row(self, action: Any) -> bool:
         """Return whether ``action`` is a row of the candidate table. Unlike Gymnasium's space, refuse ``True``."""
         return not isinstance(action, bool) and bool(self.action_space.contains(action))
 
+    def _gained(self) -> float:
+        """Return what the reward counts so far: the observed share of the surface, or the known volume in m^3."""
+        return known_volume(self.reconstruction.volume) if self._coverage is None else self._coverage.share
+
     def _outcome(
-        self, result: StepResult, *, invalid: bool
+        self, result: StepResult, before: float, *, invalid: bool
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Count the new keyframes and return what `step` returns."""
-        episode, share_before = self.reconstruction, self._coverage.share
+        """Count the new keyframes and return what `step` returns; ``before`` is what `_gained` was before the step."""
+        episode = self.reconstruction
         known = len(episode.keyframe_indices) - len(result.keyframes)
         for frame, index in zip(result.keyframes, episode.keyframe_indices[known:]):
             # Coverage uses the true pose; a frame holds the pose that the sensor reports.
             self._count(frame, episode.trajectory[index])
             self._frame = frame
-        gained = self._coverage.share - share_before
-        terms = reward_terms(self.reward_config, share_gained=gained, metres=result.metres, invalid=invalid)
+        gained = self._gained() - before
+        terms = reward_terms(
+            self.reward_config,
+            metres=result.metres,
+            invalid=invalid,
+            share_gained=None if self._coverage is None else gained,
+            volume_gained=gained,
+        )
         terminated = self._covered or episode.finished or not len(episode.candidates)
         truncated = episode.exhausted
         self._ended = terminated or truncated
@@ -269,6 +301,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         """Return the observed surface that the reward counts. It is ground truth: policies must not read it."""
         if self._frame is None:
             raise gym.error.ResetNeeded("nothing is counted before reset()")
+        if self._coverage is None:
+            raise InputError("this world has no ground truth, so no surface is counted")
         return self._coverage
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
@@ -296,7 +330,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             self._view.close()
             self._view = None
         if self._frame is not None:
-            self.reconstruction.sensor.close()
+            self.reconstruction.world.close()
 
     def _show_start(self) -> None:
         """Serve the live page, once per environment, and show the start of the episode."""
@@ -311,13 +345,33 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def _count(self, frame: Frame, pose: np.ndarray) -> None:
         """Count the surface that a keyframe at the true ``pose`` [4, 4] sees."""
-        sensor = self.reconstruction.sensor
-        depth = sensor.true_depth(pose) if self.reward_config.noise_free and sensor.has_depth_noise else frame.depth
+        if self._coverage is None:
+            return
+        depth = frame.depth
+        if self._world is None and self.reward_config.noise_free and self.reconstruction.sensor.has_depth_noise:
+            depth = self.reconstruction.sensor.true_depth(pose)
         self._coverage.add(depth, frame.camera, pose)
 
     @property
     def _covered(self) -> bool:
-        return self.coverage_target is not None and self._coverage.share >= self.coverage_target
+        if self.coverage_target is None or self._coverage is None:
+            return False
+        return self._coverage.share >= self.coverage_target
+
+    def _only_world(self, start_pose: Any) -> World | None:
+        """Return the world that the environment explores; None if it explores scenes."""
+        worlds = [one for one in self._scenes if names_world(one) or is_world(one)]
+        if not worlds:
+            return None
+        if len(self._scenes) > 1:
+            raise InputError("an environment explores one world; a sequence may hold scenes only")
+        if start_pose is not None:
+            raise InputError("a world states where its camera is: leave start_pose out")
+        (world,) = worlds
+        if isinstance(world, str):
+            return load_world(world)
+        assert is_world(world)
+        return world
 
     def _draw_scene(self) -> GroundTruth:
         """Draw the scene of an episode."""
@@ -343,7 +397,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             "planes": len(episode.planes.nodes),
             "reached": reached,
             "invalid_action": invalid,
-            "is_success": self._covered,
+            **({"ground_truth": False} if self._coverage is None else {"is_success": self._covered}),
             **terms,
         }
 
@@ -352,6 +406,8 @@ def as_truth(scene: SceneSpec) -> GroundTruth:
     """Return the ground truth of a scene or scene spec; warn if only little of its surface can be seen."""
     if isinstance(scene, GroundTruth):
         return scene
+    if names_world(scene) or not isinstance(scene, str | PathLike | Scene):
+        raise InputError(f"a world has no scene to load, got {short_repr(scene)}")
     truth = ground_truth_of(load_scene(scene))
     warn_if_hardly_seen(truth)
     return truth

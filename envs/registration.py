@@ -14,6 +14,7 @@ TASKS = {
     "Mesh-v0": "MeshEnv",
     "Replica-v0": "ReplicaEnv",
     "Matterport3D-v0": "Matterport3DEnv",
+    "World-v0": "WorldEnv",
 }
 ENV_IDS = tuple(f"{NAMESPACE}/{task}" for task in TASKS)
 

@@ -1,5 +1,7 @@
 """Compute the reward: newly seen ground-truth surface, minus the path length and minus invalid actions.
 
+In a world without ground truth, newly known volume takes the place of newly seen surface.
+
 No other module of the environment reads the ground-truth surface.
 """
 
@@ -13,6 +15,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.camera import Lens
+from activestructure_gym.volume import UNKNOWN, VoxelVolume
 
 MAX_WEIGHT = 1e9  # limit of a weight's magnitude; sums of rewards stay far from overflow
 
@@ -22,6 +25,7 @@ class RewardConfig:
     """Define the weights of the reward's terms and the test of whether a surface sample is seen."""
 
     coverage: float = 20.0  # reward per unit of observed surface share (GenNBV and GLEAM use 20 x delta C.R.)
+    known_volume: float = 0.4  # reward per newly known cubic metre; only in worlds without ground truth
     path: float = 0.01  # penalty per metre travelled
     invalid: float = 0.05  # penalty for a masked action
     # A sample is seen if its depth and the sensor's differ by less than this, in metres. 0.05 m is also the threshold
@@ -77,6 +81,11 @@ class SurfaceCoverage:
         )
 
 
+def known_volume(volume: VoxelVolume) -> float:  # m^3
+    """Return the volume in cubic metres that is known to be free or occupied."""
+    return float((volume.state != UNKNOWN).sum()) * volume.config.voxel_size**3
+
+
 @kernel
 def _mark_seen(
     seen: np.ndarray,  # [S] bool, changed in place
@@ -106,13 +115,22 @@ def _mark_seen(
             seen[n] = True
 
 
-def reward_terms(config: RewardConfig, *, share_gained: float, metres: float, invalid: bool) -> dict[str, float]:
+def reward_terms(
+    config: RewardConfig,
+    *,
+    metres: float,
+    invalid: bool,
+    share_gained: float | None = None,
+    volume_gained: float = 0.0,
+) -> dict[str, float]:
     """Return the terms of the reward by name; the reward is their sum.
 
-    ``share_gained`` is the newly observed share of the surface in 0..1, ``metres`` the distance travelled.
+    ``metres`` is the distance travelled. ``share_gained`` is the newly observed share of the surface in 0..1, None
+    without ground truth; ``volume_gained`` in cubic metres then takes its place.
     """
-    return {
-        "reward/coverage": config.coverage * share_gained,
-        "reward/path": -config.path * metres,
-        "reward/invalid": -config.invalid if invalid else 0.0,
-    }
+    gained = (
+        {"reward/known_volume": config.known_volume * volume_gained}
+        if share_gained is None
+        else {"reward/coverage": config.coverage * share_gained}
+    )
+    return gained | {"reward/path": -config.path * metres, "reward/invalid": -config.invalid if invalid else 0.0}

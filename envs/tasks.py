@@ -11,6 +11,8 @@ import numpy as np
 from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv, Scenes
 from activestructure_gym.errors import InputError, short_repr, unknown_keyword
 from activestructure_gym.scenes.library import with_options
+from activestructure_gym.worlds import World, is_world
+from activestructure_gym.worlds.registry import PREFIX
 
 E = TypeVar("E", bound=type[ReconstructionEnv])
 
@@ -93,6 +95,23 @@ class Matterport3DEnv(ReconstructionEnv):
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
         _check_names(Matterport3DEnv, options, "scene")
         super().__init__(_with_loader(scene, "matterport3d", "Matterport3D-v0", "mp3d/GdvgFV5R1Z5"), **options)
+
+
+@task(
+    "**World-v0**: a simulator, a recording or a robot; see `activestructure_gym.worlds.World`.",
+    world="World or str | required | a world, or its name: `module:factory?option=value`",
+)
+class WorldEnv(ReconstructionEnv):
+    """Explore a world: a simulator, a recording, a robot."""
+
+    def __init__(self, *, world: World | str | None = None, **options: Unpack[EnvOptions]) -> None:
+        _check_names(WorldEnv, options, "world")
+        if not isinstance(world, str) and not is_world(world):
+            raise InputError(
+                "World-v0 needs a world: an object with bounds, camera, start, capture and close, or the name of a "
+                f'function that makes one, as world="module:factory"; got {short_repr(world)}'
+            )
+        super().__init__(PREFIX + world.removeprefix(PREFIX) if isinstance(world, str) else world, **options)
 
 
 def _check_names(kind: type, options: Mapping[str, Any], *own: str) -> None:

@@ -17,7 +17,6 @@ from activestructure_gym.motion.trajectory import (
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
 
 __all__ = [
-    "arrived_at",
     "SAMPLING_DIP",
     "Agent",
     "DistanceMap",
@@ -25,13 +24,14 @@ __all__ = [
     "PathSegment",
     "PlannedPath",
     "VoronoiGraph",
+    "arrived_at",
     "first_blocked",
     "first_blocked_edge",
     "free_plan",
     "interpolate",
     "is_level",
-    "levelled",
     "least_frames",
+    "levelled",
     "path_lengths",
     "plan_path",
     "planar_graph",

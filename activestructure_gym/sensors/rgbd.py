@@ -79,14 +79,10 @@ class SensorConfig:
 def _checked_intrinsics(value: Any) -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy as floats; raise `InputError` for other values."""
     numbers = tuple(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else ()
-    kinds = (int, float, np.integer, np.floating)
-    valid = len(numbers) == 4 and all(isinstance(one, kinds) and abs(one) < 1e6 for one in numbers)
-    if not valid or min(numbers[:2]) <= 1e-3:
-        raise InputError(
-            f"sensor intrinsics are fx, fy, cx, cy in pixels, focal lengths above 0, got {short_repr(value)}"
-        )
-    fx, fy, cx, cy = map(float, numbers)
-    return fx, fy, cx, cy
+    given = [float(one) for one in numbers if isinstance(one, int | float | np.integer | np.floating)]
+    if len(numbers) == len(given) == 4 and max(map(abs, given)) < 1e6 and min(given[:2]) > 1e-3:
+        return given[0], given[1], given[2], given[3]
+    raise InputError(f"sensor intrinsics are fx, fy, cx, cy in pixels, focal lengths above 0, got {short_repr(value)}")
 
 
 # Tolerances of `numpy.allclose`, which takes ten times as long.

@@ -34,18 +34,21 @@ class Start:
 class World(Protocol):
     """Define what an episode explores: a simulator, a recording, a robot. Positions are in metres, z is up.
 
-    Two further attributes are optional:
+    Three further attributes are optional:
 
     - ``truth``, a `GroundTruth`: rewards and metrics use it, planners never do.
     - ``travel(path)``, called before each capture with the poses [P, 4, 4] that lead to it, one per frame. The first
       one follows the current pose, the last one is the pose of the capture. A robot drives along them; `capture` is
       then called for the last one.
+    - ``reset(seed)``, called when an episode begins, before ``start`` is read. A simulator returns to a start pose.
 
     Examples
     --------
-    >>> from activestructure_gym.worlds import SceneWorld, World
-    >>> isinstance(SceneWorld, type)
-    True
+    >>> from activestructure_gym.worlds import load_world
+    >>> world = load_world("simulated?scene=box&width=64&height=48")
+    >>> world.bounds.shape, world.capture(world.start.pose).depth.shape
+    ((2, 3), (48, 64))
+    >>> world.close()
     """
 
     @property
@@ -112,7 +115,7 @@ def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
 
 
 def checked_start(start: Start, bounds: np.ndarray) -> Start:
-    """Return a start with a checked pose; raise `InputError` if it is outside the bounds or its radius is not above 0."""
+    """Return a start with a checked pose; raise `InputError` outside the bounds, or for a radius not above 0."""
     pose = checked_pose("a world's start pose", start.pose)
     position = pose[:3, 3]
     if (position < bounds[0]).any() or (position > bounds[1]).any():

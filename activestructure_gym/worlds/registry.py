@@ -50,7 +50,11 @@ def load_world(name: str) -> World:
     spec = Spec(name.removeprefix(PREFIX) if isinstance(name, str) else name)
     make = WORLDS.get(spec.name)
     label = f"world '{spec.name}'"
-    made = make(**typed_options(label, make, spec.options(label)))
+    try:
+        options = typed_options(label, make, spec.options(label))
+    except ValueError as error:  # a built-in type has no signature
+        raise InputError(f"{label} cannot be made: {error}") from error
+    made = make(**options)
     if not is_world(made):
         raise InputError(
             f"{label} must return an object with bounds, camera, start, capture and close, got {short_repr(made)}"

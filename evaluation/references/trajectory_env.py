@@ -58,7 +58,9 @@ class TrajectoryEnv(ReconstructionEnv):
         segments = self.resolved.segments
         segment = segments[self._next] if self._next < len(segments) else PathSegment(self.resolved.poses[:0], ())
         self._next += 1
-        observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(segment), invalid=False)
+        before = self._gained()
+        result = self.reconstruction.follow(segment)
+        observation, reward, _, truncated, info = self._outcome(result, before, invalid=False)
         return observation, reward, self._next >= len(segments), truncated, info
 
 

@@ -55,6 +55,8 @@ def options_of(env_id: str, scene_files: dict[str, str]) -> dict[str, Any]:
     options = dict(SMALL)
     if task in scene_files:
         options["scene"] = scene_files[task]
+    if task == "World":
+        options["world"] = "simulated?scene=box&width=64&height=36"
     if task == "Apartment":
         options["rooms"] = 2
     return options

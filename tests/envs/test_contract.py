@@ -200,7 +200,7 @@ def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None
 def test_what_make_takes_stands_in_the_signature_of_the_task(env_id: str) -> None:
     kind = getattr(tasks, TASKS[env_id.partition("/")[2]])
     named = inspect.signature(kind).parameters
-    assert set(EnvOptions.__annotations__) | {"scene"} <= set(named)
+    assert set(EnvOptions.__annotations__) | {"world" if "World" in env_id else "scene"} <= set(named)
     assert set(EnvOptions.__annotations__) == set(inspect.signature(ReconstructionEnv).parameters) - {"scene"}
     assert all(one.kind is one.KEYWORD_ONLY for one in named.values())
 

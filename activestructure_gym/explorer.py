@@ -1,0 +1,1 @@
+"""Use a planner as a library."""

@@ -1,0 +1,60 @@
+"""Images of a world as mapping takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.worlds import frame_from
+
+CAMERA = PinholeCamera.from_size(8, 4)
+RGB = np.full((4, 8, 3), 100, np.uint8)
+DEPTH = np.full((4, 8), 2.0, np.float32)
+
+
+def test_depth_that_is_no_measurement_becomes_zero() -> None:
+    depth = DEPTH.copy()
+    depth[0, :5] = np.nan, np.inf, -1.0, 10.5, 10.0
+    frame = frame_from(RGB, depth.astype(np.float64), np.eye(4), CAMERA, 10.0)
+    assert frame.depth[0].tolist() == [0.0, 0.0, 0.0, 0.0, 10.0, 2.0, 2.0, 2.0]
+    assert frame.depth.dtype == np.float32 and frame.rgb is not None
+
+
+def test_images_of_other_sizes_are_resized() -> None:
+    rgb = np.zeros((8, 16, 3), np.uint8)
+    rgb[:, ::2] = 200  # averaged: 100
+    depth = np.full((2, 4, 1), 3.0)
+    depth[0, 0] = 1.0
+    frame = frame_from(rgb, depth, np.eye(4), CAMERA, 10.0)
+    assert frame.rgb.shape == (4, 8, 3) and (frame.rgb == 100).all()
+    assert sorted(set(frame.depth.ravel().tolist())) == [1.0, 3.0] and (frame.depth == 1.0).sum() == 4
+
+
+def test_colours_as_fractions_and_with_alpha() -> None:
+    frame = frame_from(np.full((4, 8, 4), 0.5, np.float32), DEPTH, np.eye(4), CAMERA, 10.0)
+    assert (frame.rgb == 128).all() and frame.rgb.shape == (4, 8, 3)
+
+
+@pytest.mark.parametrize(
+    ("rgb", "depth", "pose", "message"),
+    [
+        (RGB[..., 0], DEPTH, np.eye(4), r"a colour image is an array \[H, W, 3\], got shape \(4, 8\)"),
+        (RGB.astype(np.int64), DEPTH, np.eye(4), "dtype uint8"),
+        (RGB.astype(np.float64), DEPTH, np.eye(4), "values from 0 to 1"),
+        (RGB, DEPTH[0], np.eye(4), r"a depth image is an array \[H, W\]"),
+        (RGB, (1000 * DEPTH).astype(np.uint16), np.eye(4), "divide millimetres by 1000"),
+        (RGB, np.ones((4, 4), np.float32), np.eye(4), "aspect ratios differ"),
+        (np.zeros((0, 8, 3), np.uint8), DEPTH, np.eye(4), "aspect ratios differ"),
+        (RGB, DEPTH, np.eye(3), "4x4"),
+        (RGB, DEPTH, np.diag([1.0, 1.0, -1.0, 1.0]), "rigid"),
+        (RGB, DEPTH, np.full((4, 4), np.nan), "finite"),
+        (None, DEPTH, np.eye(4), "colour image"),
+    ],
+)
+def test_other_arrays_are_refused(rgb: Any, depth: Any, pose: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        frame_from(rgb, depth, pose, CAMERA, 10.0)

@@ -55,7 +55,13 @@ class SensorConfig:
                 f"{self.width} x {self.height} pixels"
             )
         if self.intrinsics is not None:
-            object.__setattr__(self, "intrinsics", _checked_intrinsics(self.intrinsics))
+            lens = _lens_of(self.intrinsics)
+            if lens is None:
+                raise InputError(
+                    "sensor intrinsics are fx, fy, cx, cy in pixels, focal lengths above 0, got "
+                    f"{short_repr(self.intrinsics)}"
+                )
+            object.__setattr__(self, "intrinsics", lens)
         rays = int(self.width) * int(self.height) * int(self.supersample) ** 2
         if rays > _MAX_RAYS:
             raise InputError(
@@ -76,13 +82,13 @@ class SensorConfig:
         return PinholeCamera.from_size(self.width, self.height, self.horizontal_fov_deg)
 
 
-def _checked_intrinsics(value: Any) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy as floats; raise `InputError` for other values."""
+def _lens_of(value: Any) -> tuple[float, float, float, float] | None:
+    """Return fx, fy, cx, cy in pixels as floats; None for other values than four numbers with focal lengths above 0."""
     numbers = tuple(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else ()
     given = [float(one) for one in numbers if isinstance(one, int | float | np.integer | np.floating)]
     if len(numbers) == len(given) == 4 and max(map(abs, given)) < 1e6 and min(given[:2]) > 1e-3:
         return given[0], given[1], given[2], given[3]
-    raise InputError(f"sensor intrinsics are fx, fy, cx, cy in pixels, focal lengths above 0, got {short_repr(value)}")
+    return None
 
 
 # Tolerances of `numpy.allclose`, which takes ten times as long.

@@ -1,4 +1,4 @@
-"""Render the page's Jinja2 templates, which escape all text that is not markup."""
+"""Render the Jinja2 templates of the report page; every text that is not markup is escaped."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 from activestructure_gym.evaluation.report.text_filters import compressed, without_folders
 
 _TEMPLATES = Path(__file__).with_name("templates")
-# A line break next to a tag, with the following indentation.
+# A line break before or after a tag, with the blanks around it.
 _BREAK_AT_TAG = re.compile(r"(?:(?<=>)|(?<=%\})|(?<=#\}))\s*\n\s*|\s*\n\s*(?=<|\{%|\{#)")
 _BREAK = re.compile(r"\s*\n\s*")
 
 
 class _LinesJoined(Extension):
-    """Remove line breaks next to tags in templates, and replace those within text by spaces.
+    """Remove line breaks next to tags in templates, and replace line breaks within text by spaces.
 
-    This reduces the size of pages with many runs.
+    This makes pages with many runs smaller.
     """
 
     def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
-        """Return the source of a template with its lines joined."""
+        """Return the source of a template with its lines joined; Jinja2 calls this before it parses a template."""
         return _BREAK.sub(" ", _BREAK_AT_TAG.sub("", source.strip()))
 
 
@@ -51,25 +51,25 @@ def _environment() -> Environment:
 
 
 def render(template: str, **content: Any) -> Markup:
-    """Return a template of ``templates/`` filled with content."""
+    """Return the file ``template`` of ``templates/``, filled with ``content``."""
     return Markup(_environment().get_template(template).render(content))
 
 
 class _Shown(NamedTuple):
-    """Hold the fields of a table cell for the template."""
+    """Hold a table cell in the form that the template needs."""
 
-    tag: str
+    tag: str  # th or td
     attributes: dict[str, Any]
     text: str
-    spread: str  # interval or deviation, in a smaller font
-    dot: int | None  # index of the policy that the cell names
+    spread: str  # interval or deviation after the number, in a smaller font
+    dot: int | None  # index of the policy named in the cell, for a dot in its colour
 
 
 def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True) -> Markup:
-    """Return a table with its caption.
+    """Return a table with its caption as HTML.
 
-    Policies in ``colours`` get a dot in their colour. Tables without blocks of rows can be sorted: by full-precision
-    values if ``exact``, else by printed ones.
+    Policies in ``colours`` get a dot in their colour. Readers can sort a table without blocks of rows: by the values in
+    full precision if ``exact``, else by the printed values.
     """
     ends = [0, *table.blocks, len(table.rows)]
     blocks = [
@@ -80,7 +80,10 @@ def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True)
 
 
 def _row(table: Table, index: int, end: int, colours: Sequence[str], exact: bool) -> list[_Shown]:
-    """Return a row of the block that ends before row ``end``; a first cell equal to the one above is left out."""
+    """Return the cells of row ``index``, whose block ends before row ``end``.
+
+    The first cell is left out if it repeats the cell above; instead, the cell above spans several rows.
+    """
     cells = []
     for column, cell in enumerate(table.rows[index]):
         rows_below = 1
@@ -108,7 +111,7 @@ def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[s
 
 
 def _split_spread(text: str) -> tuple[str, str]:
-    """Split a cell's text into number and following interval or deviation; the second is empty if there is none."""
+    """Split a text such as "3.2 [3.0, 3.4]" or "3.2 ± 0.1" after the number; the second part may be empty."""
     for mark in (" [", " ± "):
         number, found, rest = text.partition(mark)
         if found:

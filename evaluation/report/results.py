@@ -1,4 +1,4 @@
-"""Hold the data of a report: finished runs of one or more directories, missing runs, and a baseline."""
+"""Hold the data of a report: the finished runs of one or more directories, the missing runs, and a baseline."""
 
 from __future__ import annotations
 
@@ -28,30 +28,33 @@ from activestructure_gym.evaluation.statistics import mean, pooled
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_ON_A_SCREEN = 7  # maximum number of policies side by side
-_DIGITS = 8  # shown digits of a content hash
-_RESULT = "completion_ratio"  # key of the result that selects the runs to show
-# The default baseline is the first of these that has a run.
+_ON_A_SCREEN = 7  # largest number of policies next to each other
+_DIGITS = 8  # number of digits of a content hash that are shown
+_RESULT = "completion_ratio"  # key of the metric by which the runs with images are selected
+# The default baseline is the first of these policies with a run.
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
 
 @dataclass(frozen=True)
 class Source:
-    """Hold a directory from which runs were read."""
+    """Hold a directory from which runs were read, and the jobs that have no result in it."""
 
     directory: Path
-    command: str = ""  # of the comparison; empty for a single run
-    workers: int | None = None
-    missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # reason by title of each job without a result
+    command: str = ""  # command line of the comparison; empty for a single run
+    workers: int | None = None  # number of parallel jobs
+    missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # reason by title for jobs without a result
 
 
 @dataclass(frozen=True)
 class Results:
-    """Hold finished runs, at most one per scene, policy and seed."""
+    """Hold the finished runs of a report, at most one per scene, policy and seed.
+
+    Raise `InputError` for no runs, for runs of different conditions, and for a baseline without runs.
+    """
 
     runs: Sequence[Run]
     sources: Sequence[Source]
-    baseline: str | None = None  # a policy; None selects one by `_BASELINES`
+    baseline: str | None = None  # policy to compare the others with; None: the first of `_BASELINES`, else of the runs
 
     def __post_init__(self) -> None:
         if not self.runs:
@@ -77,10 +80,10 @@ class Results:
 
     @cached_property
     def palette(self) -> list[str]:
-        """Return the policies in the order of their colours: the order of the runs if there are enough colours.
+        """Return the policies in the order in which they get colours.
 
-        Otherwise the baseline is first, then the policies by falling mean C.R.; policies without a run on every scene
-        are last.
+        This is the order of the runs if there are enough colours for all policies. Otherwise the baseline is first,
+        then the policies with the highest mean completion ratio. Policies without a run on every scene are last.
         """
         if len(self.policies) <= len(COLOURS):
             return self.policies
@@ -93,7 +96,10 @@ class Results:
 
     @cached_property
     def planners(self) -> list[bool]:
-        """Return whether each policy is ranked; references are not, nor are trajectories compared with planners."""
+        """Return, in the order of ``policies``, whether each policy is ranked.
+
+        References are not ranked; given trajectories are not ranked if there are planners.
+        """
         ranked = ranked_among({run.job.policy for run in self.runs})
         names = {run.policy for run in self.runs if run.job.policy in ranked}
         return [policy in names for policy in self.policies]
@@ -110,7 +116,7 @@ class Results:
 
     @cached_property
     def missing(self) -> dict[str, str]:
-        """Return the reason for each requested job without a result, by title."""
+        """Return the reason why a requested job has no result, by the title of the job."""
         return {name: why for source in self.sources for name, why in source.missing.items()}
 
     @cached_property
@@ -124,20 +130,23 @@ class Results:
 
     @cached_property
     def found(self) -> dict[Hashable, Any]:
-        """Return the results cached by `once`."""
+        """Return the dictionary in which `once` caches values."""
         return {}
 
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
-        """Return the runs of a policy, of a scene, or of a policy on a scene."""
+        """Return the runs of ``policy`` on ``scene``; None selects all policies or all scenes."""
         return list(self._by_cell.get((policy, scene), ()))
 
     def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
-        """Return a policy's values of a metric by scene and seed, where they are defined."""
+        """Return the defined values of the metric ``key`` in a policy's runs, by (scene, seed); None: on all scenes."""
         values = {(run.scene, run.job.seed): value_of(run, key) for run in self.of(policy, scene)}
         return {cell: float(value) for cell, value in values.items() if value is not None}
 
     def strata(self, policy: str, key: str, scene: str | None = None) -> list[np.ndarray] | None:
-        """Return a policy's values of a metric, one array per scene; None if a scene has none."""
+        """Return a policy's values of the metric ``key``: one array per scene, or only that of ``scene``.
+
+        Return None if a scene has no value.
+        """
         cells = self.cells(policy, key, scene)
         found = [
             np.array([value for (own, _), value in cells.items() if own == name])
@@ -146,10 +155,11 @@ class Results:
         return found if all(len(values) for values in found) else None
 
     def shown(self, scene: str) -> list[Run]:
-        """Return the runs on a scene whose images are compared: those of one seed, which share the start pose.
+        """Return the runs on ``scene`` whose images are compared; they have one seed, and so one start pose.
 
-        Of the seeds finished by most policies, it is the one with the median result, averaged over the policies. Of an
-        even number of seeds it is the lower of the middle two.
+        Candidates are the seeds with the most finished policies. Of these, the seed with the median completion ratio is
+        taken, where the ratio is averaged over the policies. For an even number of seeds, it is the lower of the middle
+        two.
         """
         by_seed: dict[int, list[Run]] = {}
         for policy in self.policies:
@@ -164,7 +174,7 @@ class Results:
         return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
 
     def foremost(self, scene: str) -> list[Run]:
-        """Return at most seven of the `shown` runs: the baseline and those with the best results."""
+        """Return at most seven of the `shown` runs: the baseline, and the runs with the highest completion ratio."""
         runs = self.shown(scene)
         ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, _RESULT) or 0.0)))
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
@@ -172,9 +182,9 @@ class Results:
 
 
 def opened(runs: Sequence[Run]) -> list[Run]:
-    """Return copies of runs for reading their images; the arrays are freed with the copies.
+    """Return copies of runs from which images can be read; the images are freed together with the copies.
 
-    Raises `InputError` if the runs have not stored the same views.
+    Raise `InputError` if the runs have not stored the same views.
     """
     copies = [copy.copy(run) for run in runs]
     for run in copies[1:]:
@@ -187,7 +197,7 @@ def opened(runs: Sequence[Run]) -> list[Run]:
 
 
 def once(function: Callable[Concatenate[Results, P], T]) -> Callable[Concatenate[Results, P], T]:
-    """Decorate a function of `Results` and hashable arguments to cache its values in the results."""
+    """Decorate a function of `Results` and hashable arguments, such that its values are cached in the results."""
 
     @functools.wraps(function)
     def cached(results: Results, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -200,9 +210,9 @@ def once(function: Callable[Concatenate[Results, P], T]) -> Callable[Concatenate
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """Return the values found for each condition that compared runs must share.
+    """Return the different values of each condition that compared runs must share, by the name of the condition.
 
-    A condition given for some of the runs only, such as an override, is ``not given`` for the others.
+    If only some runs have a condition, such as an override, the value of the other runs is "not given".
     """
     found: dict[str, dict[str, None]] = {}
     given = [_given_conditions(run) for run in runs]
@@ -211,7 +221,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
         for name in names:
             found.setdefault(name, {})[flat.get(name, "not given")] = None
         found.setdefault(f"start_pose in {run.scene}", {})[str(run.job.conditions.start_pose)] = None
-        if run.job.scene_hash:  # a scene's file may have changed under the same name
+        if run.job.scene_hash:  # the file of a scene may have changed
             found.setdefault(f"content of {run.scene}", {})[run.job.scene_hash[:_DIGITS]] = None
     return {name: list(values) for name, values in found.items()}
 
@@ -225,10 +235,10 @@ def _given_conditions(run: Run) -> dict[str, str]:
 
 
 def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
-    """Read the runs of comparison directories and of single run directories, in the given order.
+    """Read the runs in directories of comparisons and of single runs, in the given order.
 
-    A job in two directories counts once. A damaged run is listed as missing, with the reason. Raises `InputError` for
-    other directories, and if no run is left.
+    If a job is in two directories, the first run is used. A damaged run is listed as missing, with the reason. Raise
+    `InputError` for other directories, and if there is no run.
     """
     runs: dict[str, Run] = {}
     sources, reasons = list[Source](), list[str]()
@@ -261,7 +271,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             f"there is no finished run in {listed(directories)}"
             + (f": {pluralised(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
         )
-    # Files with equal name and content are one scene, although their paths may differ between machines.
+    # Scene files with equal name and content are one scene, even if their paths differ.
     first: dict[tuple[str, str], str] = {}
     specs = [
         first.setdefault((job.scene_hash or job.scene, scene_label(job.scene)), job.scene)
@@ -275,9 +285,9 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 def source_of(
     directory: Path, record: Mapping[str, Any], runs: Sequence[Run], damaged: Mapping[str, str] | None = None
 ) -> Source:
-    """Return the source of a comparison; jobs of its record (``compare.json``) without a run are missing.
+    """Return the `Source` of a comparison in ``directory``, with the jobs that have no run.
 
-    ``damaged`` holds the reasons of damaged runs by title.
+    ``record`` is the content of ``compare.json``, and ``damaged`` has the reason for each damaged run by its title.
     """
     finished = {run.job.hash: run.job.title for run in runs}
     failed = record.get("failed") or {}

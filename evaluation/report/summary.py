@@ -1,4 +1,4 @@
-"""Write a report into one directory: page, tables, images, and a summary in Markdown."""
+"""Write the files of a report into one directory: page, tables, images, and a summary in Markdown."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ PAGE = "report.html"
 def write_report(
     directory: Path, runs: Sequence[Run], comparison: Mapping[str, Any], baseline: str | None = None
 ) -> list[Path]:
-    """Write the report of one comparison into its directory, and return the written files.
+    """Write the report of one comparison into its directory, and return the paths of the written files.
 
-    ``comparison`` is the content of ``compare.json``. If the baseline has no finished run, the default one is used.
+    ``comparison`` is the content of ``compare.json``. If ``baseline`` has no finished run, the default one is used.
     """
     baseline = baseline if any(run.policy == baseline for run in runs) else None
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
 def write_results(directory: Path, results: Results, *, published: bool = False) -> list[Path]:
-    """Write the report atomically, and return the written files; ``summary.md`` and ``report.html`` are last.
+    """Write a report atomically, and return the paths of its files; ``summary.md`` and ``report.html`` are last.
 
-    ``published`` adds the paper's Tables 1 and 2 with these runs next to their values. All content is read from the
-    directories of the runs. Raises `InputError` if one is damaged, or if ``directory`` cannot be written.
+    ``published`` adds the paper's Tables 1 and 2, with the values of these runs next to the published values. Raise
+    `InputError` if a run's directory is damaged, or if ``directory`` cannot be written.
     """
     with temporary.atomic_files(directory) as part:
         written = _write_into(part, results, directory, published_tables(results) if published else [])
@@ -60,7 +60,7 @@ def write_results(directory: Path, results: Results, *, published: bool = False)
 
 
 def _write_into(part: Path, results: Results, directory: Path, published: Sequence[Table]) -> list[Path]:
-    """Write all files into ``part``, with links relative to ``directory``, their later place."""
+    """Write all files into the temporary directory ``part``; links are relative to ``directory``, the final place."""
     tables = part / TABLES
     tables.mkdir()
     written = [_written(part / "results.csv", runs_csv(results.runs))]
@@ -86,7 +86,7 @@ def _write_into(part: Path, results: Results, directory: Path, published: Sequen
 
 
 def all_tables(results: Results) -> list[Table]:
-    """Return every table of the report; those in the paper's layout are first."""
+    """Return all tables of the report except published values; tables in the layout of the paper are first."""
     tables: list[Table | None] = [*tables_like_the_papers(results), verdicts.difference_table(results)]
     tables += [verdicts.aggregate_table(results), planning_table(results)]
     tables += [verdicts.area_table(results), verdicts.cost_table(results)]
@@ -100,7 +100,7 @@ def _written(path: Path, text: str) -> Path:
 
 
 def _endings(scenes: Sequence[str]) -> list[str]:
-    """Return a unique suffix for the image files of each scene."""
+    """Return a unique suffix for the names of each scene's image files; it is empty for a single scene."""
     if len(scenes) == 1:
         return [""]
     endings: list[str] = []
@@ -115,7 +115,10 @@ def _endings(scenes: Sequence[str]) -> list[str]:
 
 
 def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) -> list[Path]:
-    """Write curves and images of the runs that `Results.foremost` selects, and return their paths."""
+    """Write the curves of a scene and the images of its `Results.foremost` runs, and return the paths.
+
+    ``ending`` is the suffix of the file names.
+    """
     shown = opened(results.foremost(scene))
     strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
     compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
@@ -125,7 +128,7 @@ def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) 
 
 
 def _curves(path: Path, results: Results, scene: str | None) -> Path:
-    """Write all measures over frames, metres and seconds as one SVG."""
+    """Write the convergence charts of ``scene``, or of all scenes for None, as one SVG; return ``path``."""
     title = f"Convergence on {scene}" if scene else f"Convergence, mean over {len(results.scenes)} scenes"
     return _written(path, standalone(chart_rows(results, scene), results.palette, title=title))
 

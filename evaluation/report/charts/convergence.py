@@ -1,4 +1,4 @@
-"""Compute convergence curves: completion ratios, observed surface and PSNR over frames, metres and seconds."""
+"""Compute and draw convergence curves: completion ratio, observed surface and PSNR over frames, metres or seconds."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.style import is_grey
 from activestructure_gym.evaluation.statistics import BAND_REPEATS, Statistic, area_under, curve_band, mean, on_axis
 
-_POINTS = 61  # samples of the common horizontal axis
-_SETTLED = 0.01  # a curve has settled within this share of the chart's height around its last value
-_TAIL = 0.5  # maximum share of a chart's width in which all curves have settled
+_POINTS = 61  # number of positions on the common horizontal axis
+_SETTLED = 0.01  # share of the chart's height; a curve has settled once it stays this close to its last value
+_TAIL = 0.5  # share of a chart's width; if all curves settle before it, the chart is cut after they have settled
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Define a quantity on the vertical axis."""
+    """Define a quantity on the vertical axis of convergence curves."""
 
-    metric: Metric  # its name is a field of the points of the curve in metrics.json
-    label: str
+    metric: Metric
+    label: str  # of the axis
 
     @property
     def key(self) -> str:
-        """Return the field of the points of the curve in metrics.json."""
+        """Return the name of the metric, which is also its field in the list ``curve`` of metrics.json."""
         return self.metric.name
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Define a cost on the horizontal axis."""
+    """Define a cost on the horizontal axis of convergence curves."""
 
-    key: str
-    label: str
+    key: str  # field in the list ``curve`` of metrics.json, or "seconds"
+    label: str  # of the axis
 
 
 MEASURES = (
@@ -52,10 +52,10 @@ COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seco
 
 
 def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return costs [P] and values [P] of one run's curve, where the measure was taken.
+    """Return the costs [P] and values [P] of one run's curve, at the P points where ``measure`` was taken.
 
-    Costs increase strictly; of points with equal cost the last one counts. Seconds are those at the end of a decision,
-    without evaluation; the point before the first decision has none.
+    Costs increase strictly: of several points with the same cost, the last one is used. The cost "seconds" is the wall
+    time at the end of a decision, without evaluation; the point before the first decision is left out.
     """
     points: dict[float, float] = {}
     for point in run.metrics["curve"]:
@@ -88,11 +88,12 @@ def convergence(
     until: float = math.inf,
     banded: bool = True,
 ) -> list[Line]:
-    """Return one line per policy: the statistic over runs with its 95 % band, on one scene or over all scenes.
+    """Return one line per policy: ``statistic`` over its runs with the 95 % band, on ``scene`` or over all scenes.
 
-    Policies without a curve on every scene are left out. Curves are resampled onto one axis; a run that has ended keeps
-    its last value. A line begins where all its runs have begun. It ends with the longest run, or at ``until``. Policies
-    drawn in grey have a band only if ``banded``.
+    ``cost`` and ``measure`` are keys. Curves are interpolated at common positions; a run that has ended keeps its last
+    value. A line begins where all runs of the policy have begun, and ends with its longest run or at the cost
+    ``until``. Policies without a curve on every scene are left out. Policies drawn in grey have a band only if
+    ``banded``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
@@ -112,7 +113,7 @@ def convergence(
 
 @once
 def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
-    """Return a row of charts per measure, one chart per cost; the charts of a row share one vertical axis."""
+    """Return the convergence charts: a row per measure and a column per cost, with one vertical axis per row."""
     rows = []
     for measure in measures_of(results):
         curves = [_trimmed(results, cost, measure, scene, statistic) for cost in COSTS]
@@ -131,9 +132,9 @@ def chart_rows(results: Results, scene: str | None = None, statistic: Statistic 
 
 
 def _trimmed(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
-    """Return the curves of `convergence`, cut shortly after the last of them has settled.
+    """Return the lines of `convergence`, cut 10 % after the cost at which all of them have settled.
 
-    Curves over frames are not cut, since frames are the budget.
+    Curves over frames are not cut, since the budget is in frames.
     """
     lines = convergence(results, cost.key, measure.key, scene, statistic, banded=False)
     if cost.key == "frames" or not lines:
@@ -146,17 +147,17 @@ def _trimmed(results: Results, cost: Cost, measure: Measure, scene: str | None, 
 
 
 def _settled(line: Line, within: float) -> float:
-    """Return the cost after which the curve and its band stay within ``within`` of their last values."""
+    """Return the cost from which on a line and its band differ from their last values by at most ``within``."""
     moving = [np.flatnonzero(np.abs(y - y[-1]) > within) for y in (line.y, line.low, line.high) if y is not None]
     last = max((int(places[-1]) for places in moving if len(places)), default=-1)
     return float(line.x[min(last + 1, len(line.x) - 1)])
 
 
 def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:
-    """Return the areas under the runs' curves by scene, in the measure's unit; None if a scene has no curve.
+    """Return the areas under the curves of a policy's runs, one array per scene; None if a scene has no curve.
 
-    An area is divided by the budget: the frame budget, or for metres and seconds the lowest cost of any run on the
-    scene.
+    An area is divided by the budget, so it is a mean in the unit of ``measure``. The budget is the frame budget, or for
+    metres and seconds the lowest total of any run on the scene.
     """
     strata = []
     for scene in results.scenes:

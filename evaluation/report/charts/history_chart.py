@@ -1,4 +1,4 @@
-"""Draw the history of one run over its frames as SVG: deficit and quality of planes, terms of the chosen views."""
+"""Draw the history of one run over its frames as SVG: deficit and quality of planes, and scores of chosen views."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from activestructure_gym.evaluation.report.charts.episode_series import (
 from activestructure_gym.evaluation.report.charts.plots import tick_text, ticks
 from activestructure_gym.evaluation.report.charts.svg import Group, Part, drawing, label, path, shape, stroke
 
-_WIDTH, _LEFT, _RIGHT = 640, 52, 10
-_HEAD, _FOOT = 24, 34  # height of title and legend above each panel, and of the axis below the last one
+# Lengths are in units of the SVG's view box.
+_WIDTH, _LEFT, _RIGHT = 640, 52, 10  # width of the chart, and its left and right margins
+_HEAD, _FOOT = 24, 34  # height of title and legend above each panel, and of the axis below the last panel
 _LETTER, _SWATCH = 7.3, 26  # width of a letter, and of a line in the legend with its margins
-DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # exploration terms; a policy has one of them
-FACTORS = ("travel", "discount", "suppressed")  # in [0, 1]
-# CSS classes of the terms' colours. Terms without an entry take `_OTHER_HUES` in turn.
+DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # exploration terms, of which a policy has one
+FACTORS = ("travel", "discount", "suppressed")  # factors of a score, in [0, 1]
+# CSS classes of the colours of terms and factors. Other terms take the classes `_OTHER_HUES` in turn.
 _HUES = dict.fromkeys(DISCOVERY, "p5")
 _HUES |= {"structure": "p0", "deficiency": "p1", "visibility floor": "p6", "total": "rest"}
 _HUES |= {"travel": "p2", "discount": "p3", "suppressed": "p4"}
@@ -33,20 +34,20 @@ _KINDS = {"structural": "p0", "objects": "p4", "all planes": "rest"}
 
 @dataclass(frozen=True)
 class _Panel:
-    """Hold series that share a vertical axis."""
+    """Hold the series of one panel, which share a vertical axis."""
 
     title: str
     height: float
-    series: Mapping[str, tuple[str, np.ndarray]]  # CSS class and values [T], NaN if missing
-    ends: tuple[float, ...] = ()  # values that the axis includes
-    held: bool = False  # draw each value as a level from the start to the end of its decision
+    series: Mapping[str, tuple[str, np.ndarray]]  # CSS class and values [T] by name; NaN if missing
+    ends: tuple[float, ...] = ()  # values that the vertical axis must include
+    held: bool = False  # whether a value is drawn as a horizontal line from the start to the end of its decision
 
 
 def history_chart(steps: Steps) -> Markup | None:
-    """Return stacked panels over the frames used, or None if no decision has values for them.
+    """Return a chart of panels below each other over the frames, or None if no decision has values to draw.
 
-    Panels show mean deficit and quality of structural and object planes, area of the deficiency centres, and terms and
-    factors of the chosen views. Phases are shaded bands.
+    The panels show the mean deficit and the mean quality of structural and object planes, the area of the deficiency
+    centres (holes in planes), and the terms and factors of the chosen views' scores. Phases are shaded.
     """
     panels = [
         panel for panel in _panels(steps) if any(np.isfinite(values).any() for _, values in panel.series.values())
@@ -113,7 +114,7 @@ def _panels(steps: Steps) -> list[_Panel]:
 
 
 def _pieces(x: np.ndarray, y: np.ndarray) -> str:  # [T, n] each: n points per decision
-    """Return a path through the decisions with a value, interrupted at the others."""
+    """Return SVG path data through T decisions with n points each, interrupted at decisions with a NaN."""
     whole = np.isfinite(y).all(axis=1)
     starting = np.flatnonzero(whole & ~np.concatenate([[False], whole[:-1]]))
     ending = np.flatnonzero(whole & ~np.concatenate([whole[1:], [False]])) + 1

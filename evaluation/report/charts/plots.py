@@ -1,7 +1,7 @@
 """Draw line charts and interval charts as SVG, in the page's light and dark colours.
 
-The SVG of a chart has a sixth to a third of the size of matplotlib's. Its data attributes give the positions of the
-axes; the page uses them to show values at the pointer (docs/notebook/performance.md).
+The SVG of a chart has a sixth to a third of the size that matplotlib writes (docs/notebook/performance.md). Its data
+attributes give the positions of the axes; the page uses them to show values at the pointer.
 """
 
 from __future__ import annotations
@@ -28,46 +28,48 @@ from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT, hue, is_grey
 from activestructure_gym.evaluation.report.tables.layout import Judgement
 
-_SIZE = (460, 300)  # width and height of a line chart, in units of its view box
+# Lengths are in units of the SVG's view box.
+_SIZE = (460, 300)  # width and height of a line chart
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 18, 10, 44  # margins
 _LABEL, _DIGIT = 24, 8  # width of the vertical axis label, and of a digit
 _PANEL = (184, 104)  # width and height of one policy's panel
-_LETTERS = 27  # maximum length of a policy's name in a chart
+_LETTERS = 27  # largest number of characters of a policy's name in a chart
 _BETWEEN = (12, 30)  # horizontal and vertical gap between panels
-_EMPTY = 0.2  # maximum share of the horizontal axis before the first curve
-_DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
+_EMPTY = 0.2  # largest share of the horizontal axis that may be empty before the first curve
+_DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")  # SVG dash pattern by policy index
 
 
 @dataclass(frozen=True)
 class Line:
     """Hold one policy's curve."""
 
-    name: str
+    name: str  # of the policy
     index: int  # of the policy; selects colour, dash pattern and marker
     x: np.ndarray  # [G]
     y: np.ndarray  # [G]
-    low: np.ndarray | None = None  # [G] confidence band
-    high: np.ndarray | None = None
+    low: np.ndarray | None = None  # [G] lower end of the confidence band; None: no band
+    high: np.ndarray | None = None  # [G] upper end of the confidence band
 
 
 @dataclass(frozen=True)
 class Bar:
     """Hold one policy's value and confidence interval."""
 
-    name: str
-    index: int
+    name: str  # of the policy
+    index: int  # of the policy; selects colour and marker
     value: float
-    low: float | None
-    high: float | None
-    tone: Judgement = ""  # good or bad if the interval excludes 0
+    low: float | None  # lower end of the interval; None: no interval
+    high: float | None  # upper end of the interval
+    tone: Judgement = ""  # "good" or "bad" if the interval excludes 0, else empty
 
 
 def line_chart(
     lines: Sequence[Line], *, title: str, x_label: str, y_label: str, y_includes: Sequence[float] = ()
 ) -> Markup:
-    """Return a line chart with confidence bands. The vertical axis includes all values in ``y_includes``.
+    """Return a line chart with confidence bands as SVG.
 
-    The horizontal axis begins at 0, or near the first point if more than a fifth of the axis would be empty.
+    The vertical axis includes all values in ``y_includes``. The horizontal axis begins at 0, or near the first point if
+    more than a fifth of the axis would be empty.
     """
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
@@ -122,7 +124,7 @@ def line_chart(
 
 
 def value_range(lines: Sequence[Line], further: Sequence[float] = ()) -> tuple[float, float]:
-    """Return the lowest and highest value of curves, their bands, and ``further`` values."""
+    """Return the lowest and the highest of all values of the lines, their bands, and ``further``."""
     drawn = [values for line in lines for values in (line.y, line.low, line.high) if values is not None]
     values = np.concatenate([*drawn, np.asarray(further, np.float64)])
     if not len(values):
@@ -131,10 +133,10 @@ def value_range(lines: Sequence[Line], further: Sequence[float] = ()) -> tuple[f
 
 
 def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Markup:
-    """Return one panel per policy: its curve with its band, and the curves of all policies in grey behind it.
+    """Return a chart with one panel per policy: its curve and band, in front of all policies' curves in grey.
 
-    It serves for more policies than there are colours. All panels share their axes: from 0 to the largest cost, and the
-    range of all curves.
+    It is for more policies than there are colours. All panels have the same axes: 0 to the largest cost horizontally,
+    and the range of all curves vertically. ``columns`` is the number of panels next to each other.
     """
     panel_width, panel_height = _PANEL
     columns = max(1, min(columns, len(lines)))
@@ -156,7 +158,7 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
     groups = []
     for number, line in enumerate(lines):
         column, row = number % columns, number // columns
-        lowest = number + columns >= len(lines)  # no panel below
+        lowest = number + columns >= len(lines)  # whether no panel is below this one
         below: list[Part] = []
         for tick in y_ticks:
             y = panel_height * (1.0 - (tick - y_low) / (y_high - y_low))
@@ -166,7 +168,7 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
         if lowest:
             for tick in x_ticks:
                 x = tick / right * panel_width
-                # Labels stay inside their panel.
+                # The first and last labels are aligned to the panel's edges, so they do not overlap other panels.
                 anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"
                 below.append(label(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
         own: list[Part] = []
@@ -187,7 +189,7 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
 
 
 def interval_chart(bars: Sequence[Bar], *, title: str, x_label: str) -> Markup:
-    """Return one row per policy with its difference and confidence interval, and a line at 0."""
+    """Return a chart with one row per policy: its value as a marker on its confidence interval, and a line at 0."""
     letters = max((len(shortened(bar.name, _LETTERS)) for bar in bars), default=0)
     width, row, name_width = _SIZE[0], 26, max(132, 18 + 7 * letters)
     height = _TOP + row * len(bars) + _BOTTOM
@@ -223,15 +225,15 @@ def interval_chart(bars: Sequence[Bar], *, title: str, x_label: str) -> Markup:
 
 
 def legend_marker(index: int) -> Markup:
-    """Return a policy's line and marker for a legend."""
+    """Return the line and the marker of the policy with this index, for a legend."""
     line = shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
     return render("legend_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, marker(index, 17, 7)])
 
 
 def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, title: str) -> str:
-    """Return rows of charts as one SVG file with a legend of ``names``, for use outside the page.
+    """Return rows of charts as the text of one SVG file, with a title and a legend, for use outside the page.
 
-    All policies drawn in grey share one entry.
+    ``names`` are the policies in the order of their indices. All policies drawn in grey share one legend entry.
     """
     names, grey = names[: len(COLOURS)], len(names[len(COLOURS) :])
     placed, right, y = [], 0.0, 40.0
@@ -268,18 +270,18 @@ def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, titl
 
 
 def _placed(chart: Markup, x: float, y: float, width: float, height: float) -> Markup:
-    """Return a chart as an inner ``svg`` element with position and size."""
+    """Return ``chart`` as an inner ``svg`` element at the position (x, y) with a width and a height."""
     return Markup(f'<svg x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"{chart[len("<svg") :]}')
 
 
 def _size(chart: Markup) -> tuple[float, float]:
-    """Return width and height of a chart's view box."""
+    """Return the width and height of a chart, read from its ``viewBox`` attribute."""
     _, _, width, height = chart.split('viewBox="', 1)[1].split('"', 1)[0].split()
     return float(width), float(height)
 
 
 def chart_style() -> str:
-    """Return the CSS of a chart outside the page: text, axis and policy colours, light and dark."""
+    """Return the CSS of a chart outside the page: colours of text, axes and policies, in a light and a dark theme."""
     colours = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
     by_night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
     return (
@@ -296,7 +298,10 @@ def chart_style() -> str:
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Return round numbers that enclose [``low``, ``high``], in steps of 1, 2 or 5 times a power of ten."""
+    """Return about ``about`` tick positions that enclose [``low``, ``high``].
+
+    Their step is 1, 2 or 5 times a power of ten.
+    """
     span = high - low
     if not span > 0:
         span = abs(low) or 1.0
@@ -308,7 +313,7 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> str:
-    """Format a tick with as many digits as the step between ticks needs."""
+    """Format ``tick`` with the number of decimals that the step of the ticks ``among`` needs."""
     step = among[1] - among[0] if len(among) > 1 else abs(tick) or 1.0
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     text = f"{tick:+.{digits}f}" if signed and round(tick, digits) else f"{abs(tick) if not tick else tick:.{digits}f}"
@@ -316,7 +321,7 @@ def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> s
 
 
 def shortened(text: str, letters: int) -> str:
-    """Shorten a text in the middle, since related names differ at their end."""
+    """Shorten ``text`` to ``letters`` characters by an ellipsis in its middle: related names differ at the end."""
     if len(text) <= letters:
         return text
     head = (letters - 1) // 2

@@ -1,1 +1,1 @@
-"""Build the HTML page: sections, legends and embedded images."""
+"""Build the HTML page of the report: sections, legends and embedded images."""

@@ -1,4 +1,4 @@
-"""Build the convergence section: curves over all scenes, and the chart grid that scene sections use, too."""
+"""Build the page's convergence section, and the grid of charts that the sections of single scenes use too."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ from activestructure_gym.evaluation.statistics import Statistic, interquartile_m
 
 
 def convergence_section(results: Results) -> Markup:
-    """Return the section: a legend that hides curves, the curves, the planning table and the areas under the curves."""
+    """Return the convergence section as HTML.
+
+    It has a legend by which readers hide curves, the curves over all scenes, the planning table, and the areas under
+    the curves.
+    """
     seeds, scenes = len(results.seeds), len(results.scenes)
     caption = "Mean over scenes and seeds" if scenes > 1 else "Mean over seeds" if seeds > 1 else "One run per policy"
     planning = planning_table(results)
@@ -43,7 +47,10 @@ def convergence_section(results: Results) -> Markup:
 
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
-    """Return all measures over frames, metres and seconds, each with a sentence that states the best policies."""
+    """Return the charts of all measures over frames, metres and seconds, with a sentence on the best policies each.
+
+    The charts are of ``scene``, or of all scenes for None; ``statistic`` aggregates runs.
+    """
     ranked = {name for name, planner in zip(results.policies, results.planners) if planner}
 
     def compared(measure: Measure) -> list[Line]:
@@ -58,7 +65,10 @@ def chart_grid(results: Results, scene: str | None = None, statistic: Statistic 
 
 
 def reading(lines: Sequence[Line], measure: Measure) -> str:
-    """Return a sentence that names the highest curves at half of the frames and at the end, as printed."""
+    """Return a sentence that names the policies with the highest curves at half of the frames and at the end.
+
+    Values that are equal as printed are ties. All lines are of one measure, over frames.
+    """
     if not lines:
         return ""
     half = 0.5 * max(float(line.x[-1]) for line in lines)
@@ -82,7 +92,7 @@ def _named(names: Sequence[str]) -> str:
 
 @once
 def policy_panels(results: Results) -> list[Markup]:
-    """Return all measures over frames with a panel per policy; empty if there are enough colours for all policies."""
+    """Return one chart per measure over frames, with a panel per policy; empty if all policies have a colour."""
     if len(results.policies) <= len(style.COLOURS):
         return []
     frames = COSTS[0]

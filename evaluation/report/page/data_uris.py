@@ -10,12 +10,15 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report.html import render
 
-WIDE, THUMBNAIL = 480, 240  # pixels: width of a full image, and of a thumbnail
-_QUALITY = 55  # of WebP, in [0, 100]
+WIDE, THUMBNAIL = 480, 240  # largest width of an image, and of a thumbnail, in pixels
+_QUALITY = 55  # WebP quality, in [0, 100]
 
 
 def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:
-    """Return an image as WebP in a data URI; WebP takes half the bytes of JPEG for these images."""
+    """Return an image as a data URI in WebP format, at most ``widest`` pixels wide.
+
+    WebP takes half the bytes of JPEG for these images.
+    """
     if image.width > widest:
         size = widest, max(1, round(image.height * widest / image.width))
         image = image.resize(size, Image.Resampling.LANCZOS, reducing_gap=2.0)
@@ -25,6 +28,6 @@ def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:
 
 
 def picture(image: Image.Image, alt: str, *, widest: int = WIDE) -> Markup:
-    """Return an ``img`` element with embedded data."""
+    """Return an ``img`` element with the embedded image and the alternative text ``alt``."""
     source = data_uri(image, widest=widest)
     return render("picture.html.j2", source=source, alt=alt, width=image.width, height=image.height)

@@ -1,4 +1,4 @@
-"""Show a run's decisions in order: target, terms of the chosen view, cost and result."""
+"""Show the decisions of a run in order: chosen view, terms of its score, cost and result."""
 
 from __future__ import annotations
 
@@ -21,12 +21,16 @@ from activestructure_gym.evaluation.report.page.run_links import run_links
 from activestructure_gym.evaluation.report.tables.columns import ratios_text, value_of
 from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table, number
 
-_DIGITS = 3
+_DIGITS = 3  # decimals of terms
+# Columns on the Plane Scene Graph: heading, field (None: the number of planes), and decimals.
 _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
 
 
 def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
-    """Return a one-line summary of a run, and its folded details: phases, history, decisions, links to files."""
+    """Return a one-line summary of a run, and its details as HTML: phases, history, decisions, links to files.
+
+    ``directory`` is the directory of the page, see `run_links`.
+    """
     numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
     parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
     for key, form in (("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
@@ -45,7 +49,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
 
 
 def phase_strip(run: Run) -> Markup | None:
-    """Return the phases as a strip over the frames, with the reason for each; None for a policy without phases."""
+    """Return the phases of a run as a strip over the frames, with the reason of each; None without phases."""
     found = bands(drawn_steps(run.steps))
     if not found:
         return None
@@ -59,9 +63,10 @@ def phase_strip(run: Run) -> Markup | None:
 
 
 def trace_table(run: Run) -> Table:
-    """Return a row per decision: cost, phase, target, terms of the chosen view, runner-up, and resulting state.
+    """Return a table with a row per decision of a run.
 
-    Long episodes show the even selection of `drawn_decisions`.
+    Its columns are the cost so far, the phase, the position of the chosen view, the terms of its score, the score of
+    the second-best view, and the state afterwards. Of a long episode, only the `drawn_decisions` are shown.
     """
     steps, terms = run.steps, chosen_terms(run.steps)
     phased = any((step.get("trace") or {}).get("phase") for step in steps)
@@ -113,6 +118,6 @@ def _position(view: Mapping[str, Any]) -> str:
 
 
 def _term(value: float | None) -> Cell:
-    if value is None or value != value:  # NaN: this decision has no such term
+    if value is None or value != value:  # NaN means that the decision has no such term
         return Cell("")
     return Cell(f"{value:.{_DIGITS}f}", float(value))

@@ -1,4 +1,4 @@
-"""Build the report as one self-contained HTML file without network access."""
+"""Build the report as one HTML file that contains everything and needs no network."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 from activestructure_gym.evaluation.report.tables.layout import Table
 
 _ASSETS = Path(__file__).parents[1] / "assets"
-# Blocks all loading and sending, whatever text a scene's or policy's name contains.
+# Content security policy: the page can load and send nothing, even if the name of a scene or policy contains a script.
 CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def html_page(results: Results, directory: Path | None = None, published: Sequence[Table] = ()) -> str:
-    """Return the page.
+    """Return the report page as HTML.
 
-    ``directory`` is the page's future directory, for links to files of runs in or next to it; None makes no links.
-    ``published`` are tables of published values.
+    ``directory`` is the directory that the page will be in; runs in it or next to it get links to their files. None
+    makes no links. ``published`` are tables of published values.
     """
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
     policies = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
@@ -69,7 +69,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
 
 
 def _asset(name: str) -> Markup:
-    """Return the text of a file in ``assets/`` as markup."""
+    """Return the content of the file ``name`` in ``assets/`` as markup, which is not escaped."""
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))
 
 

@@ -1,4 +1,4 @@
-"""Build the first section: best policy per metric, its lead, the definitions, and the table of all policies."""
+"""Build the page's first section: best policy per metric, its lead, definitions, and the table of all policies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.tables.paper import ablation_table
 
 
 def glance_section(results: Results) -> Markup:
-    """Return the section with one card per main metric, the definitions, and the table of all policies."""
+    """Return the first section as HTML: one card per main metric, definitions, and the table of all policies."""
     first, *others = [
         html_table(ablation_table(results, aspect), colours=results.palette) for aspect in aspects(results.runs)
     ]
@@ -53,7 +53,7 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
 
 
 def _cards_caption(results: Results) -> str:
-    """Return sentences on the content of the cards, and on the reason if intervals are missing."""
+    """Return sentences that explain the cards, and why there are no intervals if so."""
     several = len(results.scenes) > 1
     text = "Best policy of each metric" + (", by the mean over scenes" if several else "")
     if len(results.policies) > 1:

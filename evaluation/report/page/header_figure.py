@@ -1,4 +1,4 @@
-"""Build the figure at the top of the page: one view and one path per policy, on one scene and seed."""
+"""Build the figure at the top of the page: one rendered view and one path per policy, for one scene and seed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ from activestructure_gym.evaluation.report.tables.layout import decimal
 
 
 def header_figure(results: Results, anchor: str, directory: Path | None = None) -> Markup:
-    """Return the first scene's typical view, true and as rendered from each map, above each map with its path."""
+    """Return the figure as HTML for the first scene: the true view, and for each run its rendered view and its plan.
+
+    The view is the `typical_view`. ``anchor`` is the HTML id of the scene's section, and ``directory`` the directory of
+    the page.
+    """
     candidates = results.shown(results.scenes[0])
     runs = opened(results.foremost(results.scenes[0]))
     index = typical_view(runs)

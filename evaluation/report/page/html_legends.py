@@ -1,4 +1,4 @@
-"""Define the legends of the page's images: label, shape and CSS background of each symbol."""
+"""Define the legends of the page's images; an entry is a label, a shape and a CSS background."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Build the method section: definitions, commands, hardware, configuration and versions."""
+"""Build the page's method section: definitions, commands, hardware, protocols, configuration and versions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def method_section(results: Results) -> Markup:
-    """Return the section with definitions, commands, hardware, protocols, configuration and versions."""
+    """Return the method section as HTML: definitions, commands, hardware, protocols, configuration and versions."""
     return render(
         "method.html.j2",
         definitions=definitions(results),

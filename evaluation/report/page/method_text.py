@@ -1,4 +1,4 @@
-"""Write the page's texts on the method: metrics, protocols, statistics, machine."""
+"""Write the report's texts on the method: metrics, protocols, statistics, hardware and versions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from activestructure_gym.specs import Spec
 
 
 def metric_definitions(results: Results) -> dict[str, str]:
-    """Return the definition of each quality column, by its header."""
+    """Return the definition of each quality metric that has a value, by the label of the metric."""
     protocol = results.runs[0].job.conditions.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
     described = {metric.name: metric for metric in (*STANDARD, *own_metrics(results.runs))}
@@ -29,7 +29,7 @@ def metric_definitions(results: Results) -> dict[str, str]:
 
 
 def missing_value_texts(results: Results) -> list[str]:
-    """Return one sentence per column that is left out or incomplete, with the reason."""
+    """Return one sentence per metric that is missing in some or all runs, with the reason."""
     shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
     described = (*STANDARD, *own_metrics(results.runs))
     columns = [(metric.label, metric.name) for metric in described if not metric.name.startswith("tsdf_")] + [
@@ -52,7 +52,7 @@ def missing_value_texts(results: Results) -> list[str]:
 
 
 def protocol_texts(results: Results) -> list[str]:
-    """Return the description of each protocol."""
+    """Return one paragraph per protocol of the runs, which describes how it measures."""
     texts = [protocol_text(results)]
     if "activegamer" in results.runs[0].protocols:
         texts.append(
@@ -64,7 +64,7 @@ def protocol_texts(results: Results) -> list[str]:
 
 
 def protocol_text(results: Results) -> str:
-    """Return sentences on the protocol's procedure; `metric_definitions` defines its numbers."""
+    """Return sentences on how the runs' own protocol measures; `metric_definitions` defines its metrics."""
     run = results.runs[0]
     protocol = run.job.conditions.protocol
     views = (
@@ -102,7 +102,7 @@ def statistics_text() -> list[str]:
 
 
 def machine_text(results: Results) -> str:
-    """Return a sentence on preset, sensor, processor and versions."""
+    """Return sentences on the preset, sensor, processor and versions of the first run."""
     run = results.runs[0]
     sensor = run.config["configuration"]["sensor"]
     hardware, versions = run.timing["hardware"], run.config["versions"]
@@ -115,7 +115,7 @@ def machine_text(results: Results) -> str:
 
 
 def native_setup_text(results: Results) -> list[str]:
-    """Return a sentence on each policy's own settings; empty in the shared setup."""
+    """Return a paragraph on each policy's own settings in the native setup; empty in the shared setup."""
     if results.runs[0].job.conditions.setup == "shared":
         return []
     texts = []
@@ -131,7 +131,7 @@ def native_setup_text(results: Results) -> list[str]:
 
 
 def _settings_text(config: Mapping[str, Any]) -> str:
-    """Return the settings of a run's configuration as text."""
+    """Return the candidates, clearance, mapper and keyframes of a run's configuration as text."""
     stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
     every = config["keyframe_every"]
     frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a path"
@@ -143,7 +143,7 @@ def _settings_text(config: Mapping[str, Any]) -> str:
 
 
 def _budget_text(name: str) -> str:
-    """Return the budget in the paper of a built-in policy, in brackets; empty if unknown."""
+    """Return the budget that the paper of a built-in policy uses, in brackets; empty if unknown."""
     from activestructure_gym.policies import POLICIES
 
     plain = Spec(name).name
@@ -152,7 +152,10 @@ def _budget_text(name: str) -> str:
 
 
 def trajectories_text(results: Results) -> list[str]:
-    """Return a sentence on given trajectories: collisions, and poses and steps outside the planners' limits."""
+    """Return a sentence on runs along given trajectories; empty without such runs.
+
+    It counts collisions, poses outside free space, and steps and turns over the limits of the planners.
+    """
     texts = []
     for name in results.policies:
         runs = [run for run in results.runs if run.policy == name and run.job.policy.kind == "trajectory"]
@@ -176,7 +179,7 @@ _MOTION_KEYS = ("largest_step_m", "largest_turn_deg")
 
 
 def definitions(results: Results) -> list[str]:
-    """Return all texts of this module, one paragraph each, with code between backticks."""
+    """Return the paragraphs of the method section, with code between backticks."""
     return [
         *native_setup_text(results),
         *trajectories_text(results),

@@ -1,4 +1,4 @@
-"""Link the page to files in the runs' directories: the replay and the images in full size."""
+"""Link the page to files in the directories of runs: the replay, and the images in full size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FILES = {
 
 
 class Link(NamedTuple):
-    """Hold the text and address of a link."""
+    """Hold the text and the address of a link."""
 
     name: str
     address: str  # relative to the page
@@ -28,8 +28,8 @@ class Link(NamedTuple):
 def run_links(run: Run, directory: Path | None) -> list[Link]:
     """Return links from a page in ``directory`` to the existing files of a run, the replay first.
 
-    Only runs in the page's directory or in a sibling directory are linked; other addresses would reveal local paths.
-    Without a directory there are no links.
+    Only runs in ``directory`` or next to it are linked; other addresses would reveal local paths. None as ``directory``
+    gives no links.
     """
     if directory is None:
         return []
@@ -40,5 +40,5 @@ def run_links(run: Run, directory: Path | None) -> list[Link]:
 
 
 def replay_link(run: Run, directory: Path | None) -> Link | None:
-    """Return the link to a run's replay, or None."""
+    """Return the link from a page in ``directory`` to the replay of a run, or None if there is none."""
     return next((link for link in run_links(run, directory) if link.name == "replay"), None)

@@ -1,6 +1,6 @@
-"""Build the section of one scene: table, curves, views, plans, planes and the decisions of each run.
+"""Build the page's section of one scene: table, curves, views, plans, planes and the decisions of each run.
 
-With many policies, only those of `Results.foremost` are shown in full; the others have views and thumbnails.
+With many policies, only the policies of `Results.foremost` have images in full size; the others have thumbnails.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ from activestructure_gym.evaluation.report.text_filters import without_folders
 
 
 def scene_section(results: Results, scene: str, anchor: str, directory: Path | None = None) -> Markup:
-    """Return the section of one scene, without tables and curves that earlier sections show."""
+    """Return the section of ``scene`` as HTML, without tables and curves that earlier sections show already.
+
+    ``anchor`` is the HTML id of the section, and ``directory`` the directory of the page.
+    """
     shown = opened(results.shown(scene))
     full = frozenset(run.policy for run in results.foremost(scene))
     tiles = Tiles(results.palette, full, directory)
     numbers = curves = None
     if len(results.scenes) > 1:
-        # The quality section has the means. This table adds the spread over seeds and the costs.
+        # The quality section has the means already. This table adds the deviation over seeds and the costs.
         runs = results.of(None, scene)
         columns = overview_columns(runs)
         columns = columns if len(results.seeds) > 1 else [column for column in columns if column.best is None]
@@ -64,7 +67,7 @@ def scene_section(results: Results, scene: str, anchor: str, directory: Path | N
 
 
 def seed_text(results: Results, scene: str) -> str:
-    """Return sentences on the seed of the images, and on policies without a run of it."""
+    """Return sentences that name the seed of the images on a scene, and the policies without a run of this seed."""
     runs = results.shown(scene)
     shown = {run.policy for run in runs}
     text = f"All images are of seed {runs[0].job.seed}, so all paths begin at the same pose"
@@ -75,7 +78,7 @@ def seed_text(results: Results, scene: str) -> str:
 
 
 def scene_facts(run: Run) -> str:
-    """Return sentences on the scene of a run."""
+    """Return sentences on the scene of a run: triangles, size, source, observable surface and notes."""
     info, metrics = run.config["scene"], run.metrics["metrics"]
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
     seen = f"{metrics['true_area_m2']:.1f} m² of observable surface ({metrics['true_samples']:,} samples)"

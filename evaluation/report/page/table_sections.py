@@ -1,4 +1,4 @@
-"""Build the sections of tables: quality by scene, differences to the baseline, costs, published values."""
+"""Build the page's sections of tables: quality by scene, differences to the baseline, costs, published values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from activestructure_gym.evaluation.report.tables.paper import quality_table
 
 
 def quality_section(results: Results) -> Markup | None:
-    """Return quality by scene, and by mean, median and interquartile mean; None with a single run per policy."""
+    """Return the section of quality as HTML: metrics by scene, and mean, median and interquartile mean.
+
+    Return None for a single scene and a single seed.
+    """
     if len(results.scenes) == 1 and len(results.seeds) == 1:
         return None
     tables = []
@@ -35,7 +38,10 @@ def quality_section(results: Results) -> Markup | None:
 
 
 def differences_section(results: Results) -> Markup | None:
-    """Return differences to the baseline; None if the first section shows them already."""
+    """Return the section of differences to the baseline as HTML.
+
+    Return None if there is nothing to compare, or for one scene without intervals.
+    """
     table = verdicts.difference_table(results)
     intervals = verdicts.has_intervals(results)
     if table is None or (len(results.scenes) == 1 and not intervals):
@@ -55,7 +61,7 @@ def differences_section(results: Results) -> Markup | None:
 
 
 def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
-    """Return title and chart of the policies' differences to the baseline; None if there are none."""
+    """Return title and chart of all policies' differences to the baseline in one metric; None if there are none."""
     bars = [
         Bar(policy, results.palette.index(policy), d.value, d.low, d.high, verdicts.verdict(pair, column)[1])
         for policy, pair in verdicts.differences(results, column).items()
@@ -69,12 +75,12 @@ def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
 
 
 def costs_section(results: Results) -> Markup:
-    """Return the section of costs: path, decisions, seconds."""
+    """Return the section of costs as HTML: frames, path length, decisions, seconds and others."""
     return render("costs.html.j2", table=html_table(verdicts.cost_table(results), colours=results.palette))
 
 
 def published_section(tables: Sequence[Table]) -> Markup | None:
-    """Return the tables of published values next to these runs; None without tables."""
+    """Return the section with tables of published values as HTML; None without tables."""
     if not tables:
         return None
     return render("published.html.j2", tables=[html_table(table) for table in tables])

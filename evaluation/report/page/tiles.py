@@ -1,4 +1,4 @@
-"""Build the page's images of single runs, each with a caption that states its result."""
+"""Build the page's tiles: images of single runs, each with the run's result and a caption."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from activestructure_gym.evaluation.report.pictures.views_and_plans import detai
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal
 
-_HIGH_DEFICIT = 0.01  # middle of the legend's classes
-_CAPTIONS = {  # of the images of planes
+_HIGH_DEFICIT = 0.01  # deficit of a plane that captions call high: the middle border of the legend's classes
+_CAPTIONS = {  # captions of the images of planes, by colour coding and projection
     ("type", "from above"): "structural and object planes, and the edges of the graph",
     ("type", "in 3D"): "structural and object planes; planes that face away are left out",
     ("deficit", "in 3D"): "deficits of the planes, and deficiency centres",
@@ -32,20 +32,20 @@ _CAPTIONS = {  # of the images of planes
 
 @dataclass(frozen=True)
 class Tiles:
-    """Hold the settings of tiles: order of colours, policies shown in full, and the page's directory."""
+    """Hold the settings of all tiles."""
 
-    palette: Sequence[str]  # policies
-    full: frozenset[str]
-    directory: Path | None = None
+    palette: Sequence[str]  # policies in the order of their colours
+    full: frozenset[str]  # policies with images in full size
+    directory: Path | None = None  # directory of the page; None for no links
 
     def width(self, run: Run) -> int:
-        """Return the width of a run's images in pixels."""
+        """Return the largest width of a run's images in pixels."""
         return WIDE if run.policy in self.full else THUMBNAIL
 
     def tile(self, run: Run, drawn: Markup, caption: str) -> dict[str, Any]:
-        """Return the fields of a tile: an image, and the run's result, caption and links."""
+        """Return the fields of a tile for the template: the image ``drawn``, the caption, and the run's result."""
         index, links, result = self.palette.index(run.policy), run_links(run, self.directory), result_text(run)
-        if run.policy not in self.full:  # short, for a thumbnail
+        if run.policy not in self.full:  # a thumbnail has room for a short text only
             result = f"C.R. {run.metrics['metrics']['completion_ratio']:.1f} %"
             links = [link for link in links if link.name in ("replay", "plan", "planes in 3D")]
         return {
@@ -59,7 +59,7 @@ class Tiles:
 
 
 def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
-    """Return rows of the same held-out views: the true ones, then each run's rendered views with their PSNR."""
+    """Return rows of the same held-out views: the true views, then the rendered views of each run with their PSNR."""
     true = runs[0].pictures["true"]
     telling = detailed_views(true)
     views: list[dict[str, Any]] = [
@@ -86,16 +86,19 @@ def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
 
 
 def plan_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
-    """Return the tile of a run's plan: map from above, known space and path."""
+    """Return the tile of a run's plan: map from above, observed space and path."""
     drawn = draw_plan(run.pictures, run.trajectory, tiles.width(run))
     caption = f"{100 * float(np.mean(run.pictures['plan_state'] > 0)):.0f} % of the plan observed, the rest is grey"
     return tiles.tile(run, picture(drawn, f"map of {run.policy} from above with its path: {caption}"), caption)
 
 
 def planes_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
-    """Return the tile of a run's graph: from above by deficit; for policies in full also by type and in 3D."""
+    """Return the tile of a run's Plane Scene Graph: planes from above, coloured by deficit.
+
+    For policies with images in full size, ``pictures`` has planes coloured by type and planes in 3D.
+    """
     assert run.graph is not None
-    # Stored images are used if possible; drawing takes as long as the rest of the page.
+    # Stored images are used if they exist, since drawing them again takes as long as the rest of the page.
     above = stored_panels(run.directory / "psg_plan.png") or draw_planes_plan(run.graph, run.pictures)
     caption, width = _deficit_text(run.graph), tiles.width(run)
     by_deficit = picture(above[1], f"planes of {run.policy} from above, by deficit: {caption}", widest=width)
@@ -118,7 +121,7 @@ def planes_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
 
 
 def result_text(run: Run) -> str:
-    """Return a run's costs and results in one line."""
+    """Return the seed, the costs and the main results of a run in one line."""
     metrics = run.metrics["metrics"]
     return (
         f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, "

@@ -1,1 +1,1 @@
-"""Draw images from stored arrays: rendered views, plans from above, the Plane Scene Graph."""
+"""Draw images from the stored arrays of runs: rendered views, plans from above, the Plane Scene Graph."""

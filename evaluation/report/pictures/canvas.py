@@ -1,4 +1,4 @@
-"""Compose images and text on a page; rendered views are placed without resampling."""
+"""Compose images and texts to one image, called page; rendered views are not resampled."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 
 Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
 
-_PANELS = "asg:panels-2"  # key of the panel positions in the PNG's text
-_MAX_PIXELS = 1 << 26  # of a stored image that is read
+_PANELS = "asg:panels-2"  # key of the boxes of the panels in a PNG's text metadata
+_MAX_PIXELS = 1 << 26  # largest number of pixels of a stored image that is read
 GAP = 6  # pixels between tiles
-MARGIN = 14
-_TITLE, _LABELS = 30, 22  # pixels above the tiles
+MARGIN = 14  # pixels around a page
+_TITLE, _LABELS = 30, 22  # height of the title and of the column labels in pixels
 
 
 @functools.cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Open Sans from pyrender's files, or Pillow's default font if that is missing."""
+    """Return the font Open Sans, which pyrender contains, or Pillow's default font; ``size`` is in pixels."""
     spec = importlib.util.find_spec("pyrender")
     if spec is not None and spec.origin:
         path = Path(spec.origin).parent / "fonts" / f"OpenSans-{'Bold' if bold else 'Regular'}.ttf"
@@ -35,7 +35,7 @@ def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont
 
 
 def text_width(text: str, size: int, *, bold: bool = False) -> int:
-    """Return the width of one line in pixels."""
+    """Return the width of one line of text in pixels, at the font size ``size``."""
     return round(font(size, bold=bold).getlength(text))
 
 
@@ -49,7 +49,7 @@ def write(
     fill: tuple[int, int, int] = INK,
     anchor: str = "la",
 ) -> None:
-    """Draw one line of text; ``anchor`` is Pillow's."""
+    """Draw one line of text at ``position`` (x, y) in pixels; ``anchor`` is Pillow's text anchor."""
     ImageDraw.Draw(image).text(position, text, font=font(size, bold=bold), fill=fill, anchor=anchor)
 
 
@@ -64,7 +64,7 @@ def corner_label(image: Image.Image, text: str, *, size: int = 13, at_top: bool 
 
 
 def paste_framed(page: Image.Image, tile: Image.Image, place: tuple[int, int]) -> None:
-    """Paste a tile on a page with a thin frame, which shows its edge on a white page."""
+    """Paste a tile on a page at ``place`` (x, y), with a thin frame that shows its edge on white."""
     x, y = place
     page.paste(tile, place)
     ImageDraw.Draw(page).rectangle([x - 1, y - 1, x + tile.width, y + tile.height], outline=HAIR)
@@ -78,7 +78,7 @@ def tile_grid(
     column_labels: Sequence[str] = (),
     frames: bool = True,  # thin lines around the tiles
 ) -> Image.Image:
-    """Return a page of tiles of one size in rows, with a title, row labels and column labels."""
+    """Return a page with rows of tiles, which all have one size, and with a title, row labels and column labels."""
     tile_width, tile_height = rows[0][0].size
     columns = max(len(row) for row in rows)
     lines = [line for label in row_labels for line in label]
@@ -100,26 +100,26 @@ def tile_grid(
 
 
 def first_row_boxes(tiles: Sequence[Image.Image]) -> list[Box]:
-    """Return the boxes of the first row on a page of `tile_grid` with column labels and without row labels."""
+    """Return the boxes of the first row of tiles on a page of `tile_grid` with column labels, without row labels."""
     (width, height), top = tiles[0].size, MARGIN + _TITLE + _LABELS
     corners = [MARGIN + column * (width + GAP) for column in range(len(tiles))]
     return [(left, top, left + width, top + height) for left in corners]
 
 
 def to_image(array: np.ndarray) -> Image.Image:
-    """Return an RGB image from [H, W, 3] uint8."""
+    """Convert an array [H, W, 3] uint8 to an RGB image."""
     return Image.fromarray(np.ascontiguousarray(array), "RGB")
 
 
 def save_with_panels(image: Image.Image, path: Path, panels: Sequence[Box]) -> None:
-    """Save a page as PNG, with the boxes of its panels as metadata."""
+    """Save a page as PNG, with the boxes of its panels as metadata that `stored_panels` reads."""
     about = PngInfo()
     about.add_text(_PANELS, json.dumps(panels))
     image.save(path, "PNG", pnginfo=about)
 
 
 def stored_panels(path: Path) -> list[Image.Image] | None:
-    """Return the two panels of a page that `save_with_panels` saved; None if the file has none."""
+    """Return the two panels of a page saved by `save_with_panels`; None if the file has no two panels."""
     page = stored_picture(path)
     if page is None:
         return None
@@ -133,7 +133,7 @@ def stored_panels(path: Path) -> list[Image.Image] | None:
 
 
 def stored_picture(path: Path) -> Image.Image | None:
-    """Return the image in a PNG file; None if the file is missing, damaged or larger than this package writes."""
+    """Return the image of a PNG file; None if the file is missing, damaged or has more than `_MAX_PIXELS` pixels."""
     if not path.is_file():
         return None
     try:

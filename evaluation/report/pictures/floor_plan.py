@@ -12,22 +12,23 @@ from activestructure_gym.evaluation.archive.picture_record import pixel_size, pl
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, text_width, write
 
-_SMOOTH = 3  # supersampling factor of lines
-# Fill colours of pixels without a mapped surface.
+_SMOOTH = 3  # supersampling factor: images are drawn this many times larger and then reduced
+# Colours of pixels without a mapped surface, by their label in the legend.
 FILLS = {
     "not observed": style.UNKNOWN,
     "free, no surface mapped below": style.FREE,
     "occupied, not mapped": style.OCCUPIED,
 }
-_LEVEL, _FLOOR_M2 = 0.8, 0.5  # minimum z of a floor's unit normal, and minimum observed area in m^2
+_LEVEL, _FLOOR_M2 = 0.8, 0.5  # a plane is a floor from this z of its unit normal and this observed area (m^2) on
 
 
 def draw_plan(
     arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray], widest: float = math.inf
 ) -> Image.Image:
-    """Return the plan with y up: map from above, free and occupied space, path, keyframes, start and end.
+    """Return the plan of a run, seen from above with y up: map, free and occupied space, path and keyframes.
 
-    The image has at most ``widest`` columns; line widths do not depend on it.
+    ``arrays`` are the run's stored picture arrays, and ``trajectory`` has its poses. The image is at most ``widest``
+    pixels wide; line widths do not depend on this.
     """
     extent = arrays["plan_extent"]
     scale = min(plan_scale(extent), widest / float(extent[0])) * _SMOOTH
@@ -38,7 +39,7 @@ def draw_plan(
 
 
 def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
-    """Return free and occupied space with the map from above, at ``scale`` pixels per metre."""
+    """Return the map from above over free and occupied space, without the path, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
@@ -48,7 +49,7 @@ def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
 
 
 def legend() -> Image.Image:
-    """Return the legend of `draw_plan` as a strip."""
+    """Return the legend of `draw_plan` as an image of one row."""
     entries = ("start", "end", "path, first to last frame", "keyframe and view direction", *FILLS)
     widths = [44 + text_width(entry, 13) + 18 for entry in entries]
     strip = Image.new("RGB", (2 * MARGIN + sum(widths), 34), style.PAPER)
@@ -71,9 +72,10 @@ def legend() -> Image.Image:
 
 
 def camera_height_text(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
-    """Return a sentence on the camera's height along trajectories, above the lowest floor in each run's graph.
+    """Return a sentence with the lowest and highest camera height along trajectories, in metres.
 
-    If a graph is missing or has no floor, heights are z in the world frame.
+    ``paths`` has a trajectory and a Plane Scene Graph per run. Heights are above the lowest floor of each graph. If a
+    graph is missing or has no floor, they are z in the world frame.
     """
     floors = [None if graph is None else _floor(graph) for _, graph in paths]
     known = [floor for floor in floors if floor is not None]
@@ -116,7 +118,7 @@ def _draw_path(
 
 
 def draw_scale_bar(picture: Image.Image, scale: float) -> None:
-    """Draw a scale bar of 1 m, or of 5 m at small scales, into a supersampled image."""
+    """Draw a scale bar of 1 m, or of 5 m for large scenes, into a supersampled image of ``scale`` pixels per metre."""
     metres = 1 if scale / _SMOOTH >= 30 else 5
     length, unit = metres * scale, _SMOOTH
     left, bottom = 12 * unit, picture.height - 12 * unit

@@ -1,4 +1,7 @@
-"""Project the observed surface of planes: covered pixels and nearness in a parallel projection."""
+"""Project the observed surface of planes by a parallel projection: covered pixels, and their nearness to the viewer.
+
+The observed surface of a plane is a set of square cells of a grid on the plane.
+"""
 
 from __future__ import annotations
 
@@ -10,31 +13,35 @@ import numpy as np
 
 from activestructure_gym.planes.record import GraphArrays, seen_cells
 
-_PAD = 2  # unobserved cells added around a grid; they close its outline
-_EDGE_ON = 1e-3  # planes whose cells cover a smaller share of their full area are seen edge-on and not drawn
-NO_PLANE = -1
+_PAD = 2  # number of empty cells added at each side of a grid, so its outline is closed
+_EDGE_ON = 1e-3  # a plane is not drawn if its projected area is less than this share of its area: it is seen edge-on
+NO_PLANE = -1  # plane index of pixels without a plane
 
 
 @dataclass(frozen=True)
 class Projection:
-    """Hold a parallel projection of the world onto an image, x right and y down."""
+    """Hold a parallel projection of world points onto an image with x right and y down."""
 
-    rows: np.ndarray  # [2, 3] pixels per metre
+    rows: np.ndarray  # [2, 3] pixels per metre; a point p is at the pixel position rows @ p + shift
     shift: np.ndarray  # [2] pixels
     towards: np.ndarray  # [3] unit vector from the scene to the viewer
     size: tuple[int, int]  # width, height in pixels
 
     def pixels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 2]
-        """Return the image positions of world points in pixels."""
+        """Return the pixel positions (x, y) of world points."""
         return points @ self.rows.T + self.shift
 
     def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the viewer
-        """Return the positions of world points along the view direction."""
+        """Return the coordinates of world points along the direction to the viewer."""
         return points @ self.towards
 
 
 def fit_projection(points: np.ndarray, right: np.ndarray, towards: np.ndarray, scale: float, margin: int) -> Projection:
-    """Return the projection that shows ``points`` [K, 3] at ``scale`` pixels per metre, with a margin in pixels."""
+    """Return the projection that shows all ``points`` [K, 3] (metres) at ``scale`` pixels per metre.
+
+    ``right`` and ``towards`` are unit vectors [3]: the image's x direction, and the direction to the viewer. ``margin``
+    is the number of pixels around the points.
+    """
     down = np.cross(right, towards)
     rows = scale * np.stack([right, down])
     flat = points @ rows.T
@@ -44,9 +51,9 @@ def fit_projection(points: np.ndarray, right: np.ndarray, towards: np.ndarray, s
 
 
 def outer_cells(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
-    """Return the centres of the first and last observed cell of each grid row of each plane.
+    """Return the centres of the first and the last observed cell in each grid row of each plane.
 
-    They bound all observed cells.
+    Their bounds are those of all observed cells.
     """
     cell, points = float(arrays["cell"]), [np.zeros((0, 3))]
     for plane in range(len(arrays["ids"])):
@@ -58,15 +65,16 @@ def outer_cells(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
     return np.concatenate(points)
 
 
-Window = tuple[slice, slice]  # rows and columns of a picture
+Window = tuple[slice, slice]  # rows and columns of an image
 
 
 def covered_pixels(
     arrays: GraphArrays, plane: int, view: Projection
 ) -> tuple[Window, np.ndarray, np.ndarray] | None:  # window, [h, w] bool, [h, w] metres
-    """Return the pixels that a plane's observed cells cover: a window of the image, its covered pixels, their nearness.
+    """Return the pixels that a plane's observed cells cover, with smoothed outlines.
 
-    Return None if the plane is seen edge-on or outside the image. Outlines are those of the cells, smoothed.
+    The result is a window of the image, whether each pixel of the window is covered, and the nearness of each pixel.
+    It is None if the plane is seen edge-on or outside the image.
     """
     found = _covered(arrays, plane, view)
     if found is None:
@@ -81,9 +89,10 @@ def covered_pixels(
 def _covered(
     arrays: GraphArrays, plane: int, view: Projection
 ) -> tuple[Window, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return window and pixels as `covered_pixels`, and the sampling of the plane's grid.
+    """Return the window and the covered pixels as in `covered_pixels`, and how the plane's grid is placed in the image.
 
-    The sampling is the centre of the first cell [3] in metres, its image position [2], and the pixels per cell [2, 2].
+    The latter is the centre of the first cell [3] in metres, its pixel position [2], and the steps in pixels from a
+    cell to the next row and the next column [2, 2].
     """
     cell, axes = float(arrays["cell"]), arrays["patch_axes"][plane]
     grid = np.pad(seen_cells(arrays, plane), _PAD).astype(np.float32)
@@ -109,7 +118,10 @@ def _covered(
 def nearest_planes(
     arrays: GraphArrays, view: Projection
 ) -> tuple[np.ndarray, np.ndarray]:  # [H, W] int32 row of the plane or -1, [H, W] metres
-    """Return the nearest plane at each pixel; planes that face away from the viewer are transparent."""
+    """Return the index of the nearest plane at each pixel, and its nearness.
+
+    Planes that face away from the viewer are not drawn. A pixel without a plane has the index `NO_PLANE`.
+    """
     width, height = view.size
     owner = np.full((height, width), NO_PLANE, np.int32)
     nearness = np.full((height, width), -np.inf)
@@ -127,20 +139,20 @@ def nearest_planes(
 
 
 def silhouette(arrays: GraphArrays, plane: int, view: Projection) -> tuple[Window, np.ndarray] | None:
-    """Return window and pixels of a plane's observed cells: the first two results of `covered_pixels`."""
+    """Return the window and the covered pixels of a plane: the first two results of `covered_pixels`, or None."""
     found = _covered(arrays, plane, view)
     return None if found is None else found[:2]
 
 
 def outlines(arrays: GraphArrays, plane: int, view: Projection) -> Iterator[np.ndarray]:  # [K, 2] pixels each
-    """Yield the borders of a plane's observed surface, including those of holes."""
+    """Yield the borders of a plane's observed surface, including the borders of holes, as closed lines of pixels."""
     found = silhouette(arrays, plane, view)
     if found is not None:
         yield from borders(*found)
 
 
 def borders(window: Window, shown: np.ndarray) -> Iterator[np.ndarray]:  # [K, 2] pixels each
-    """Yield the borders of a silhouette, including those of holes."""
+    """Yield the borders of the covered pixels ``shown`` of a window, including the borders of holes."""
     rows, columns = window
     lines, _ = cv2.findContours(shown.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     for line in lines:

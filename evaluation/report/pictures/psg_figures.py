@@ -1,4 +1,4 @@
-"""Compose the figures of one run's Plane Scene Graph."""
+"""Compose the figures of a run's Plane Scene Graph, with titles and legends."""
 
 from __future__ import annotations
 
@@ -14,27 +14,30 @@ from activestructure_gym.evaluation.report.pictures.psg_legend import deficit_le
 from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
 from activestructure_gym.planes.record import GraphArrays
 
-Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
+Pair = tuple[Image.Image, Image.Image]  # images of planes coloured by type, and by deficit
 
 
 def run_planes_plan(
     arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str
 ) -> tuple[Image.Image, list[Box]]:
-    """Return the graph over the plan, left by type, right by deficit, and the boxes of both panels."""
+    """Return a page with the graph drawn over the plan, and the boxes of its two panels: by type and by deficit."""
     pair = draw_planes_plan(arrays, plan)
     page = _panels([pair], [_counted(arrays)], title=title, frames=True)
     return with_legend(page, type_legend(flat=True), deficit_legend()), first_row_boxes(pair)
 
 
 def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list[Box]]:
-    """Return the graph in 3D from two corners, left by type, right by deficit, and the boxes of the first row."""
+    """Return a page with the graph in 3D, and the boxes of the two panels of its first row.
+
+    The rows are views from two opposite corners; the columns are coloured by type and by deficit.
+    """
     rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
     page = with_legend(_panels(rows, [_counted(arrays)], title=title), type_legend(), deficit_legend(depth=True))
     return page, first_row_boxes(rows[0])
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:
-    """Return the titles of the two panels, with counts."""
+    """Return the labels of the two columns, with the numbers of planes and of deficiency centres."""
     structural, areas = int(arrays["structural"].sum()), arrays["deficiency_areas"]
     return (
         f"by type: {structural} structural planes, {len(arrays['ids']) - structural} object planes",
@@ -44,12 +47,12 @@ def _counted(arrays: GraphArrays) -> tuple[str, str]:
 
 def _panels(
     rows: Sequence[Pair],
-    labels: Sequence[tuple[str, str]],  # above the columns of the first rows
+    labels: Sequence[tuple[str, str]],  # column labels of the first rows
     *,
     title: str,
     frames: bool = False,
 ) -> Image.Image:
-    """Return rows of two panels; each row is composed separately, since heights differ."""
+    """Return a page with rows of two panels; each row has its own height, so the rows are composed separately."""
     pages = []
     for index, row in enumerate(rows):
         columns = labels[index] if index < len(labels) else ()

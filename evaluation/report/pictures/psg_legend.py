@@ -1,4 +1,4 @@
-"""Draw the legend, nodes, edges and deficiency centres of the Plane Scene Graph figures."""
+"""Draw the nodes, edges, deficiency centres and legends of the Plane Scene Graph figures."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, text_width, write
 from activestructure_gym.planes.record import GraphArrays
 
-SMOOTH = 3  # supersampling factor
-_NODE = 4.0  # pixels, radius of a centroid
-_CENTRE = (2.5, 8.0)  # pixels, smallest and largest radius of a deficiency centre
-_MANY = 80  # above this number, deficiency centres are drawn smaller
-_TILE = 0.25  # m^2, hole area of the largest disc: one full tile of a plane
-_ROW = 24  # pixels per row of the legend
+SMOOTH = 3  # supersampling factor: images are drawn this many times larger and then reduced
+_NODE = 4.0  # radius of a centroid in pixels
+_CENTRE = (2.5, 8.0)  # smallest and largest radius of a deficiency centre in pixels
+_MANY = 80  # if there are more deficiency centres than this, they are drawn smaller
+_TILE = 0.25  # m^2; area of a hole that is drawn with the largest radius: one full tile of a plane
+_ROW = 24  # height of a row of the legend in pixels
 
 Painter = Callable[[ImageDraw.ImageDraw, float, float], None]  # draws a symbol around a position
 
@@ -27,13 +27,16 @@ def draw_edges(
     places: np.ndarray,  # [N, 2] pixel positions of the centroids
     shown: np.ndarray,  # [N] bool: planes to draw
 ) -> Image.Image:
-    """Return a supersampled image with the edges and the tree between shown planes drawn over it."""
+    """Draw the edges of the graph between shown planes over a supersampled image, and return the new image.
+
+    Edges of the spanning tree are thick and dark.
+    """
     layer = Image.new("RGBA", picture.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
     edges = arrays["edges"].reshape(-1, 2)
     kept = shown[edges].all(axis=1)
     thin, tree = (edges[kept & (arrays["edge_in_tree"] == kind)] for kind in (False, True))
-    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # hundreds of edges would hide the planes
+    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # of 255; many edges would hide the planes
     for i, j in thin:
         draw.line([*places[i], *places[j]], fill=(*style.EDGE, opacity), width=SMOOTH)
     for i, j in tree:
@@ -42,7 +45,7 @@ def draw_edges(
 
 
 def draw_nodes(picture: Image.Image, arrays: GraphArrays, places: np.ndarray, shown: np.ndarray) -> None:
-    """Draw the centroids of shown planes; the arguments are those of `draw_edges`."""
+    """Draw the centroids of the shown planes into ``picture``; the arguments are as in `draw_edges`."""
     draw = ImageDraw.Draw(picture)
     for k in np.flatnonzero(shown):
         colour = style.plane_colour(bool(arrays["structural"][k]))
@@ -55,10 +58,10 @@ def draw_centres(
     places: np.ndarray,  # [D, 2] pixels
     hidden: np.ndarray,  # [D] bool: occluded, drawn as a dot
 ) -> None:
-    """Draw deficiency centres as white discs; the disc's area is proportional to that of the hole."""
+    """Draw deficiency centres as white discs; the area of a disc is proportional to the area of the hole."""
     draw = ImageDraw.Draw(picture)
     shrunk = min(1.0, max(0.35, (_MANY / max(len(places), 1)) ** 0.5))
-    order = np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable")  # occluded first, then large ones
+    order = np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable")  # occluded, then from large to small
     for k in order:
         if hidden[k]:
             _disc(draw, places[k, 0], places[k, 1], 1.6 * SMOOTH, style.FAINT_INK, 0)
@@ -69,7 +72,7 @@ def draw_centres(
 
 
 def type_legend(*, flat: bool = False) -> list[tuple[str, Painter]]:
-    """Return the legend entries of planes by type and of the graph; ``flat`` adds planes that face down."""
+    """Return the legend entries (label, painter) of plane types and the graph; ``flat`` adds planes facing down."""
 
     def outline(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         draw.rectangle([x - 11, y - 7, x + 11, y + 7], outline=style.FAINT_INK)
@@ -85,7 +88,10 @@ def type_legend(*, flat: bool = False) -> list[tuple[str, Painter]]:
 
 
 def deficit_legend(*, depth: bool = False) -> list[tuple[str, Painter]]:
-    """Return the legend entries of planes by deficit and of deficiency centres; ``depth`` adds occluded centres."""
+    """Return the legend entries (label, painter) of deficits and deficiency centres.
+
+    ``depth`` adds occluded deficiency centres.
+    """
     classes = [(label, _swatch(colour)) for label, colour in zip(style.DEFICIT_LABELS, style.DEFICIT_COLOURS)]
 
     def hole(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
@@ -98,7 +104,7 @@ def deficit_legend(*, depth: bool = False) -> list[tuple[str, Painter]]:
 
 
 def with_legend(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:
-    """Return the page with the legend below it, one line per row of entries."""
+    """Return the page with a legend below it; each of ``rows`` is a line of entries (label, painter)."""
     widths = [[42 + text_width(label, 13) + 16 for label, _ in row] for row in rows]
     width = max(page.width, *(2 * MARGIN + sum(own) for own in widths))
     whole = Image.new("RGB", (width, page.height + _ROW * len(rows) + 8), style.PAPER)

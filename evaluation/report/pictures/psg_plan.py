@@ -1,4 +1,4 @@
-"""Draw the Plane Scene Graph from above over the run's plan: walls as strokes, level planes as areas."""
+"""Draw the Plane Scene Graph from above over the plan of a run: walls as lines, level planes as areas."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from activestructure_gym.evaluation.report.pictures.plane_projection import Proj
 from activestructure_gym.evaluation.report.pictures.psg_legend import SMOOTH, draw_centres, draw_edges, draw_nodes
 from activestructure_gym.planes.record import GraphArrays, seen_cells
 
-_LEVEL = 0.8  # planes with at least this |z| of the unit normal are drawn as areas, others as strokes
-_FLOOR_M = 0.2  # level planes within this height above the lowest are floor
-_PIXELS_PER_METRE = 120
-_MAX_SIDE_PX = 600  # without the margin
-_MAX_PLAN_SIDE_PX = 3000  # longer side of the whole plan, which is drawn first
+_LEVEL = 0.8  # planes with at least this |z| of the unit normal are level; the others are steep
+_FLOOR_M = 0.2  # metres; level planes up to this height above the lowest one belong to the floor
+_PIXELS_PER_METRE = 120  # largest scale
+_MAX_SIDE_PX = 600  # largest side of the part with planes in pixels, without the margin
+_MAX_PLAN_SIDE_PX = 3000  # largest side of the whole plan in pixels; the whole plan is drawn, then cropped
 _AROUND = 40  # margin in pixels; it contains the scale bar
-_FADED = 0.75  # share of white blended into the plan below
-_FLOOR = 0.45  # opacity
-_STROKES = {True: 6, False: 4}  # line width in pixels of structural and object planes
+_FADED = 0.75  # share of white that is blended into the plan below the planes
+_FLOOR = 0.45  # opacity of floors, 0..1
+_STROKES = {True: 6, False: 4}  # line width in pixels of structural (True) and object planes
 
 Colour = tuple[int, int, int]
 
 
 def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tuple[Image.Image, Image.Image]:
-    """Return two images: planes by type with edges and tree, and by deficit with deficiency centres.
+    """Return two images: planes by type with the edges of the graph, and planes by deficit with deficiency centres.
 
-    ``plan`` holds the arrays of `picture_record.plan_arrays`. Steep planes are strokes shifted towards their observed
-    side, which separates both faces of a wall. Level planes that face up are areas, faint for the floor. Planes that
-    face down, such as ceilings, are outlines.
+    ``plan`` holds the arrays of `picture_record.plan_arrays`. Steep planes are lines, shifted to their observed side so
+    that the two faces of a wall are separate. Level planes that face up are areas, which are faint for the floor.
+    Planes that face down, such as ceilings, are outlines.
     """
     view = view_from_above(arrays, plan)
     ground, shapes = _ground(plan, view), _shapes(arrays, view)
     types = [style.plane_colour(bool(structural)) for structural in arrays["structural"]]
-    # Edges are drawn above the areas, which would hide them, and below the walls, which they would hide.
+    # Edges of the graph are drawn after the areas, which would hide them, and before the walls, which stay visible.
     places, all_planes = view.pixels(arrays["centroids"]), np.ones(len(arrays["ids"]), bool)
     by_type = _drawn(ground, [shape for shape in shapes if not shape.stroke], types)
     by_type = draw_edges(by_type, arrays, places, all_planes)
@@ -54,7 +54,7 @@ def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tup
 
 
 def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Projection:
-    """Return the projection of the part of the plan that has planes, y up, supersampled."""
+    """Return the projection from above onto the part of the plan with planes; y is up, supersampled by `SMOOTH`."""
     points = outer_cells(arrays)[:, :2]
     if not len(points):
         points = np.stack([plan["plan_corner"], plan["plan_corner"] + plan["plan_extent"]])
@@ -69,7 +69,7 @@ def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Proj
 
 
 def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
-    """Return the plan in faded grey, which differs from the colours of planes."""
+    """Return the plan in faded grey as the background, since the planes have colours."""
     base = plan_base(plan, float(view.rows[0, 0])).convert("L").convert("RGB")
     upper_left = np.array([plan["plan_corner"][0], plan["plan_corner"][1] + plan["plan_extent"][1], 0.0])
     page = Image.new("RGB", view.size, style.UNKNOWN)
@@ -80,13 +80,13 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
 
 @dataclass(frozen=True)
 class _Shape:
-    """Hold the outline or strokes of one plane, without colour."""
+    """Hold the area and the lines that show one plane, without a colour."""
 
-    plane: int
-    area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, opacity
-    lines: Sequence[Sequence[tuple[float, ...]]] = ()
-    width: int = 1  # pixels of the lines
-    stroke: bool = False  # draw the lines with a grey edge
+    plane: int  # index of the plane
+    area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, and an image of opacities
+    lines: Sequence[Sequence[tuple[float, ...]]] = ()  # polylines of pixel positions
+    width: int = 1  # width of the lines in pixels
+    stroke: bool = False  # whether the lines show a steep plane; then they have a grey edge
 
 
 def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
@@ -99,7 +99,7 @@ def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
         floor = height[plane] < lowest + _FLOOR_M
         shapes.append(_level(arrays, plane, view, opacity=_FLOOR if floor else 0.85, width=1 if floor else 2))
     shapes += [_level(arrays, plane, view, opacity=0.0, width=1) for plane in np.flatnonzero(rise <= -_LEVEL).tolist()]
-    # Structural strokes are drawn last, above those of objects.
+    # Structural planes are drawn last, so object planes do not hide them.
     steep = sorted(np.flatnonzero(np.abs(rise) < _LEVEL).tolist(), key=lambda k: bool(arrays["structural"][k]))
     return shapes + [_steep(arrays, plane, view) for plane in steep]
 
@@ -142,7 +142,10 @@ def _drawn(ground: Image.Image, shapes: Sequence[_Shape], colours: Sequence[Colo
 
 
 def observed_intervals(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres
-    """Return the intervals along a steep plane that were observed at any height; gaps below one cell are closed."""
+    """Return the horizontal intervals of a steep plane that are observed at any height, as pairs of world points.
+
+    Gaps of one cell are closed.
+    """
     cell, axes, normal = float(arrays["cell"]), arrays["patch_axes"][plane], arrays["normals"][plane]
     rows, columns = np.nonzero(seen_cells(arrays, plane))
     cells = np.stack([rows, columns], axis=1) + 0.5

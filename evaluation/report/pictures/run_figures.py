@@ -1,4 +1,4 @@
-"""Draw the pictures of one run from its stored arrays."""
+"""Draw the images of one run from its stored arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ VIEWS = "views.png"
 
 
 def draw_run(run: Run, directory: Path) -> None:
-    """Draw views, plan and Plane Scene Graph of a finished run into ``directory``."""
+    """Draw the held-out views, the plan and the Plane Scene Graph of a finished run as PNG files in ``directory``."""
     title = run.job.title
     run_views(run.pictures, title=title).save(directory / VIEWS)
     run_plan(run.pictures, run.trajectory, run.graph, title=title).save(directory / "plan.png")

@@ -1,6 +1,6 @@
-"""Draw an overview of a scene: the plan without its ceiling, and views from the start poses.
+"""Draw an overview of a scene: the scene from above without its ceiling, and views from its start poses.
 
-The plan is pale outside the region of free space in use.
+The plan is pale outside the region of free space in which episodes take place.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth
     from activestructure_gym.scenes import Scene
 
-_HEADROOM_M = 0.6  # faces whose centre is higher than this above the start poses (the ceiling) are left out
-_ALTITUDE = 60.0  # height of the virtual camera in scene widths: its rays are almost parallel
-_VIEW = (320, 180)
-_SMOOTH = 3
-_PALE = 0.65  # share of white outside the region in use
+_HEADROOM_M = 0.6  # metres; triangles with a centre higher than this above the start poses (the ceiling) are left out
+_ALTITUDE = 60.0  # height of the camera above the scene in scene widths, so its rays are almost parallel
+_VIEW = (320, 180)  # width and height of a view in pixels
+_SMOOTH = 3  # supersampling factor: symbols are drawn this many times larger and then reduced
+_PALE = 0.65  # share of white that is blended into the plan outside the region in use
 
 
 def scene_picture(known: GroundTruth) -> Image.Image:
-    """Return the plan with the start poses, and up to four views from them."""
+    """Return an image of a scene: its plan with the start poses, and up to four views from start poses."""
     scene, space = known.scene, known.free_space
     poses = space.start_poses
     chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []
@@ -54,7 +54,7 @@ def scene_picture(known: GroundTruth) -> Image.Image:
         return tile_grid([[plan]], title=title)
     for number, view in enumerate(views, start=1):
         corner_label(view, str(number), size=14, at_top=True)
-    # One column next to a tall plan, two columns next to a flat one.
+    # The views have one column next to a tall plan, and two columns next to a wide one.
     columns = 1 if plan.height > 2.5 * _VIEW[1] else 2
     rows = -(-len(views) // columns)
     left = plan.width + MARGIN
@@ -111,7 +111,11 @@ def _plan(scene: Scene, space: FreeSpace, numbered: list[int]) -> Image.Image:
 def _is_used(
     space: FreeSpace, low: np.ndarray, depth: float, scale: float, shape: tuple[int, ...]
 ) -> np.ndarray:  # [H, W] bool
-    """Return the pixels of the plan within 20 cm of the region in use; the margin includes its walls."""
+    """Return the pixels of the plan that are within 20 cm of the region in use, so its walls are included.
+
+    ``low`` is the lower corner of the scene in metres, ``depth`` its extent along y in metres, ``scale`` the number of
+    pixels per metre, and ``shape`` (H, W) the size of the plan.
+    """
     from scipy.ndimage import binary_dilation
 
     columns = binary_dilation(space.clearance.max(axis=2) > 0, iterations=max(1, round(0.2 / space.voxel_size)))

@@ -1,4 +1,4 @@
-"""Compose rendered and true views, and plans with paths, of one run or of several."""
+"""Compose true and rendered views, and plans with paths, for one run or for several runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ BLACK_NOTE = "Black: the map has no Gaussian there."
 
 
 def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
-    """Return the true views above the run's rendered views, each with its PSNR."""
+    """Return an image of a run's held-out views: true views, and below them the rendered views with their PSNR.
+
+    ``arrays`` are the run's stored picture arrays.
+    """
     shown = detailed_views(arrays["true"])
     rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
     return _with_note(
@@ -44,13 +47,16 @@ def run_plan(
     *,
     title: str,
 ) -> Image.Image:
-    """Return the plan: map from above, free space, path, keyframes and start."""
+    """Return an image of a run's plan (see `draw_plan`) with a legend and the camera height."""
     plan = draw_plan(arrays, trajectory)
     return _with_note(_with_legend(tile_grid([[plan]], title=title)), camera_height_text([(trajectory, graph)]))
 
 
 def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """Return the same held-out views, true and as rendered by each run; all runs share scene and protocol."""
+    """Return an image with a row of true held-out views, and a row of the same views rendered from each run's map.
+
+    All runs must be of the same scene and protocol.
+    """
     first = runs[0].pictures
     shown = detailed_views(first["true"])
     rows = [[to_image(first["true"][i]) for i in shown]]
@@ -63,10 +69,10 @@ def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
 
 
 def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """Return one plan per run, side by side, at one scale."""
+    """Return an image with the plans of all runs next to each other, at one scale."""
     plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
     labels = [f"{run.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
-    # A small scene's plan can be narrower than its label.
+    # The plan of a small scene can be narrower than its label.
     width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
     size = width, max(plan.height for plan in plans)
     tiles = [_on_page(plan, size) for plan in plans]
@@ -75,7 +81,10 @@ def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
 
 
 def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """Return the typical view, true and as rendered by each run, above the run's plan with its path."""
+    """Return an image with a column for the true view, and one per run: its rendered view above its plan.
+
+    The view is the `typical_view`.
+    """
     index = typical_view(runs)
     truth = to_image(runs[0].pictures["true"][index])
     plans = [draw_plan(run.pictures, run.trajectory, truth.width) for run in runs]
@@ -91,9 +100,9 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
 
 
 def typical_view(runs: Sequence[Run]) -> int:
-    """Return the index of the `detailed_views` with the median PSNR, averaged over the runs.
+    """Return the index of the view with the median PSNR among the `detailed_views`; PSNR is averaged over the runs.
 
-    Of an even number of views it is the lower of the middle two.
+    For an even number of views, the lower of the two middle views is taken.
     """
     psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
     ordered = sorted(detailed_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
@@ -101,7 +110,7 @@ def typical_view(runs: Sequence[Run]) -> int:
 
 
 def detailed_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
-    """Return the four views with the largest mean gradient in the true image; rendered views do not matter."""
+    """Return the indices of the four views whose true images have the largest mean gradient."""
     grey = true.astype(np.float32).mean(axis=-1)
     detail = np.abs(np.diff(grey, axis=1)).mean(axis=(1, 2)) + np.abs(np.diff(grey, axis=2)).mean(axis=(1, 2))
     return sorted(np.argsort(-detail, kind="stable")[:_SHOWN_VIEWS].tolist())

@@ -1,1 +1,1 @@
-"""Build the tables, and write them as Markdown, CSV, LaTeX and for the terminal."""
+"""Build the tables of reports, and write them as Markdown, CSV and LaTeX and for the terminal."""

@@ -1,4 +1,4 @@
-"""Describe metrics as columns of tables: header, unit, digits and the better direction."""
+"""Describe metrics as columns of tables: heading, unit, decimals, and whether lower or higher is better."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.metrics.planning import LEVELS
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
 from activestructure_gym.evaluation.protocols.metrics.base import Best
 
-# Stages of timing.json whose sums are the columns of seconds; `sensor` and `loading` belong to the simulator.
+# Stages of timing.json whose seconds are added up in the columns "planning", "mapping" and "volume, planes".
 PLANNING = ("planning", "features", "policy")
 MAPPING = ("mapping",)
 WORLD = ("volume", "planes")
@@ -20,28 +20,28 @@ WORLD = ("volume", "planes")
 
 @dataclass(frozen=True)
 class Column:
-    """Hold the description of one metric of a run."""
+    """Hold the description of one metric as a column of tables."""
 
-    key: str  # field of metrics.json, "PROTOCOL/FIELD" for further protocols, or a column of seconds below
-    header: str
+    key: str  # field of metrics.json, "PROTOCOL/FIELD" for a further protocol, or another key that `value_of` knows
+    header: str  # name in headings
     unit: str
-    digits: int
-    best: Best | None = None  # None for costs and sizes, which have no best value
+    digits: int  # number of printed decimals
+    best: Best | None = None  # which values are better; None for costs and sizes
     meaning: str = ""  # definition, shown as a tooltip
 
     @property
     def arrow(self) -> str:
-        """Return an arrow towards better values; empty for a cost."""
+        """Return an arrow: up if higher values are better, down if lower ones are, empty for a cost."""
         return {"lowest": "↓", "highest": "↑", None: ""}[self.best]
 
     @property
     def title(self) -> str:
-        """Return header, unit and arrow."""
+        """Return the heading of the column: name, unit and arrow, as in "PSNR (dB) ↑"."""
         return " ".join(part for part in (self.header, f"({self.unit})" if self.unit else "", self.arrow) if part)
 
     @property
     def tie(self) -> float:
-        """Return half a unit of the last printed digit; values that differ by at most this are ties."""
+        """Return the largest difference of two values that counts as a tie: half a unit of the last printed digit."""
         return 0.5 * 10.0**-self.digits
 
     @property
@@ -51,18 +51,18 @@ class Column:
 
     @classmethod
     def of(cls, metric: Metric) -> Column:
-        """Return the column of a metric."""
+        """Return the column that describes ``metric``."""
         meaning = metric.meaning.replace("{near}", "the distance threshold")
         return cls(metric.name, metric.label, metric.unit, metric.digits, metric.best, meaning)
 
 
-# C.R. of the Gaussians' means, C.R. of the TSDF surface, and observed share.
+# Completion ratio of the means of the Gaussians, completion ratio of the TSDF surface, and observed share.
 RATIOS = tuple(map(Column.of, (standard.RATIO, standard.TSDF_RATIO, standard.OBSERVED)))
 _EXPLORATION = Column(
     "observed_area", "exploration", "%", 1, "highest", "mean observed share of the surface over the frame budget"
 )
 
-# Columns of the overview.
+# Columns of the overview: metrics, then costs.
 COLUMNS = (
     *map(Column.of, (standard.ACCURACY, standard.COMPLETION)),
     *RATIOS,
@@ -72,11 +72,13 @@ COLUMNS = (
     Column("seconds", "time", "s", 1),
 )
 
-# Metrics of the paper's Tables 1 to 3, in their order; metrics that no run has are left out of tables.
+# Metrics of the paper's Tables 1 to 3, in the paper's order.
 QUALITY = tuple(map(Column.of, standard.STANDARD))
 
-# Speed of exploration, and improvement in the second half of the budget; see `metrics.planning`.
-LOWER_BOUND = "least_"  # prefix of numbers of frames: the frame budget, a lower bound, if the level was not reached
+# Prefix of the keys for "frames until a level is reached". For a run that does not reach the level, the value is the
+# frame budget, which is a lower bound.
+LOWER_BOUND = "least_"
+# Speed of exploration, and improvement in the second half of the frame budget; see `metrics.planning`.
 PROGRESS = (
     *(Column(f"{LOWER_BOUND}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
     _EXPLORATION,
@@ -98,19 +100,19 @@ COSTS = (
     Column("seconds", "total", "s", 1),
 )
 
-# Metrics of the cards and of the charts of differences. Acc and Prec. are left out, since a policy that maps little
-# has the best values of both.
+# Main metrics: those of the cards and of the charts of differences. Accuracy and precision are left out, since a policy
+# that maps little has the best values of both.
 MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], Column.of(standard.PSNR), Column.of(standard.DEPTH))
 
 
 def own_metrics(runs: Sequence[Run]) -> list[Metric]:
-    """Return the metrics that users added to the runs' protocols."""
+    """Return the metrics that users have added to the runs, for example by the option ``--metrics``."""
     found = {one["name"]: one for run in runs for one in run.metrics.get("own_metrics", ())}
     return list(map(Metric.from_dict, found.values()))
 
 
 def own_absences(runs: Sequence[Run]) -> list[str]:
-    """Return one sentence per added metric that is not defined in some runs, with the reason."""
+    """Return one text per user's metric that is not defined in some runs, with the reason."""
     texts = []
     for metric in own_metrics(runs):
         reasons = [reason_of(run, metric.name) for run in runs if value_of(run, metric.name) is None]
@@ -120,19 +122,19 @@ def own_absences(runs: Sequence[Run]) -> list[str]:
 
 
 def overview_columns(runs: Sequence[Run]) -> list[Column]:
-    """Return the columns of the overview; added metrics precede the costs."""
+    """Return the columns of the overview: metrics, the users' own metrics of these runs, and costs."""
     own = map(Column.of, own_metrics(runs))
     quality = [column for column in COLUMNS if column.best is not None]
     return [*quality, *own, *COLUMNS[len(quality) :]]
 
 
 def quality_columns(runs: Sequence[Run]) -> list[Column]:
-    """Return the columns of quality with a value in at least one run; added metrics are last."""
+    """Return the columns of quality metrics with a value in at least one run; the users' own metrics are last."""
     return measured([*QUALITY, *map(Column.of, own_metrics(runs))], runs)
 
 
 def value_of(run: Run, key: str) -> float | None:
-    """Return a run's value of a column; None if it is not defined or was not measured."""
+    """Return the value of the column ``key`` in a run; None if it is not defined or was not measured."""
     stages = {
         "planning_seconds": PLANNING,
         "mapping_seconds": MAPPING,
@@ -153,18 +155,18 @@ def value_of(run: Run, key: str) -> float | None:
             return None
         name = key.removeprefix(LOWER_BOUND)
         return run.config["configuration"]["frame_budget"] if is_lower_bound(run, key) else metrics[name]
-    if key == "lpips" and metrics.get(key) is None:  # `asg evaluate` may have measured it later
+    if key == "lpips" and metrics.get(key) is None:  # `asg evaluate` may have measured LPIPS after the run
         return run.numbers.get(key)
     return metrics.get(key)
 
 
 def is_lower_bound(run: Run, key: str) -> bool:
-    """Return whether the level was not reached, so the column shows the budget as a lower bound."""
+    """Return whether the column ``key`` shows the budget as a lower bound, since the run did not reach the level."""
     return key.startswith(LOWER_BOUND) and run.metrics["metrics"].get(key.removeprefix(LOWER_BOUND)) is None
 
 
 def ratios_text(run: Run) -> str:
-    """Return a text such as ``C.R. 82.5 %, C.R. surface 76.3 %, observed 91.0 %``, with a dash for missing values."""
+    """Return the ratios of a run as text: ``C.R. 82.5 %, C.R. surface 76.3 %, observed –`` (a dash if missing)."""
     parts = []
     for column in RATIOS:
         value = value_of(run, column.key)
@@ -174,19 +176,19 @@ def ratios_text(run: Run) -> str:
 
 @dataclass(frozen=True)
 class Aspect:
-    """Hold the columns of one protocol, or of the TSDF surface."""
+    """Hold the columns of one kind of measurement: of a protocol, or of the TSDF surface."""
 
-    name: str  # suffix of its tables' files; empty for the runs' own protocol
+    name: str  # suffix of the files of its tables; empty for the runs' own protocol
     title: str
     columns: tuple[Column, ...]  # columns with a value in at least one run
 
     def of(self, table: str) -> str:
-        """Return the file name of a table of this aspect."""
+        """Return the file name of the table ``table`` for this aspect, without extension."""
         return f"{table}-{slug(self.name)}" if self.name else table
 
 
 def aspects(runs: Sequence[Run]) -> list[Aspect]:
-    """Return the aspects of the runs' own protocol, of its TSDF surface if measured, and of each further protocol."""
+    """Return the aspects with a value: the runs' own protocol, its TSDF surface, and each further protocol."""
     surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in map(Column.of, standard.SURFACE))
     own = runs[0].job.conditions.protocol.name
     found = [Aspect("", own, tuple(quality_columns(runs)))]
@@ -199,7 +201,7 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
 
 
 def reason_of(run: Run, key: str) -> str:
-    """Return the protocol's reason why a value is not defined; empty if it gives none."""
+    """Return the reason why the value of the column ``key`` is not defined in a run; empty if none is recorded."""
     protocol, _, name = key.rpartition("/")
     for own in run.metrics.get("own_metrics", ()):
         if own["name"] == key:
@@ -210,7 +212,7 @@ def reason_of(run: Run, key: str) -> str:
 
 
 def measured(columns: Iterable[Column], runs: Sequence[Run]) -> list[Column]:
-    """Return the columns with a value in at least one run; a lower bound does not count as a value."""
+    """Return those ``columns`` that have a value in at least one run; a lower bound does not count as a value."""
     return [
         column
         for column in columns
@@ -219,7 +221,7 @@ def measured(columns: Iterable[Column], runs: Sequence[Run]) -> list[Column]:
 
 
 def unreached_levels_text(runs: Sequence[Run]) -> str:
-    """Return a sentence with the shares of the surface that no run observed; empty if all were reached."""
+    """Return a sentence on the shares of the surface that no run has observed; empty if there are none."""
     known = [run for run in runs if run.metrics["metrics"].get("observed_area") is not None]
     keys = [(level, f"{LOWER_BOUND}frames_to_{level}") for level in LEVELS]
     levels = [f"{level} %" for level, key in keys if known and all(is_lower_bound(run, key) for run in known)]

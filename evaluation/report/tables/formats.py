@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 
 _RANK_MARKS = {1: "**{}** ¹", 2: "{} ²", 3: "{} ³"}
-# Characters to escape; an underscore within a word marks no emphasis.
+# Characters to escape in Markdown. An underscore within a word needs no escape.
 _MARKDOWN = re.compile(r"[\\`*|<]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
-_SPAN = re.compile(r"((?<!`)`[^`\n<\[]+`(?!`))")  # code span without characters that start other markup
-# The start of a formula in a cell; spreadsheets of some locales separate cells by semicolons.
+_SPAN = re.compile(r"((?<!`)`[^`\n<\[]+`(?!`))")  # a code span without tags and links
+# The place before a formula in a cell. In some countries, spreadsheets also separate cells by semicolons.
 _FORMULA = re.compile(r"(^|;)(?=[=@\t\r]|[+-](?![\d.]))")
 _LATEX_RANKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", 3: r"\textit{{{}}}"}
 _LATEX = {
@@ -25,7 +25,7 @@ _LATEX = {
 
 
 def markdown(table: Table) -> str:
-    """Return a table in Markdown, with ranks as in **1.0** ¹, 1.1 ², 1.2 ³."""
+    """Return a table as Markdown; the first three ranks are marked as in **1.0** ¹, 1.1 ², 1.2 ³."""
     headings = [heading.text for heading in table.headings]
     if table.groups:
         spans = [text for text, span in table.groups for _ in range(span)]
@@ -54,7 +54,7 @@ def to_csv(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    """Return a table in LaTeX without packages; 1st is bold, 2nd underlined, 3rd italic."""
+    """Return a table as LaTeX that needs no package; rank 1 is bold, rank 2 underlined, rank 3 italic."""
     columns = "".join("r" if heading.numeric else "l" for heading in table.headings)
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}"]
     lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
@@ -77,12 +77,12 @@ def latex(table: Table) -> str:
 
 
 def latex_text(text: str) -> str:
-    """Escape LaTeX's special characters."""
+    """Replace the special characters of LaTeX in ``text`` by commands."""
     return re.sub("|".join(map(re.escape, _LATEX)), lambda found: _LATEX[found.group()], text)
 
 
 def documents(tables: Sequence[Table]) -> dict[str, str]:
-    """Return file names and contents of all tables in all three formats."""
+    """Return the contents of all tables as Markdown, CSV and LaTeX files, by file name."""
     return {
         f"{table.name}.{ending}": form(table)
         for table in tables
@@ -91,7 +91,7 @@ def documents(tables: Sequence[Table]) -> dict[str, str]:
 
 
 def _plain(cell: Cell) -> str:
-    """Return a number in full precision, or an interval as printed with hyphens for minus signs."""
+    """Return the CSV text of a cell: a single number in full precision, other texts with "-" as the minus sign."""
     if cell.value is None or not cell.text.strip("+−").replace(",", "").replace(".", "").isdigit():
         return spreadsheet_text(cell.text.replace("−", "-"))
     return repr(cell.value)
@@ -108,7 +108,7 @@ def _marked(text: str, cell: Cell) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return a text as one line of Markdown, with cell separators, tags, links and emphasis escaped."""
+    """Return a text as one line of Markdown, with table bars, tags, links and emphasis escaped."""
     return _escaped(" ".join(text.split()))
 
 
@@ -117,17 +117,17 @@ def _escaped(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return one line of Markdown in which code in backticks stays code, and the rest is `escaped`."""
+    """Return a text as one line of Markdown in which code in backticks stays code; the rest is escaped."""
     return "".join(part if at % 2 else _escaped(part) for at, part in enumerate(_SPAN.split(" ".join(text.split()))))
 
 
 def code(text: str) -> str:
-    """Return a text as a code span in one line of Markdown; the text may contain backticks."""
+    """Return a text as a Markdown code span in one line; the text may contain backticks."""
     text = " ".join(text.split())
     fence = "`" * (1 + max((len(run) for run in re.findall("`+", text)), default=0))
     return f"{fence} {text} {fence}" if "`" in text else f"{fence}{text}{fence}"
 
 
 def spreadsheet_text(text: str) -> str:
-    """Return text with an apostrophe before formulas, so spreadsheets do not execute it (OWASP, "CSV Injection")."""
+    """Put an apostrophe before formulas in a text, so spreadsheets do not execute them (OWASP, "CSV Injection")."""
     return _FORMULA.sub(r"\1'", text)

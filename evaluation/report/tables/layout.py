@@ -1,4 +1,4 @@
-"""Define tables as data: headings, cells, ranks. `formats` and `html` write them."""
+"""Define tables as data: headings, cells and ranks. The modules `formats` and `html` write tables."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Literal
 from activestructure_gym.evaluation.report.tables.columns import Column
 from activestructure_gym.evaluation.statistics import Estimate
 
-NONE = "n/a"  # undefined value
-MISSING = "–"  # no finished run; the paper's "failure to complete"
+NONE = "n/a"  # text of a value that is not defined
+MISSING = "–"  # text for no finished run, as the paper's "failure to complete"
 
 Judgement = Literal["", "good", "bad"]
 Tone = Literal[Judgement, "alarm"]
@@ -18,13 +18,13 @@ Tone = Literal[Judgement, "alarm"]
 
 @dataclass(frozen=True)
 class Cell:
-    """Hold one cell of a table: text, value, rank and tone."""
+    """Hold one cell of a table."""
 
     text: str
-    value: float | None = None  # sort key; None sorts by the text
-    rank: int = 0  # 1, 2, 3; 0 = unmarked
-    tone: Tone = ""
-    note: str = ""  # shown as a tooltip
+    value: float | None = None  # number by which rows are sorted; None sorts by the text
+    rank: int = 0  # 1, 2 or 3; 0 is not marked
+    tone: Tone = ""  # colour: good, bad or alarm
+    note: str = ""  # tooltip
 
 
 @dataclass(frozen=True)
@@ -32,34 +32,34 @@ class Heading:
     """Hold the heading of one column."""
 
     text: str
-    numeric: bool = True
-    note: str = ""
+    numeric: bool = True  # whether the column has numbers, which are aligned to the right
+    note: str = ""  # tooltip
 
     @classmethod
     def of(cls, column: Column) -> Heading:
-        """Return the heading of a metric's column."""
+        """Return the heading of the column that describes a metric."""
         return cls(column.title, note=column.meaning)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Hold rows of cells under headings."""
+    """Hold a table: headings, rows of cells, a title and a caption."""
 
-    name: str  # stem of its files
+    name: str  # file name without extension
     title: str
     headings: Sequence[Heading]
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
-    groups: Sequence[tuple[str, int]] = ()  # a row above the headings: texts and the numbers of columns they span
-    blocks: Sequence[int] = field(default=())  # first rows of blocks; equal first cells of a block are shown once
+    groups: Sequence[tuple[str, int]] = ()  # row above the headings: texts, each with the number of columns it spans
+    blocks: Sequence[int] = field(default=())  # first row of each block but the first; a block repeats no first cell
 
     @property
     def sortable(self) -> bool:
-        """Return whether the page lets readers sort the rows; sorting would break blocks and grouped columns."""
+        """Return whether readers can sort the rows on the page; tables with blocks or groups cannot be sorted."""
         return not self.blocks and not self.groups and len(self.rows) > 1
 
     def shown(self, row: int, column: int) -> str:
-        """Return the text of a cell; empty if a first cell repeats the one above within its block."""
+        """Return the text of a cell; empty for a cell of column 0 that repeats the cell above in the same block."""
         text = self.rows[row][column].text
         if column or not self.blocks or row in self.blocks or row == 0:
             return text
@@ -67,12 +67,15 @@ class Table:
 
 
 def number(value: float | None, digits: int, missing: str = NONE) -> Cell:
-    """Return a cell with a number."""
+    """Return a cell with ``value`` and ``digits`` decimals, or with the text ``missing`` for None."""
     return Cell(missing) if value is None else Cell(f"{value:,.{digits}f}", value)
 
 
 def with_interval(estimate: Estimate | None, digits: int, *, signed: bool = False) -> Cell:
-    """Return a cell such as ``3.21 [3.02, 3.40]``; without an interval, the number only."""
+    """Return a cell such as ``3.21 [3.02, 3.40]``; the interval is left out if there is none.
+
+    ``signed`` adds a plus sign to positive numbers. None gives the text `MISSING`.
+    """
     if estimate is None:
         return Cell(MISSING)
     text = decimal(estimate.value, digits, signed=signed)
@@ -82,15 +85,15 @@ def with_interval(estimate: Estimate | None, digits: int, *, signed: bool = Fals
 
 
 def decimal(value: float, digits: int, *, signed: bool = False) -> str:
-    """Format a number with a typographic minus; zero has no sign."""
+    """Format a number with ``digits`` decimals and a typographic minus sign; zero has no sign."""
     rounded = round(value, digits) or 0.0
     return f"{rounded:{'+' if signed and rounded else ''}.{digits}f}".replace("-", "−")
 
 
 def ranked(cells: Sequence[Cell], column: Column, planners: Sequence[bool] | None = None) -> list[Cell]:
-    """Return the cells with ranks 1 to 3; equal printed values share a rank, and a single value has none.
+    """Return the cells of a column with ranks 1 to 3; equal printed values share a rank, and a single value has none.
 
-    ``planners`` marks the cells that are ranked; None ranks all. References are left out and do not affect ranks.
+    ``planners`` says for each cell whether it takes part in the ranking, in which references do not; None ranks all.
     """
     is_ranked = [True] * len(cells) if planners is None else planners
     values = {

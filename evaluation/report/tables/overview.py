@@ -20,23 +20,23 @@ from activestructure_gym.evaluation.report.tables.layout import Heading, Table
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_HASH_DIGITS = 16  # shown digits of a scene's content hash
-AVERAGE = "average"  # scene name of the last block, the mean over scenes
+_HASH_DIGITS = 16  # number of digits of a scene's content hash in CSV
+AVERAGE = "average"  # name in the column "scene" for means over the scenes
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Hold mean and standard deviation over seeds."""
+    """Hold the mean and the standard deviation of one metric over the seeds."""
 
     mean: float | None  # None if not defined in any run
     deviation: float | None  # sample standard deviation; None for fewer than two runs
-    best: bool = False
+    best: bool = False  # whether it is the best of its scene
 
     def text(self, digits: int) -> str:
-        """Return a text such as ``3.21 ± 0.10``, or ``n/a``."""
+        """Return a text such as ``3.21 ± 0.10`` with ``digits`` decimals, or ``n/a``."""
         if self.mean is None:
             return "n/a"
-        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # equal counts in all runs
+        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # a count that hardly varies
             return f"{self.mean:.{digits}f}"
         return f"{self.mean:.{digits}f} ± {self.deviation:.{digits}f}"
 
@@ -47,13 +47,16 @@ class Row:
 
     scene: str
     policy: str
-    runs: int
-    cells: dict[str, Cell]
+    runs: int  # number of runs
+    cells: dict[str, Cell]  # by the key of the metric
     planner: bool = True  # False for references and given trajectories, which are never marked as best
 
 
 def table_rows(runs: Sequence[Run]) -> list[Row]:
-    """Return rows in the order of the runs; with several scenes, a block of averages of policies run on all scenes."""
+    """Return one row per scene and policy, in the order of the runs, with the best values of each scene marked.
+
+    If there are several scenes, rows with averages follow, for the policies with runs on all scenes.
+    """
     scenes = list(dict.fromkeys(run.scene for run in runs))
     policies = list(dict.fromkeys(run.policy for run in runs))
     ranked = ranked_among({run.job.policy for run in runs})
@@ -76,19 +79,19 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
 
 
 def empty_rich_table(title: str) -> RichTable:
-    """Return an empty table for the terminal."""
+    """Return an empty table of rich, for the terminal."""
     from rich.table import Table as RichTable
 
     return RichTable(title=title)
 
 
 def styled(text: str, best: bool) -> str:
-    """Return a text as rich markup, bold and green if it is the best."""
+    """Return a text as markup of rich, bold and green if ``best``."""
     return f"[bold green]{text}[/]" if best else text
 
 
 def rich_table(rows: Sequence[Row], columns: Sequence[Column], *, title: str) -> RichTable:
-    """Return the table of these columns, scene by scene; the best numbers are bold and green."""
+    """Return a table for the terminal with the given rows and columns; the best numbers are bold and green."""
     from activestructure_gym.streams import escape
 
     table = empty_rich_table(title)
@@ -105,7 +108,7 @@ def rich_table(rows: Sequence[Row], columns: Sequence[Column], *, title: str) ->
 
 
 def as_rich_table(table: Table) -> RichTable:
-    """Return a table of the report for the terminal."""
+    """Convert a table of the report to a table for the terminal; cells with rank 1 are bold and green."""
     from activestructure_gym.streams import escape
 
     shown = empty_rich_table(table.title)
@@ -118,7 +121,10 @@ def as_rich_table(table: Table) -> RichTable:
 
 
 def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "overview") -> Table:
-    """Return the overview for documents, with ranks 1 to 3 per block; a single scene has no column of names."""
+    """Return the overview as a table of the report, with the ranks 1 to 3 of each scene.
+
+    The column "scene" is left out for a single scene.
+    """
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):
@@ -145,7 +151,7 @@ def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "ove
 
 
 def runs_csv(runs: Sequence[Run]) -> str:
-    """Return CSV with one line per run: all scalar metrics in full precision, including an LPIPS measured later."""
+    """Return a CSV text with one line per run: all scalar metrics in full precision, and the seconds of each stage."""
     scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
@@ -173,7 +179,7 @@ def _over_runs(values: Sequence[float | None]) -> Cell:
 
 
 def _average(block: Sequence[Row], columns: Sequence[Column]) -> Row:
-    """Return the mean over scenes of the means over seeds."""
+    """Return a policy's row of averages, given its rows of all scenes: means over the scenes, without deviations."""
     cells = {}
     for column in columns:
         means = [row.cells[column.key].mean for row in block]
@@ -182,9 +188,9 @@ def _average(block: Sequence[Row], columns: Sequence[Column]) -> Row:
 
 
 def _marked(block: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
-    """Return the block with the best planner of each column marked; equal printed values are equally good.
+    """Mark the best value of each column among the planners of a block; equal printed values are all marked.
 
-    References are never marked, and a single planner is not marked either.
+    References are never marked. Nothing is marked if there is a single planner.
     """
     marked = [dict(row.cells) for row in block]
     for column in columns:

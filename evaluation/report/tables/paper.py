@@ -30,7 +30,10 @@ LADDER = {
 
 
 def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
-    """Return a table as Tables 1 and 2: a row per method and metric, a column per scene, and the average."""
+    """Return a table in the layout of Tables 1 and 2: a row per method and metric, and a column per scene.
+
+    ``average`` adds a column with the average over several scenes.
+    """
     columns = aspect.columns
     scenes = [*results.scenes, None] if average and len(results.scenes) > 1 else results.scenes
     cells: dict[tuple[str, str, str | None], Cell] = {}
@@ -57,7 +60,10 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
 
 @once
 def ablation_table(results: Results, aspect: Aspect) -> Table:
-    """Return a table as Table 3: a row per policy, a column per metric, averaged over scenes, with 95 % intervals."""
+    """Return a table in the layout of Table 3: a row per policy, and a column per metric.
+
+    Values are means over the scenes with 95 % intervals.
+    """
     columns = aspect.columns
     by_column = []
     for column in columns:
@@ -93,7 +99,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
 
 
 def time_table(results: Results) -> Table:
-    """Return a table as Table 4: wall-clock minutes per method and scene, without evaluation."""
+    """Return a table in the layout of Table 4: wall time in minutes per method and scene, without evaluation."""
     column = Column("seconds", "Time", "min", 2, "lowest")
     row, groups = [Cell("Time (min)")], [("", 1)]
     for scene in results.scenes:
@@ -108,13 +114,13 @@ def time_table(results: Results) -> Table:
 
 
 def tables_like_the_papers(results: Results) -> list[Table]:
-    """Return quality and ablation tables of every aspect, and the table of times."""
+    """Return the tables in the layout of the paper's Tables 1 to 4, for every aspect of the runs."""
     found = [table(results, aspect) for aspect in aspects(results.runs) for table in (quality_table, ablation_table)]
     return [*found, time_table(results)]
 
 
 def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """Return the mean on one scene, or over all scenes."""
+    """Return a cell with a policy's mean of a metric on ``scene``, or over all scenes for None."""
     strata = results.strata(policy, column.key, scene)
     if strata is None:
         return _undefined(results, policy, column, scene)
@@ -122,7 +128,7 @@ def _mean(results: Results, policy: str, column: Column, scene: str | None) -> C
 
 
 def _undefined(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """Return a cell for a missing value, with the reason."""
+    """Return the cell of a policy without a value: `MISSING` without a run, else `NONE` with the reason as tooltip."""
     if not all(results.of(policy, own) for own in ([scene] if scene else results.scenes)):
         return Cell(MISSING)
     reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]

@@ -21,15 +21,16 @@ from activestructure_gym.evaluation.statistics import estimate
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LOWER_BOUND)]  # in ascending order
+_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LOWER_BOUND)]  # from low to high levels
 
 
 @once
 def planning_table(results: Results) -> Table | None:
-    """Return a row per policy and a column per planning metric, with 95 % intervals; None without such metrics.
+    """Return the planning table: a row per policy and a column per planning metric, with 95 % intervals.
 
-    Frames to a level are a mean over runs. A run that did not reach the level counts with the budget, and the mean gets
-    the prefix ``>``. A policy without a run that reached the level has no rank.
+    The number of frames to a level (a share of the surface) is a mean over runs. A run that did not reach the level
+    counts with the frame budget, and the mean gets the prefix ``>``. A policy that never reached the level has no rank.
+    Return None if no run has planning metrics.
     """
     columns = measured(PROGRESS, results.runs)
     if not columns:
@@ -53,10 +54,11 @@ def planning_table(results: Results) -> Table | None:
 
 
 def rich_planning_table(results: Results) -> RichTable | None:
-    """Return a short planning table for the terminal, with the best planner bold and green.
+    """Return a short planning table for the terminal; the best planners are bold and green.
 
-    A number of frames is the mean over runs. Runs that did not reach the level count with the budget; the cell then has
-    the prefix ``>`` and the number of runs that did. A level that no run reached has no column.
+    The number of frames to a level is a mean over runs. A run that did not reach the level counts with the frame
+    budget; the cell then has the prefix ``>`` and the number of runs that reached the level. A level that no run
+    reached has no column.
     """
     from activestructure_gym.streams import escape
 
@@ -82,7 +84,7 @@ def rich_planning_table(results: Results) -> RichTable | None:
 
 
 def _terminal_levels(results: Results) -> list[str]:
-    """Return the two levels to print: the highest reached by at least half of the runs, and the next lower one."""
+    """Return the keys of the two levels to print: the highest that half of the runs reached, and the next lower one."""
     reached = [sum(not is_lower_bound(run, key) for run in results.runs) for key in _LEVELS]
     highest = max((at for at, count in enumerate(reached) if 2 * count >= len(results.runs)), default=0)
     return _LEVELS[max(highest - 1, 0) :][:2]

@@ -1,8 +1,8 @@
 """Compare the runs of a report with the published values of the paper's Tables 1 and 2.
 
-Rows "published" are copied from [activestructure], whose authors took values of other systems from their papers or ran
-them. Rows "here" are runs of this package. Rows of runs on other scenes are labelled "another dataset", since values of
-different scenes are not comparable.
+Rows "published" are copied from [activestructure]. Its authors took the values of other systems from papers, or ran
+these systems. Rows "here" are runs of this package. Runs on other scenes are labelled "another dataset", since values
+of different scenes are not comparable.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _KEYS = {
     "SSIM": "ssim",
     "LPIPS": "lpips",
 }
-_DIGITS = {"C.R.": 2}  # as in the paper
+_DIGITS = {"C.R.": 2}  # decimals that differ from those of `Column`, as in the paper
 _COLUMNS = {
     name: replace(column, digits=_DIGITS.get(name, column.digits))
     for name, key in _KEYS.items()
@@ -37,7 +37,7 @@ _COLUMNS = {
     if column.key == key
 }
 
-# Name in this package of each system of the tables: a policy, or a mapper for systems that do not plan.
+# Name in this package by the name of the system in the tables: policies, and mappers for systems that do not plan.
 _ACTIVE = {
     "ActiveINR": "activeinr",
     "ANM-S": "anm_s",
@@ -48,7 +48,7 @@ _ACTIVE = {
 }
 _PASSIVE = {"Co-SLAM": "co_slam", "MonoGS": "monogs", "SplaTAM": "splatam", "Gaussian-SLAM": "gaussian_slam"}
 
-# Scenes in the order of `Dataset.scenes`, then the average as printed; "-": not completed within five trials.
+# A column per scene in the order of `Dataset.scenes`, then the average as printed. "-": not completed in five trials.
 _TABLE_1 = """
 ActiveINR
     Acc     1.36   1.27   1.66  11.23   3.59   1.77   5.31   1.21   3.43
@@ -162,11 +162,11 @@ ActiveStructure
 
 @dataclass(frozen=True)
 class Published:
-    """Hold one of the paper's tables; values are one per scene, then the average."""
+    """Hold one of the paper's tables."""
 
     number: int
     dataset: Dataset
-    values: dict[str, dict[str, tuple[float | None, ...]]]  # by system and metric
+    values: dict[str, dict[str, tuple[float | None, ...]]]  # by system and metric: a value per scene, then the average
 
 
 def _read(text: str) -> dict[str, dict[str, tuple[float | None, ...]]]:
@@ -184,12 +184,12 @@ PUBLISHED = (Published(1, REPLICA, _read(_TABLE_1)), Published(2, MATTERPORT3D, 
 
 
 def published_tables(results: Results) -> list[Table]:
-    """Return Tables 1 and 2, each as averages and by scene, with published values and those of these runs."""
+    """Return Tables 1 and 2 with published values and the values of these runs: each as averages, then by scene."""
     return [make(table, results) for table in PUBLISHED for make in (averages_table, scenes_table)]
 
 
 def averages_table(published: Published, results: Results) -> Table:
-    """Return a row per system with its published averages, then rows of matching runs; other runs are last."""
+    """Return a table of averages: per system a published row, then rows of its runs; other policies are last."""
     aspect = _aspect(results)
     columns = _columns(aspect)
     own = _of_dataset(results, published.dataset)
@@ -213,7 +213,7 @@ def averages_table(published: Published, results: Results) -> Table:
         cells = [number(values[name][-1] if name in values else None, c.digits, MISSING) for name, c in columns.items()]
         rows.append([Cell(system), Cell(kind), Cell("published"), Cell(where), *cells])
         here(system, kind, (_PASSIVE if kind == "passive" else _ACTIVE)[system])
-    known = {(system in _PASSIVE, {**_ACTIVE, **_PASSIVE}[system]) for system in published.values}  # in this table
+    known = {(system in _PASSIVE, {**_ACTIVE, **_PASSIVE}[system]) for system in published.values}  # in the table
     others = [run for run in runs if (_is_passive(run), _name_here(run)) not in known]
     for policy in dict.fromkeys(run.policy for run in others):
         blocks.append(len(rows))
@@ -239,7 +239,10 @@ def averages_table(published: Published, results: Results) -> Table:
 
 
 def scenes_table(published: Published, results: Results) -> Table:
-    """Return a row per system and metric and a column per scene, as in the paper, with runs on these scenes."""
+    """Return a table as in the paper: a row per system and metric, and a column per scene.
+
+    Rows of runs on these scenes follow.
+    """
     aspect = _aspect(results)
     columns = _columns(aspect)
     titles, folders = list(published.dataset.scenes), list(published.dataset.scenes.values())
@@ -282,13 +285,13 @@ def scenes_table(published: Published, results: Results) -> Table:
 
 
 def _aspect(results: Results) -> Aspect:
-    """Return the aspect closest to the paper's evaluation: `activegamer` if measured, else the runs' own protocol."""
+    """Return the aspect that is closest to the paper's evaluation: protocol activegamer if measured, else the first."""
     found = aspects(results.runs)
     return next((aspect for aspect in found if aspect.title == "activegamer"), found[0])
 
 
 def _columns(aspect: Aspect) -> dict[str, Column]:
-    """Return the metrics of the tables as columns of the aspect, measured or not."""
+    """Return the metrics of the paper's tables as columns of ``aspect``, by the name of the metric in the paper."""
     prefix = f"{aspect.name}/" if aspect.name else ""
     return {name: replace(column, key=f"{prefix}{column.key}") for name, column in _COLUMNS.items()}
 
@@ -298,14 +301,14 @@ def _is_passive(run: Run) -> bool:
 
 
 def _name_here(run: Run) -> str:
-    """Return the mapper's name for a given trajectory, else the policy's name."""
+    """Return the name that identifies the system of a run: its mapper for a given trajectory, else its policy."""
     if _is_passive(run):
         return str(run.config["configuration"]["mapper"]["name"])
     return run.job.policy.name
 
 
 def _folder(run: Run, dataset: Dataset) -> str | None:
-    """Return the folder of the run's scene in the dataset; None if the scene is not part of it."""
+    """Return the folder name of a run's scene in ``dataset``; None if the scene does not belong to the dataset."""
     kind, colon, place = run.job.scene.partition(":")
     name = (Spec(place) if colon and kind == dataset.kind else run.job.scene).name.rstrip("/")
     parts = [part for part in re.split(r"[/\\]", name) if part not in ("habitat", "mesh.ply", "mesh_semantic.ply")]
@@ -314,7 +317,7 @@ def _folder(run: Run, dataset: Dataset) -> str | None:
 
 
 def _by_name(dataset: Dataset) -> str:
-    """Return a sentence that scenes are matched by name, since the dataset's files are not checked."""
+    """Return a sentence which says that scenes are matched by name, without a check of their files."""
     return f"Runs are assigned to {dataset.title} by their scene's name alone; the scenes' files were not checked"
 
 
@@ -323,7 +326,7 @@ def _of_dataset(results: Results, dataset: Dataset) -> list[Run]:
 
 
 def _where(runs: Sequence[Run], dataset: Dataset | None) -> str:
-    """Return the scenes of a row as text."""
+    """Return the scenes of the runs in a row as text; None as ``dataset`` means another dataset."""
     if dataset is not None:
         return f"{len({_folder(run, dataset) for run in runs})} of {dataset.title}"
     scenes = list(dict.fromkeys(run.scene for run in runs))
@@ -332,7 +335,7 @@ def _where(runs: Sequence[Run], dataset: Dataset | None) -> str:
 
 
 def _means(runs: Sequence[Run], columns: dict[str, Column]) -> Iterator[Cell]:
-    """Yield the mean over scenes of means over runs, with its interval, for each column."""
+    """Yield a cell per column: the mean over the scenes of the means over their runs, with its interval."""
     for column in columns.values():
         strata = []
         for scene in dict.fromkeys(run.scene for run in runs):
@@ -350,7 +353,7 @@ def _mean(runs: Sequence[Run], column: Column) -> float | None:
 
 
 def _conditions(run: Run, aspect: Aspect) -> str:
-    """Return budget, image size and protocol of the runs as text."""
+    """Return the frame budget, the image size and the protocol of a run as text."""
     configuration = run.config["configuration"]
     sensor = configuration["sensor"]
     size = f"{sensor['width']} x {sensor['height']} pixels"

@@ -1,4 +1,4 @@
-"""Build statistical tables: leads, paired differences, probability of improvement, aggregates, areas, costs."""
+"""Build statistical tables: best policies, paired differences, probability of improvement, aggregates, areas, costs."""
 
 from __future__ import annotations
 
@@ -39,23 +39,26 @@ from activestructure_gym.evaluation.statistics import (
     probability_of_improvement,
 )
 
-_FEW = 6  # minimum pairs: with fewer, a two-sided sign test at 5 % cannot be significant (2 / 2^6 = 3 %)
+_FEW = 6  # with fewer pairs, a two-sided sign test cannot be significant at 5 %: 2 / 2^5 = 6 %, and 2 / 2^6 = 3 %
 
 
 @dataclass(frozen=True)
 class Lead:
-    """Hold the best policy in one metric, and its difference to the second."""
+    """Hold the best policy in one metric, and its difference to the second-best policy."""
 
-    column: Column
-    policy: str
-    mean: Estimate
-    tied: tuple[str, ...] = ()  # further policies with the same printed mean; then there is no lead
-    runner_up: str | None = None
-    margin: PairedDifference | None = None
+    column: Column  # the metric
+    policy: str  # the best policy
+    mean: Estimate  # mean of the best policy
+    tied: tuple[str, ...] = ()  # further policies with the same printed mean; then there is no margin
+    runner_up: str | None = None  # the second-best policy
+    margin: PairedDifference | None = None  # best minus second-best
 
 
 def leads(results: Results) -> list[Lead]:
-    """Return the best planner in each main metric, by the mean over scenes, of planners with a run on every scene."""
+    """Return, for each main metric, the planner with the best mean over the scenes.
+
+    Only planners with a run on every scene are compared.
+    """
     found = []
     for column in measured(MAIN, results.runs):
         means = {
@@ -77,7 +80,7 @@ def leads(results: Results) -> list[Lead]:
 
 @once
 def differences(results: Results, column: Column) -> dict[str, PairedDifference]:
-    """Return each policy's differences to the baseline in one metric, paired by scene and seed."""
+    """Return, by policy, the difference to the baseline in one metric, paired by scene and seed."""
     base = results.baseline
     if base is None:
         return {}
@@ -92,7 +95,7 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
 
 @once
 def has_intervals(results: Results) -> bool:
-    """Return whether any policy shares at least two seeds with the baseline on each common scene."""
+    """Return whether some policy has intervals: it shares at least two seeds with the baseline on each common scene."""
     finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
     theirs = finished.pop(results.baseline or "", set())
     pairs = [Counter(scene for scene, _ in own & theirs) for own in finished.values()]
@@ -100,10 +103,11 @@ def has_intervals(results: Results) -> bool:
 
 
 def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
-    """Return text and tone of a paired difference; both are empty without an interval.
+    """Return a text such as "better (95 %)" and a tone for a paired difference; both are empty without an interval.
 
-    Printed values are compared, so differences below the last digit are equal. An interval of very few pairs excludes 0
-    as soon as all pairs agree; with fewer than `_FEW` pairs the text states their number.
+    Printed values are compared, so differences below the last printed digit are equal. With very few pairs, an interval
+    excludes 0 whenever all pairs have the same sign; with fewer than `_FEW` pairs, the text states their number and the
+    tone is empty.
     """
     exact = pair.difference
     if exact.low is None or exact.high is None:
@@ -123,7 +127,10 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
 
 @once
 def difference_table(results: Results) -> Table | None:
-    """Return a row per policy and metric: paired difference to the baseline, interval, verdict, numbers of pairs."""
+    """Return the table of paired differences to the baseline, with a row per policy and metric; None without a row.
+
+    A row has the difference with its interval, a verdict, and how many pairs are better, equal and worse.
+    """
     rows: list[list[Cell]] = []
     blocks: list[int] = []
     intervals = has_intervals(results)
@@ -167,7 +174,10 @@ def difference_table(results: Results) -> Table | None:
 
 
 def improvement_table(results: Results, column: Column) -> Table | None:
-    """Return the probability that a run of the row's policy is better than one of the column's policy."""
+    """Return a table of the probabilities that a run of the row's policy is better than a run of the column's policy.
+
+    Return None if fewer than two policies have values of the metric on every scene.
+    """
     policies = [policy for policy in results.policies if results.strata(policy, column.key) is not None]
     if len(policies) < 2:
         return None
@@ -193,7 +203,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
 
 @once
 def aggregate_table(results: Results) -> Table:
-    """Return mean, median and interquartile mean of every metric, with intervals."""
+    """Return the table of mean, median and interquartile mean of every quality metric, with intervals."""
     rows: list[list[Cell]] = []
     blocks: list[int] = []
     for column in quality_columns(results.runs):
@@ -219,7 +229,7 @@ def aggregate_table(results: Results) -> Table:
 
 @once
 def area_table(results: Results) -> Table:
-    """Return areas under the convergence curves, divided by the budget, for every measure and cost."""
+    """Return the table of areas under the convergence curves: a row per policy, a column per measure and cost."""
     columns = []
     for measure in measures_of(results):
         column = Column.of(measure.metric)
@@ -240,7 +250,7 @@ def area_table(results: Results) -> Table:
 
 @once
 def cost_table(results: Results) -> Table:
-    """Return the costs of the episodes; collisions are marked as an alarm."""
+    """Return the table of costs with a row per policy: means over all runs, and the sum of collisions."""
     columns = measured(COSTS, results.runs)
     rows = []
     for policy in results.policies:
@@ -264,7 +274,7 @@ def cost_table(results: Results) -> Table:
 
 @once
 def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Estimate | None:
-    """Return the probability of improvement over the scenes that both policies finished."""
+    """Return the probability that a run of ``ours`` is better than one of ``theirs``, on scenes with runs of both."""
     strata = [
         (mine, other)
         for scene in results.scenes

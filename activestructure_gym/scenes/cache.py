@@ -32,20 +32,20 @@ except ImportError:  # Windows, where an open file cannot be removed anyway
 CACHE_VERSION = 3
 DEFAULT_LIMIT = 4 << 30  # bytes: 3500 apartments, or 20 scenes with the views of the protocol `activegamer`
 
-_LOCAL_HEADER = 30  # bytes before the name of a zip file's entry
+_LOCAL_HEADER = 30  # bytes of an entry in a zip file before its name
 _SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) *([kmgt]?)i?b?", re.IGNORECASE)
 _ABANDONED = 3600.0  # seconds: an older temporary file was left by a killed process
 
 
 def cache_directory() -> Path:
-    """Return ``$ASG_CACHE_DIR``, or ``~/.cache/activestructure_gym``."""
+    """Return the folder of the cache: ``$ASG_CACHE_DIR``, or ``~/.cache/activestructure_gym``."""
     return Path(os.path.expanduser(os.environ.get("ASG_CACHE_DIR") or "~/.cache/activestructure_gym"))
 
 
 def cache_limit() -> int:  # bytes
-    """Return ``$ASG_CACHE_MAX`` in bytes, given as ``500MB`` or ``2GB`` (0 keeps nothing); the default is 4 GiB.
+    """Return the size limit of the cache in bytes: ``$ASG_CACHE_MAX``, or 4 GiB.
 
-    Raises `InputError` for another form.
+    The variable is a text such as ``500MB`` or ``2GB``; 0 keeps nothing. Raises `InputError` for another form.
     """
     given = os.environ.get("ASG_CACHE_MAX", "")
     if not given:
@@ -92,13 +92,13 @@ def clear_cache(limit: int = 0) -> tuple[int, int]:
 def cached_arrays(
     key: str, compute: Callable[[], dict[str, np.ndarray]], layout: Mapping[str, tuple[str, int]] | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the arrays that ``compute`` returns, from disk if they are cached.
+    """Return the arrays of ``compute()``, from disk if they are cached under ``key``.
 
     Files are uncompressed: decompressing a scene's reference views takes longer than evaluating a map against some of
     them. Processes may compute the same key at once; each writes its own temporary file and renames it, so readers
-    never see a partial file. The arrays are computed again for a damaged file, for one that another user may have
-    written, and for one without the arrays of ``layout`` (name -> dtype, number of axes). Without a writable directory
-    they are computed every time.
+    never see a partial file. The arrays are computed again if the file is damaged, if another user may have written
+    it, or if it lacks an array of ``layout`` (name -> dtype, number of axes). Without a writable directory they are
+    computed every time.
     """
     file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
@@ -129,10 +129,11 @@ def _read(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def _members(stream: IO[bytes], archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays of an uncompressed npz file without zipfile, whose copies take ten times as long.
+    """Yield the names and arrays of an uncompressed npz file; raise `ValueError` for a damaged file.
 
-    Each array is compared with its CRC-32 in the zip file (zlib.crc32, 1.9 GB/s). The entries must be contiguous up to
-    the central directory, so that none is missing.
+    The arrays are read directly from the stream, since reading them with zipfile takes ten times as long. Each array is
+    compared with its CRC-32 in the zip file. The entries must be contiguous up to the central directory, so that none
+    is missing.
     """
     place = 0
     for entry in archive.infolist():
@@ -186,7 +187,7 @@ def _being_read(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _open_alone(file: Path) -> Iterator[bool]:
-    """Yield whether no process is reading the file; none can start to during the block."""
+    """Yield True if no process is reading the file, and keep processes from starting to read it during the block."""
     with open(file, "rb") as stream:
         try:
             if fcntl is not None:

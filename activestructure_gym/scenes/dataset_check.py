@@ -24,7 +24,7 @@ class FileState:
 
     name: str  # relative to the scene's folder
     state: State
-    needed: bool  # the scene cannot be loaded without it
+    needed: bool  # whether the scene cannot be loaded without the file
     why: str = ""  # what is wrong with the file, or what is unavailable without it
 
 
@@ -32,9 +32,9 @@ class FileState:
 class SceneState:
     """Hold the state of one scene of the dataset."""
 
-    title: str  # its column title in the papers' tables
-    folder: str
-    place: Path | None  # None: not found in the folder
+    title: str  # column title of the scene in the papers' tables
+    folder: str  # name of the scene's folder in the dataset
+    place: Path | None  # path of the scene's folder; None if not found
     files: tuple[FileState, ...] = ()
 
     @property
@@ -89,7 +89,7 @@ def _matterport3d(place: Path) -> Iterator[FileState]:
 
 
 def _wrong_with_ply(path: Path) -> str:
-    """Return what is wrong with a PLY file by its header and size; "" if nothing is."""
+    """Return the fault of a PLY file that its header and its size show; "" if there is none."""
     try:
         with open(path, "rb") as file:
             header = read_header(file)
@@ -108,7 +108,7 @@ def _wrong_with_ply(path: Path) -> str:
 
 
 def _least(one: PlyProperty) -> int:  # bytes
-    """Return the minimum bytes of a property: one number, or a list's length and three entries for face corners."""
+    """Return the minimum size of a property: one number, or a list with its length and, for faces, three corners."""
     if not one.count_kind:
         return _size(one.kind)
     return _size(one.count_kind) + (3 * _size(one.kind) if one.name in ("vertex_indices", "vertex_index") else 0)
@@ -119,7 +119,7 @@ def _size(kind: str) -> int:
 
 
 def _wrong_with_glb(path: Path) -> str:
-    """Return what is wrong with a binary glTF file by its header and size; "" if nothing is."""
+    """Return the fault of a binary glTF file that its header and its size show; "" if there is none."""
     try:
         with open(path, "rb") as file:
             head = file.read(12)

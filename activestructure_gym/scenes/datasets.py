@@ -1,8 +1,8 @@
 """List the scenes of published datasets that papers of this field report on, and find them by name.
 
-``replica:office_2`` is that scene's folder. An existing path is used as given; a name is searched in the folder named
-by the dataset's environment variable. The scenes are those of Tables 1 and 2 of [activestructure]; the tables' column
-titles (``Off2``, ``R0``, ``gZ6f``) are accepted as names.
+An example of a name is ``office_2`` in ``replica:office_2``. An existing path is used as given. A name is searched in
+the folder that the dataset's environment variable contains. The scenes are those of Tables 1 and 2 of
+[activestructure]; the column titles of the tables (``Off2``, ``R0``, ``gZ6f``) are accepted as names.
 """
 
 from __future__ import annotations
@@ -101,9 +101,10 @@ DATASETS = {dataset.kind: dataset for dataset in (REPLICA, MATTERPORT3D)}
 
 
 def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
-    """Return the place of a scene: ``path`` itself if it exists or is no scene name of the dataset.
+    """Return the path of a scene: ``path`` itself if it exists or is no scene name of the dataset.
 
-    Raises `InputError` for a scene that is not found.
+    A scene name is searched in the folder that the dataset's environment variable contains. Raises `InputError` for a
+    scene that is not found.
     """
     given = Path(os.path.expanduser(path))
     folder = dataset.folder_of(str(path))

@@ -38,7 +38,7 @@ def _is_factory(entry: Any) -> bool:
     return True
 
 
-# Option of every scene: a point in the free-space region to use.
+# Name of an option of every scene: a point in the free-space region to use.
 INSIDE = "inside"
 
 # Factories of generated scenes take keyword options only. A factory whose first parameter is named `path` reads files;
@@ -57,7 +57,7 @@ SCENES.register("hm3d")(load_hm3d_scene)
 SCENES.register("gibson")(load_gibson_scene)
 SCENES.register("habitat")(load_habitat_scene)
 
-# Loaders of a path without prefix: the first layout that matches is used.
+# Tests of a path without prefix, and the loader of each; the first test that is True selects the loader.
 _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
     (is_replica, load_replica_scene),
     (is_matterport3d, load_matterport3d_scene),
@@ -175,7 +175,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
 
 
 def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
-    """Split ``spec`` into a name for messages, the factory, the path if it reads files, and the text's options."""
+    """Split ``spec`` into a name for messages, the factory, the path (None unless it reads files), and the options."""
     if not isinstance(spec, str | os.PathLike):
         raise InputError(f"a scene is a name, a path or a Scene, got {short_repr(spec)}")
     if not isinstance(spec, str):
@@ -198,7 +198,7 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
 
 
 def check_scene_name(spec: str) -> None:
-    """Raise `InputError` if ``spec`` names no scene, or a missing file or folder; loads nothing."""
+    """Raise `InputError` if ``spec`` names no scene, or a missing file or folder; nothing is loaded."""
     name, _, path, _ = _resolved(spec)
     if name in ("", "mesh") and path is not None and not os.path.exists(os.path.expanduser(path)):
         raise InputError(f"there is no scene file or folder {short_repr(path)}")
@@ -217,7 +217,7 @@ def is_scene_name(spec: str) -> bool:
 
 
 def _is_known(target: str) -> bool:
-    """Return whether the text is a registered scene's name, or a registered loader's with a path after the colon."""
+    """Return whether the text is the name of a registered scene, or a registered loader, a colon and a path."""
     kind, colon, _ = target.partition(":")
     return (bool(colon) and kind in SCENES and _reads_files(SCENES.get(kind))) or (
         target in SCENES and not _reads_files(SCENES.get(target))

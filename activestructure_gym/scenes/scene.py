@@ -38,12 +38,12 @@ class SceneMesh:
     face_texture: np.ndarray  # [F] int32 index into textures, -1 = none
     textures: tuple[np.ndarray, ...] = ()  # each [h, w, 3] uint8
     texture_wrap: tuple[tuple[int, int], ...] = ()  # wrap mode of each texture across and down; () = all repeat
-    linear_colors: bool = False
+    linear_colors: bool = False  # whether vertex colours are linear light instead of sRGB
 
     def wrong(self) -> str:
-        """Return what is wrong with the arrays, or "".
+        """Return a message on the first fault of the arrays, or "" if there is none.
 
-        Ray caster and shading check no bounds.
+        Call it before ray casting and shading, which do not check indices.
         """
         vertices, faces, textures = len(self.vertices), len(self.faces), self.textures
         if np.shape(self.vertices) != (vertices, 3):
@@ -91,7 +91,7 @@ class Scene:
     name: str  # display name
     mesh: SceneMesh  # metres, z up
     source: str  # origin: a file, or a generator and its arguments
-    labels: PartLabels | None = None  # of generated scenes; for tests
+    labels: PartLabels | None = None  # part of each face, for tests; None if unknown
     evaluation_views: PosedSequence | None = None  # recorded views that belong to the scene, for evaluation
     notes: tuple[str, ...] = field(default=())  # messages of the loader to the user (scale check, dropped parts)
     inside: tuple[float, float, float] | None = None  # metres: a point in the free-space region to use
@@ -102,12 +102,12 @@ class Scene:
 
     @cached_property
     def raycaster(self) -> RayCaster:
-        """Return the mesh's ray caster."""
+        """Return the ray caster of the mesh, which is built on first use."""
         return RayCaster(self.mesh.vertices, self.mesh.faces)
 
     @cached_property
     def bounds(self) -> np.ndarray:  # [2, 3] float64 metres
-        """Return the mesh's axis-aligned bounding box. Public: the workspace given to every planner."""
+        """Return the axis-aligned bounding box of the mesh; every planner gets it as the workspace."""
         return np.stack([self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)]).astype(np.float64)
 
     @cached_property

@@ -15,12 +15,12 @@ from pathlib import Path
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
-MAX_BYTES = 4 << 30  # of all files of a scene; they are held in memory while they are read
+MAX_BYTES = 4 << 30  # maximum size of all files of a scene; they are held in memory while they are read
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Define a limit: ``allowance + per_byte * bytes read``, at most ``ceiling``."""
+    """Define a limit: ``allowance + per_byte * bytes read``, at most ``ceiling``; ``remedy`` ends the error message."""
 
     allowance: int
     per_byte: float
@@ -28,12 +28,13 @@ class Limit:
     remedy: str
 
     def at(self, bytes_read: int) -> int:
-        """Return the limit for a scene of which this many bytes were read."""
+        """Return the limit for a scene of which ``bytes_read`` bytes were read."""
         return min(self.ceiling, self.allowance + int(self.per_byte * bytes_read))
 
 
-# Per byte: more than any file without repetition needs (a triangle of 16-bit indices has 6 bytes, a quantised vertex 4,
-# an image rarely less than half a bit per pixel). Allowances: what instances may multiply.
+# The numbers per byte exceed the needs of any file without repetition: a triangle of 16-bit indices has 6 bytes, a
+# quantised vertex 4, and an image rarely less than half a bit per pixel. The allowances are for instances, which
+# multiply the content of a file.
 LIMITS = {
     "triangles": Limit(3_000_000, 0.25, 50_000_000, "decimate its meshes or place fewer copies of them"),
     "vertices": Limit(5_000_000, 0.5, 150_000_000, "decimate its meshes or place fewer copies of them"),
@@ -52,7 +53,7 @@ class LimitError(UnreadableMesh):
 
 @dataclass
 class SceneBudget:
-    """Count what a scene has read and allocated, against `LIMITS`."""
+    """Count how much a scene has read and allocated, and compare it with `LIMITS`."""
 
     bytes_read: int = 0
     taken: dict[str, int] = field(default_factory=dict)

@@ -46,7 +46,10 @@ class ColladaFile:
 
 
 def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
-    """Read all triangles of the instantiated visual scene."""
+    """Read all triangles of the visual scene that a file shows; store its images in ``textures``.
+
+    Raises `UnreadableMesh` for a damaged file.
+    """
     root = ElementTree.fromstring(textures.budget.read(path))
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # the namespace differs between versions 1.4 and 1.5
@@ -113,7 +116,10 @@ class _Document:
     def _posed(
         self, scene: Element, shape: Controlled, instance: Element, positions: np.ndarray, world_from_node: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions in the pose of their controllers, and the transform still to be applied."""
+        """Return positions [N, 3] in the pose of their skin or morph, and the transform that still has to be applied.
+
+        A skin already gives world positions, so its transform is the identity.
+        """
         self.textures.budget.take("numbers in arrays", 40 * len(positions))
         try:
             worlds = self._once(self._worlds, scene) if shape.skin is not None else {}
@@ -126,7 +132,7 @@ class _Document:
         return moved, np.eye(4) if shape.skin is not None else world_from_node
 
     def _worlds(self, scene: Element) -> dict[Element, np.ndarray]:
-        """Return the world matrix of every node; the joints of skins use them.
+        """Return the matrix [4, 4] world_from_node of every node, for the joints of skins.
 
         A node that is placed several times has the matrix of its first placement.
         """
@@ -229,7 +235,7 @@ class _Document:
     def _coordinates(
         self, sets: dict[int, Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
     ) -> np.ndarray:  # [C, 2], v down
-        """Return the corners' texture coordinates in the material's set, transformed by its texture's settings."""
+        """Return the texture coordinates of the C corners for the texture ``lies``, transformed by its placement."""
         chosen, certain = chosen_set(sets, lies.texcoord, bound)
         if not certain:
             self._ignore(f"UV set {lies.texcoord}", lies)
@@ -242,7 +248,10 @@ class _Document:
         self.textures.ignored.append(f"{setting[:60]} of {lies.image[:60]}")
 
     def _inputs(self, primitives: Element) -> tuple[dict[str, Input], dict[int, Input], int]:
-        """Return the first set of each semantic, the sets of texture coordinates, and the columns of <p>."""
+        """Return the inputs of a <triangles> or similar element.
+
+        They are the first set of each semantic, all sets of texture coordinates, and the number of columns of <p>.
+        """
         inputs: dict[str, Input] = {}
         sets: dict[int, Input] = {}
         width = 0
@@ -272,7 +281,7 @@ class _Document:
         return self._once(_array, source)
 
     def _material(self, name: str) -> tuple[np.ndarray | None, int, ColladaTexture]:
-        """Return a material's diffuse colour [3] (None if undefined) and texture; colours are display-referred."""
+        """Return a material's diffuse colour [3] (sRGB or None), texture index (-1 = none), and texture placement."""
         nothing = ColladaTexture("")
         shader, parameters = self._shader(name)
         # <constant> has no diffuse colour; its emission is its visible colour.
@@ -307,7 +316,7 @@ class _Document:
         return self.textures.add_file(self.path.parent, reference) if reference is not None else -1
 
     def _reference(self, name: str) -> str | None:
-        """Return the file of an image."""
+        """Return the file name of the image with the id ``name``; None if there is no such image."""
         image = self.by_id.get(name)
         if image is None:
             self.textures.note_unreadable(name)
@@ -330,9 +339,9 @@ _SHADERS = ("phong", "lambert", "blinn", "constant")
 
 @dataclass(frozen=True)
 class _Binding:
-    """Hold the material that an instance binds to a symbol of its geometry."""
+    """Hold the material that an instance of a geometry uses for one of the material symbols in it."""
 
-    material: str  # id
+    material: str  # id of the material
     sets: dict[str, int] = field(default_factory=dict)  # texture coordinate sets by the name used in effects
 
 

@@ -21,7 +21,7 @@ Target = Callable[[str | None], Element | None]  # returns the element of a url
 
 @dataclass(frozen=True)
 class Controlled:
-    """Hold a geometry and the controllers of its vertices."""
+    """Hold a geometry and the controllers that move its vertices: a skin, a morph, both or neither."""
 
     geometry: Element
     skin: Element | None = None
@@ -35,9 +35,10 @@ class Controlled:
     def positions(
         self, values: np.ndarray, target: Target, worlds: Mapping[Element, np.ndarray], instance: Element
     ) -> np.ndarray:  # [N, 3] -> [N, 3]
-        """Return the moved vertices: in the world frame with a skin, else in the node's frame.
+        """Return the moved vertices ``values``: in the world frame with a skin, else in the node's frame.
 
-        Raises `UnreadableMesh` if the controllers are damaged.
+        ``worlds`` are the matrices world_from_node of all nodes, and ``instance`` is the element that places the
+        controller. Raises `UnreadableMesh` if the controllers are damaged.
         """
         if values.shape[1] != 3:
             raise UnreadableMesh(f"its positions have {values.shape[1]} numbers")
@@ -49,7 +50,7 @@ class Controlled:
 
 
 def controlled(url: str | None, target: Target) -> Controlled | None:
-    """Return the geometry behind the controllers of a url, or None."""
+    """Return the geometry that a url refers to, directly or through controllers; None if there is none."""
     element, found = target(url), {}
     while element is not None and element.tag == "controller":
         control = next((child for child in element if child.tag in ("skin", "morph")), None)
@@ -77,7 +78,7 @@ def _array(holder: Element | None, semantic: str, target: Target) -> Element:
 
 
 def _morphed(morph: Element, values: np.ndarray, target: Target) -> np.ndarray:
-    """Blend the vertices with the targets by their weights."""
+    """Return the vertices ``values`` [N, 3], blended with the morph targets by their weights."""
     targets = morph.find("targets")
     names = (_array(targets, "MORPH_TARGET", target).text or "").split()
     weights = floats(_array(targets, "MORPH_WEIGHT", target).text)
@@ -96,7 +97,7 @@ def _morphed(morph: Element, values: np.ndarray, target: Target) -> np.ndarray:
 def _skinned(
     skin: Element, values: np.ndarray, target: Target, worlds: Mapping[Element, np.ndarray], instance: Element
 ) -> np.ndarray:
-    """Move every vertex with its joints."""
+    """Return the vertices ``values`` [N, 3] moved by the joints of the skin; the module's docstring has the formula."""
     shape = skin.findtext("bind_shape_matrix")
     bind_shape = fixed(shape, 16, "bind_shape_matrix").reshape(4, 4) if shape else np.eye(4)
     names = _array(skin.find("joints"), "JOINT", target)
@@ -118,7 +119,10 @@ def _skinned(
 def _joints(
     names: list[str], target: Target, worlds: Mapping[Element, np.ndarray], instance: Element
 ) -> list[np.ndarray]:
-    """Return joints' world matrices; joints are named by sid under the instance's skeletons, by id or by name."""
+    """Return the matrix [4, 4] world_from_node of each joint.
+
+    A name is the sid of a node, preferably below a skeleton of the instance, else the id or the name of a node.
+    """
     roots = [root for root in (target(element.text) for element in instance.findall("skeleton")) if root is not None]
     near = [node for root in roots for node in root.iter("node") if node in worlds]
     known: dict[str, Element] = {}

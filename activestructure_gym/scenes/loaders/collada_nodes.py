@@ -38,7 +38,10 @@ def node_matrix(node: ElementTree.Element) -> np.ndarray:  # [4, 4] parent_from_
 
 
 def _skew(numbers: np.ndarray) -> np.ndarray:  # [7] -> [3, 3]
-    """Shear along the second axis so that the first one turns towards it by the angle (as in RenderMan)."""
+    """Return a shear along the second axis by which the first axis turns towards it by an angle (as in RenderMan).
+
+    ``numbers`` are the angle in degrees, the first axis and the second axis.
+    """
     degrees, turned, along = numbers[0], _unit(numbers[1:4], "skew"), _unit(numbers[4:7], "skew")
     across = _unit(turned - (turned @ along) * along, "skew")
     before = np.arctan2(turned @ across, turned @ along)  # angle between the two axes, radians

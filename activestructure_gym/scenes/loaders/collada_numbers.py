@@ -10,12 +10,12 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
 
 def floats(text: str | None) -> np.ndarray:
-    """Return the numbers of a text."""
+    """Return the numbers in a text, which are separated by blanks."""
     return _numbers(text, np.float64)
 
 
 def fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
-    """Return the numbers of a <name>, which must be ``count`` many."""
+    """Return the ``count`` numbers in the text of a <name> element; raise `UnreadableMesh` for another number."""
     values = floats(text)
     if len(values) != count:
         raise UnreadableMesh(f"a <{name}> has {len(values)} numbers instead of {count}")
@@ -23,7 +23,7 @@ def fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
 
 
 def attribute(element: ElementTree.Element, name: str, default: int = 0) -> int:
-    """Return the value of an attribute, which must be a non-negative integer."""
+    """Return the value of an attribute, a non-negative integer; raise `UnreadableMesh` for another value."""
     text = element.get(name, str(default)).strip()
     if not text.isdecimal() or len(text) > 9:
         raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
@@ -31,7 +31,7 @@ def attribute(element: ElementTree.Element, name: str, default: int = 0) -> int:
 
 
 def integers(text: str | None) -> np.ndarray:
-    """Return the integers of a text."""
+    """Return the integers in a text, which are separated by blanks."""
     return _numbers(text, np.int64)
 
 

@@ -1,7 +1,8 @@
 """Read the opacity of a COLLADA effect: <transparent> and <transparency>.
 
-Specification: [collada], "Determining Transparency". In the modes A_ONE (the default) and RGB_ONE their product is the
-opacity, in A_ZERO and RGB_ZERO it is 1 minus it. A modes use a colour's alpha, RGB modes its luminance.
+Specification: [collada], "Determining Transparency". In the modes A_ONE (the default) and RGB_ONE, the opacity is the
+product of both. In A_ZERO and RGB_ZERO, it is 1 minus this product. A modes use the alpha of a colour, RGB modes its
+luminance.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from activestructure_gym.scenes.loaders.collada_numbers import floats
 from activestructure_gym.scenes.loaders.collada_textures import ColladaTexture, texture_of
 
 Element = ElementTree.Element
-_LUMINANCE = (0.212671, 0.715160, 0.072169)  # from the specification
+_LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of red, green and blue, from the specification
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class ColladaOpacity:
 
     start: float = 0.0
     slope: float = 1.0
-    channel: str = "alpha"  # of the image
-    lies: ColladaTexture | None = None  # the image
+    channel: str = "alpha"  # channel of the image that is x, "alpha" or "luminance"
+    lies: ColladaTexture | None = None  # the image with its placement, None without one
 
     @property
     def plain(self) -> float:
@@ -34,13 +35,13 @@ class ColladaOpacity:
         return self.start + self.slope
 
     def of(self, picture: np.ndarray) -> np.ndarray:  # [h, w] uint8 -> [h, w] uint8
-        """Return the image converted to opacity."""
+        """Return the opacity of each pixel of an image, 0..255."""
         values = 255.0 * self.start + self.slope * picture.astype(np.float32)
         return np.rint(np.clip(values, 0.0, 255.0)).astype(np.uint8)
 
 
 def opacity_of(shader: Element, parameters: Mapping[str, Element]) -> ColladaOpacity | None:
-    """Read the opacity of a shader; None if undefined."""
+    """Return the opacity of a shader; None if it is undefined. ``parameters`` are the effect's parameters by name."""
     transparent, transparency = shader.find("transparent"), shader.find("transparency")
     if transparent is None and transparency is None:
         return None
@@ -69,7 +70,10 @@ def _number(element: Element | None, parameters: Mapping[str, Element]) -> float
 
 
 def _text(element: Element, kind: str, parameters: Mapping[str, Element]) -> str | None:
-    """Return the numbers of an element, or of the parameter that it refers to."""
+    """Return the text with the numbers of an element, or of the parameter that it refers to; None if there is none.
+
+    ``kind`` is "color" or "float".
+    """
     reference = element.find("param")
     if reference is None:
         return element.findtext(kind)

@@ -38,10 +38,13 @@ class ColladaTexture:
     wrap: tuple[int, int] = (REPEAT, REPEAT)  # across and down
     place: tuple[tuple[str, float], ...] = ()  # entries that differ from `_NEUTRAL`
     ignored: tuple[str, ...] = ()  # unsupported settings that change the appearance
-    bounded: tuple[str, ...] = ()  # the same, if coordinates leave the image
+    bounded: tuple[str, ...] = ()  # unsupported settings that change the appearance if coordinates leave the image
 
     def placed(self, uv: np.ndarray) -> np.ndarray:  # [V, 2] -> [V, 2], v up
-        """Return the coordinates in the image, in Maya's order: frame transform first, then its content's."""
+        """Return the image coordinates of the mesh's coordinates ``uv``.
+
+        As in Maya, the transform of the texture's frame comes first, then the transform of the image in the frame.
+        """
         if not self.place:
             return uv
         value = {**_NEUTRAL, **dict(self.place)}
@@ -82,7 +85,10 @@ def texture_of(texture: Element, parameters: Mapping[str, Element]) -> ColladaTe
 
 
 def _place(said: Mapping[str, str]) -> tuple[tuple[tuple[str, float], ...], list[str]]:
-    """Return the numbers that transform the texture, and the unsupported settings."""
+    """Return the settings (name, number) that transform the texture, and the unsupported settings as texts.
+
+    ``said`` are the texts in <extra> by name.
+    """
     place, ignored = {}, []
     for name, neutral in _NEUTRAL.items():
         if name not in said:
@@ -103,7 +109,10 @@ def _place(said: Mapping[str, str]) -> tuple[tuple[tuple[str, float], ...], list
 
 
 def _wrap(wrap: str, axis: str, said: Mapping[str, str], place: Mapping[str, float]) -> int:
-    """Return the wrap mode along an axis from the sampler and Maya's switches."""
+    """Return the wrap mode along ``axis`` ("U" or "V"), from the sampler's mode ``wrap`` and Maya's settings ``said``.
+
+    ``place`` are the settings that transform the texture.
+    """
     if said.get(f"mirror{axis}", "").lower() in _TRUE:
         return MIRROR
     once = abs(place.get(f"repeat{axis}", 1.0)) <= 1.0  # a frame shown once still contains all repeats
@@ -113,7 +122,7 @@ def _wrap(wrap: str, axis: str, said: Mapping[str, str], place: Mapping[str, flo
 
 
 def _turned(uv: np.ndarray, degrees: float) -> np.ndarray:
-    """Rotate coordinates counter-clockwise around the centre of the image."""
+    """Rotate coordinates [V, 2] counter-clockwise around the centre of the image."""
     if not degrees:
         return uv
     sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
@@ -121,7 +130,7 @@ def _turned(uv: np.ndarray, degrees: float) -> np.ndarray:
 
 
 def leaves_picture(uv: np.ndarray) -> bool:
-    """Return whether coordinates lie outside the image by more than rounding."""
+    """Return whether any coordinates [V, 2] are outside the image by more than rounding."""
     return bool((np.abs(uv - 0.5) > 0.5 + 1e-4).any())
 
 

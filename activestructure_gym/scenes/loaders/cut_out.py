@@ -1,8 +1,8 @@
 """Remove transparent surfaces from a mesh, so that rays, voxels and surface samples agree.
 
 Faces entirely below the opacity cutoff are removed. Faces partly below it are bisected until a piece is on one side of
-the cutoff or small. Small pieces are cut along the straight line between their corners. An image's outline is thus
-followed to a quarter of its pixels, in steps of at least 1 cm.
+the cutoff or small. A small piece is cut along a straight line, with the opacity interpolated between its corners. The
+outline of an image is thus followed to a quarter of a pixel, in steps of at least 1 cm.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ import numpy as np
 from activestructure_gym.scenes.loaders.mesh_parts import MeshPart
 from activestructure_gym.scenes.loaders.opacity import Opacity, OpacityPicture
 
-FINEST = 0.01  # metres: shorter edges of pieces are not split
-_PER_PIXEL = 4.0  # edges shorter than 1 / this, in pixels, are not split
-_MAX_PIECES = 300_000  # per file; above it, FINEST is doubled
-_MIN_AREA_M2 = 1e-12  # per piece; smaller ones are dropped
-_MAX_COORDINATE_PX = 1e6  # pixels: coordinates are clipped to this distance from the image's corner
-_PICTURES_AT_ONCE = 4  # number of images whose lookup tables are kept: 20 MB each
-_OPAQUE = 0.99  # points below it are translucent
+FINEST = 0.01  # metres; shorter edges of pieces are not split
+_PER_PIXEL = 4.0  # edges shorter than 1 / 4 pixel of the opacity image are not split
+_MAX_PIECES = 300_000  # maximum number of pieces per file; for more, FINEST is doubled
+_MIN_AREA_M2 = 1e-12  # m^2, minimum area of a piece; smaller pieces are dropped
+_MAX_COORDINATE_PX = 1e6  # pixels; coordinates are clipped to this distance from the image's corner
+_PICTURES_AT_ONCE = 4  # number of images whose lookup tables are kept, 20 MB each
+_OPAQUE = 0.99  # opacity below which a point is translucent
 
 
 @dataclass(frozen=True)
 class CutOut:
-    """Count transparent faces, and describe the cut of partly transparent ones."""
+    """Count the faces that were removed or cut because of their opacity."""
 
-    gone: int = 0
-    cut: int = 0
-    pieces: int = 0
-    translucent: int = 0  # treated as solid
-    finest: float = FINEST  # metres
+    gone: int = 0  # number of faces removed
+    cut: int = 0  # number of faces replaced by their solid pieces
+    pieces: int = 0  # number of these pieces
+    translucent: int = 0  # number of translucent faces treated as solid
+    finest: float = FINEST  # metres, minimum length of an edge that is split
 
     def notes(self) -> list[str]:
-        """Return the messages for the user."""
+        """Return the messages for the user, one for each nonzero count."""
         said = []
         if self.gone:
             said.append(f"{self.gone} faces are transparent in the file and are left out")
@@ -54,7 +54,7 @@ class _TooMany(Exception):
 
 
 def cut_out(parts: Sequence[MeshPart], metres_per_unit: float = 1.0) -> tuple[list[MeshPart], CutOut]:
-    """Return the solid parts and the counts; entirely solid parts are unchanged."""
+    """Return ``parts`` without their transparent surfaces, and the counts; entirely solid parts are unchanged."""
     finest = FINEST
     while True:
         try:
@@ -113,7 +113,7 @@ def _cut(part: MeshPart, opacity: Opacity, view: _View, finest: float, most: int
 
 @dataclass(frozen=True)
 class _View:
-    """Hold a part with the lookup tables of its opacity."""
+    """Hold the geometry of a part and the opacity of its points."""
 
     faces: np.ndarray  # [F, 3]
     positions: np.ndarray  # [V, 3] metres
@@ -156,7 +156,10 @@ class _View:
         return np.einsum("pij,pjk->pik", corners, np.asarray(values[self.faces[face]], dtype=np.float64))
 
     def bounds(self, face: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P] each
-        """Return bounds of the opacity over each piece."""
+        """Return lower and upper bounds of the opacity over each of P pieces.
+
+        ``face`` [P] is the face that contains the piece, ``corners`` [P, 3, 3] are barycentric weights of its corners.
+        """
         values = self.interpolated(self.values, face, corners)
         lowest, highest = values.min(axis=1), values.max(axis=1)
         if self.picture is None:
@@ -166,7 +169,10 @@ class _View:
         return lowest * low, highest * high
 
     def pieces(self, face: np.ndarray, corners: np.ndarray, finest: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the solid pieces of mixed faces: each one's face [P], and corners as barycentric weights [P, 3, 3]."""
+        """Return the solid pieces of partly transparent faces: face [P] and barycentric corners [P, 3, 3] of each.
+
+        Edges shorter than ``finest`` metres are not split. Raises `_TooMany` for more than about ``most`` pieces.
+        """
         most += 2 * len(face)  # at least one cut per face
         done: list[tuple[np.ndarray, np.ndarray]] = []
         total = 0
@@ -213,7 +219,7 @@ class _View:
 
 
 def _halves(face: np.ndarray, corners: np.ndarray, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split each piece at the midpoint of one of its edges."""
+    """Split each of P pieces at the midpoint of its edge ``edge`` [P]; return face and corners of all halves."""
     a, b, c = _from(corners, edge)
     middle = 0.5 * (a + b)
     halves = [np.stack(half, axis=1) for half in ((a, middle, c), (middle, b, c))]
@@ -223,7 +229,7 @@ def _halves(face: np.ndarray, corners: np.ndarray, edge: np.ndarray) -> tuple[np
 def _clipped(
     face: np.ndarray, corners: np.ndarray, opacity: np.ndarray, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the solid part of each piece, for opacity linear between its corners."""
+    """Return face and corners of the solid part of each piece, with ``opacity`` [P, 3] linear between its corners."""
     solid = opacity >= threshold
     count = solid.sum(axis=1)
     found = [(face[count == 3], corners[count == 3])]

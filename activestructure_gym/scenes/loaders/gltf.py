@@ -28,7 +28,7 @@ _NUMBERED_TYPES = {"COLOR": ("VEC3", "VEC4"), "TEXCOORD": ("VEC2",), "JOINTS": (
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 
-_PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # linear; the specification's white would hide all shading
+_PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # grey in linear light; the default white would hide all shading
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def _declared_up(header: dict[str, Any]) -> str | None:
 
 
 class _Document:
-    """Read the surfaces of one file; images are decoded once, on first use."""
+    """Convert the meshes of one glTF file to `MeshPart`s; images are decoded once, on first use."""
 
     def __init__(self, data: GltfData, textures: TextureStore) -> None:
         self.data = data

@@ -21,7 +21,7 @@ _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 
 
 def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON header and the binary chunk (empty for `.gltf`)."""
+    """Return the JSON header and the binary chunk (empty for `.gltf`) of a file with the content ``data``."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise UnreadableMesh("it does not begin with the letters 'glTF'")
@@ -72,7 +72,7 @@ class GltfData:
         self._accessors: dict[int, np.ndarray] = {}
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
-        """Return an entry of one of the header's lists."""
+        """Return entry ``index`` of the header's list ``kind``, such as "meshes"; raise `UnreadableMesh` if missing."""
         entries = self.header.get(kind, [])
         count = len(entries) if isinstance(entries, list) else 0
         if not isinstance(index, int) or not 0 <= index < count:
@@ -155,7 +155,7 @@ class GltfData:
 
 
 def _size(value: Any, name: str) -> int:
-    """Return a header value that must be a non-negative integer: bytes or rows."""
+    """Return the header value ``name``, a non-negative integer; raise `UnreadableMesh` for another value."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 0:
         raise UnreadableMesh(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
     return operator.index(value)

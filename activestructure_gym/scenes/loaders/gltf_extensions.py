@@ -28,8 +28,8 @@ _READ = (
 )
 # Glass: treated as solid; a note gives the number of faces.
 TRANSMITTING = ("KHR_materials_transmission", "KHR_materials_diffuse_transmission")
-# Extensions that change neither position nor presence of surfaces, listed by full name: a new one of the same family
-# may.
+# Extensions that change neither position nor presence of surfaces. They are listed by full name, since a new extension
+# of the same family may change them.
 _HARMLESS = (
     *TRANSMITTING,
     *(
@@ -69,7 +69,7 @@ def _names(header: dict[str, Any], key: str) -> list[str]:
 
 
 def refuse(path: Path, extensions: list[str]) -> None:
-    """Raise `InputError` with reasons and remedies if any of these extensions is unsupported."""
+    """Raise `InputError` with reasons and remedies if ``extensions`` is not empty; it lists unsupported ones."""
     if not extensions:
         return
     unknown = ("it needs the glTF extension {0}", "export it without {0}")

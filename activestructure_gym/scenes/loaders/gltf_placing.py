@@ -55,7 +55,10 @@ def placements(data: GltfData) -> Iterator[Placement]:
 
 
 def morphed(data: GltfData, primitive: dict[str, Any], name: str, weights: tuple[float, ...], rows: Rows) -> np.ndarray:
-    """Return the values of an attribute after morphing, [V, columns]; integer colours are normalised."""
+    """Return the values of the attribute ``name`` after morphing, [V, columns]; integer colours are normalised.
+
+    ``weights`` are the weights of the morph targets, ``rows`` the vertices to use.
+    """
     values = _shares(data.accessor(primitive["attributes"][name])[rows], name)
     for weight, target in zip(weights, primitive.get("targets", [])):
         if weight and name in target:
@@ -75,7 +78,7 @@ def _shares(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def placed_positions(data: GltfData, primitive: dict[str, Any], placement: Placement, rows: Rows) -> np.ndarray:
-    """Return world positions [V, 3]: morphed, then moved by the skin's joints or by the node."""
+    """Return the world positions [V, 3] of a primitive, morphed and then moved by its skin's joints or its node."""
     positions = morphed(data, primitive, "POSITION", placement.weights, rows).astype(np.float64)
     if placement.world_from_bind is None or "JOINTS_0" not in primitive["attributes"]:
         return placed(positions, placement.world_from_mesh)
@@ -107,7 +110,7 @@ def _influences(data: GltfData, attributes: dict[str, int], rows: Rows) -> tuple
 
 
 class _Joints:
-    """Compute the matrices of skins, each once."""
+    """Compute the matrices of the joints of skins, each skin once."""
 
     def __init__(self, data: GltfData) -> None:
         self._data = data
@@ -164,7 +167,7 @@ def _appearances(
 
 
 def _instances(data: GltfData, attributes: dict[str, int]) -> np.ndarray:  # [N, 4, 4] node_from_instance
-    """Return the instances' matrices; all attributes, custom ones too, must have equal counts."""
+    """Return the matrices of the N instances of a mesh; all attributes must have N values, also unknown ones."""
     counts = {name: data.entry("accessors", index)["count"] for name, index in attributes.items()}
     if len(set(counts.values())) > 1:
         said = ", ".join(f"{name} {str(count)[:20]}" for name, count in list(counts.items())[:6])

@@ -48,8 +48,8 @@ _ENDINGS = {
     "objects": ".object_config.json",
     "scene_instances": ".scene_instance.json",
 }
-_MAX_FILES = 200_000  # of one kind
-_MAX_OBJECTS = 20_000  # of a scene
+_MAX_FILES = 200_000  # maximum number of files of one kind
+_MAX_OBJECTS = 20_000  # maximum number of objects of a scene
 
 
 def load_habitat_scene(
@@ -104,7 +104,7 @@ def load_habitat_scene(
 
 @dataclass
 class _Dataset:
-    """Hold the dataset's file and what was read from it."""
+    """Hold the configuration of a dataset, and the files and meshes that were read from it."""
 
     path: Path
     content: Mapping[str, Any]
@@ -191,7 +191,10 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
 
 
 def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, Path]:
-    """Return the file of a handle, of the end of one, or the only file."""
+    """Return handle and file of the scene ``wanted``, a handle or the end of one; without a name, the only file.
+
+    Raises `InputError` if there is no such file or more than one; ``where`` is the dataset's configuration.
+    """
     if not files:
         raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
     if not wanted and len(files) == 1:
@@ -207,14 +210,18 @@ def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, P
 
 
 def _called(files: Mapping[str, Path], wanted: str) -> list[str]:
-    """Return the handles that a name matches: exactly, else at their end."""
+    """Return the handles that the name ``wanted`` matches: the handle of this name, else all handles that end in it."""
     return [wanted] if wanted in files else [handle for handle in files if handle.endswith(f"/{wanted}")]
 
 
 def _instance(
     dataset: _Dataset, kind: str, told: Mapping[str, Any], textures: TextureStore, where: Path, origin: str
 ) -> list[MeshPart]:
-    """Return the parts of one instance in its place."""
+    """Return the parts of one instance of a stage or object, transformed to its place in the scene.
+
+    ``told`` is the table of the instance, and ``where`` the file with it. ``origin`` is the scene's
+    ``translation_origin``.
+    """
     template = told.get("template_name")
     if not isinstance(template, str):
         raise InputError(f"'{where}' has an instance without a template_name: {short_repr(told)}")
@@ -269,7 +276,10 @@ def _factor(told: Mapping[str, Any], where: Path) -> float:
 
 
 def _vector(told: Mapping[str, Any], name: str, where: Path, usual: Sequence[float]) -> np.ndarray:
-    """Return a number or list of numbers, as many as in the default."""
+    """Return the value ``name`` of a table as an array of as many numbers as the default ``usual``.
+
+    Raises `InputError` for another value.
+    """
     given = told.get(name, list(usual))
     values = given if isinstance(given, list) else [given]
     good = len(values) == len(usual) and all(

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 # Common formats that Pillow decodes itself; for PostScript it would start Ghostscript.
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA")
 MAX_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while decoding
-_MAX_SCANS = 100  # of a progressive JPEG; encoders write about ten, each a pass over all pixels
+_MAX_SCANS = 100  # maximum number of scans of a progressive JPEG; encoders write about ten, each of all pixels
 
 
 def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MAX_PIXELS) -> Image:
-    """Return the image, not yet decoded.
+    """Return the image in ``data``, not yet decoded.
 
     Raises `LimitError` if it is too large, and Pillow's errors if it is unreadable.
     """
@@ -41,7 +41,10 @@ def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels
 
 
 def eight_bits(image: Image) -> Image:
-    """Return the image with 8 bits per channel (Pillow truncates more); raise `LimitError` if no scale fits."""
+    """Return the image with 8 bits per channel; 16-bit and float images are scaled, since Pillow would truncate them.
+
+    Raises `LimitError` if the range of the values fits none of these scales.
+    """
     from PIL import Image as images
 
     if not image.mode.startswith(("I", "F")):

@@ -14,7 +14,10 @@ T = TypeVar("T")
 
 
 def read_json(path: Path, what: str, parse: Callable[[Any], T]) -> T:
-    """Return ``parse`` of the content, described by ``what``; raise `InputError` if it does not fit."""
+    """Return ``parse(content)`` of a JSON file.
+
+    Raises `InputError` if the file cannot be read or parsed; ``what`` describes the expected content in the message.
+    """
     try:
         return parse(json.loads(SceneBudget().read(path).decode("utf-8-sig")))
     except KeyError as error:

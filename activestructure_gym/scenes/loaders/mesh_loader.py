@@ -38,7 +38,7 @@ _WORLD_FROM_FILE = {
     "-x": ((2, 1, 0), (1, 1, -1)),
 }
 
-_MAX_OVERLAP = 300  # triangle boxes on a line; scans and furnished scenes have 4 to 20
+_MAX_OVERLAP = 300  # maximum mean number of triangle boxes that a line through the scene meets; scans have 4 to 20
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, longest side of a room or building
 _USUAL_HEIGHT = 2.6  # metres, height of a room
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; larger steps distort walls and depth
@@ -119,7 +119,10 @@ def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
 
 
 def solid_parts(parts: Sequence[MeshPart], textures: TextureStore, scale: float = 1.0) -> list[MeshPart]:
-    """Return the parts without transparent surfaces, and note how much was removed."""
+    """Return the parts without transparent surfaces, and add a note on the removed ones to ``textures``.
+
+    ``scale`` is metres per unit of the parts.
+    """
     from activestructure_gym.scenes.loaders.cut_out import cut_out
 
     solid, found = cut_out(parts, scale)
@@ -128,7 +131,7 @@ def solid_parts(parts: Sequence[MeshPart], textures: TextureStore, scale: float 
 
 
 def check_visible(path: Path, parts: Sequence[MeshPart]) -> None:
-    """Raise `InputError` if a file is entirely transparent."""
+    """Raise `InputError` if a file is entirely transparent, which means that it has no solid ``parts``."""
     if not parts:
         raise InputError(
             f"'{path}' is transparent everywhere: each of its triangles has an opacity below 0.5 (or the cutoff of its "
@@ -137,7 +140,10 @@ def check_visible(path: Path, parts: Sequence[MeshPart]) -> None:
 
 
 def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
-    """Permute axes so that ``up`` becomes z, exactly: files that differ only in axes give equal numbers."""
+    """Return the vertices with their axes permuted so that ``up`` becomes z.
+
+    Numbers are copied exactly, so files that differ only in their axes give equal scenes.
+    """
     axes, signs = _WORLD_FROM_FILE[up]
     return vertices[:, axes] * signs + 0.0  # no -0.0: its bytes differ from 0.0, and the content hash reads bytes
 
@@ -169,7 +175,7 @@ def finished_scene(
     *,
     name: str,
     doubts: Sequence[str] = (),
-    scale: float = 1.0,  # metres per file unit that were applied; messages suggest better ones
+    scale: float = 1.0,  # metres per file unit, already applied; messages need it to suggest other units
     labels: PartLabels | None = None,
 ) -> Scene:
     """Return a checked scene: zero-area faces removed, size checked, scale noted.
@@ -302,7 +308,7 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
 
 
 def painted(mesh: SceneMesh) -> tuple[SceneMesh, list[str]]:
-    """Paint vertices with non-finite colour or uv in plain grey; return the mesh and a message on them."""
+    """Return the mesh with vertices of non-finite colour or uv in plain grey, and a message on them (or none)."""
     from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
 
     broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
@@ -315,7 +321,7 @@ def painted(mesh: SceneMesh) -> tuple[SceneMesh, list[str]]:
 
 
 def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
-    """Remove vertices that no triangle uses; a distant one would enlarge the bounds."""
+    """Return the mesh without vertices that no triangle uses; distant ones would enlarge the bounds."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.faces] = True
     if used.all():
@@ -382,7 +388,10 @@ def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> s
 
 
 def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
-    """Check a scene's scale by the height from floor to ceiling along vertical rays; return a note and the result."""
+    """Return a note on a scene's size and ceiling height, and whether the ceiling height is plausible.
+
+    ``scale`` is metres per file unit; the note suggests other units if the height is unusual.
+    """
     low, high = scene.bounds
     size = " x ".join(f"{side:.2f}" for side in high - low)
     height = ceiling_height(scene)
@@ -397,8 +406,9 @@ def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
 def ceiling_height(scene: Scene) -> float | None:
     """Return the height in metres between floor and ceiling, or None without a ceiling.
 
-    There is none if fewer than a tenth of the vertical lines meet both, or fewer than half of those that start between
-    walls and above a floor. The second test excludes the tops of furniture in rooms without ceiling.
+    The scene has no ceiling if fewer than a tenth of the tested vertical lines meet a floor and a ceiling. It also has
+    none if fewer than half of the lines between walls and above a floor do. The second test excludes the tops of
+    furniture in rooms without ceiling.
     """
     low, high = scene.bounds
     grid = (np.arange(24) + 0.5) / 24

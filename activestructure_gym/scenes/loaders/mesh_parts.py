@@ -24,7 +24,7 @@ from activestructure_gym.scenes.scene import REPEAT, SceneMesh
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# Display-referred colour of a surface without a colour of its own.
+# sRGB value, 0..1, of all three channels of a surface without a colour of its own.
 PLAIN_GREY = 0.7
 
 
@@ -44,14 +44,14 @@ class MeshPart:
 
 @dataclass
 class TextureStore:
-    """Store the textures of one scene: each image once, however often and under whatever names it occurs."""
+    """Store the textures of one scene; an image that occurs several times or under several names is stored once."""
 
     max_size: int = 512  # pixels; larger images are shrunk, so that 50 textures stay below 50 MB
-    budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene; shared with its readers
+    budget: SceneBudget = field(default_factory=SceneBudget)  # budget of the whole scene, shared with its readers
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
     searched: Path | None = None  # the mesh's folder, if an image was not found in or around it
-    # materials whose image lacks texture coordinates on some surface
+    # Materials with an image that are used on a surface without texture coordinates.
     without_uv: list[str] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)  # unsupported placement settings of images
     notes: list[str] = field(default_factory=list)  # readers' messages on deviations from the file
@@ -59,7 +59,7 @@ class TextureStore:
     _opacities: dict[Hashable, np.ndarray | None] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:
-        """Return the index of an encoded image (PNG, JPEG, WebP, ...), -1 if it cannot be decoded."""
+        """Store an encoded image (PNG, JPEG, WebP, ...) and return its index, -1 if it cannot be decoded."""
         try:
             self.budget.take("bytes of pictures", len(data))
         except LimitError as error:
@@ -67,7 +67,7 @@ class TextureStore:
         return self.add(hashlib.sha256(data).digest(), lambda: opened_image(data), name)
 
     def add_file(self, base: Path, reference: str) -> int:
-        """Return the index of the image that a file in ``base`` refers to, -1 if missing."""
+        """Store the image ``reference`` of a file in the folder ``base`` and return its index, -1 if it is missing."""
         key = ("file", base, reference)
         if key not in self._by_key:
             try:
@@ -81,7 +81,10 @@ class TextureStore:
         return self._by_key[key]
 
     def add(self, key: Hashable, decode: Callable[[], Image], name: str) -> int:
-        """Return the index of the image ``key``; ``decode`` is called only the first time."""
+        """Store the image that ``decode`` returns and return its index, -1 if it fails.
+
+        ``decode`` is called once for each ``key``; ``name`` is used in messages.
+        """
         if key in self._by_key:
             return self._by_key[key]
         try:
@@ -120,7 +123,7 @@ class TextureStore:
         return self._opacities[key]
 
     def opacity_of_file(self, base: Path, reference: str, channel: str) -> np.ndarray | None:  # [h, w] uint8
-        """Return the opacity of the image that a file in ``base`` refers to, None if there is none."""
+        """Return the opacity of the image ``reference`` of a file in the folder ``base``, None if there is none."""
         key = ("file", base, reference, channel)
         if key not in self._opacities:
             self._opacities[key] = None
@@ -157,7 +160,7 @@ def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint
 
 
 def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]
-    """Transform vertices by their node; non-finite values remain and are reported by the loader."""
+    """Transform vertices by the matrix of their node; non-finite values remain, and the loader reports them."""
     with np.errstate(invalid="ignore", over="ignore"):
         return vertices @ world_from_part[:3, :3].T + world_from_part[:3, 3]
 
@@ -181,15 +184,15 @@ def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
 
 
 def linear_from_srgb(srgb: np.ndarray) -> np.ndarray:
-    """Invert `srgb_from_linear`."""
+    """Convert display-referred (sRGB) values in 0..1 to linear light; the inverse of `srgb_from_linear`."""
     srgb = np.clip(srgb, 0.0, 1.0)
     return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
 
 
 def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> SceneMesh:
-    """Join all parts into one mesh, in order.
+    """Join all parts into one mesh, in order; ``textures`` are the images that the parts refer to by index.
 
-    It has linear colours only if needed: if a linear part's colours vary.
+    The mesh has linear colours only if the vertex colours of a part in linear light vary.
     """
     linear = any(part.linear and _varies(part.colors) for part in parts)
     wrapped = _WrappedTextures(list(textures))
@@ -229,13 +232,13 @@ def _colors(part: MeshPart, linear: bool) -> np.ndarray:
 
 @dataclass
 class _WrappedTextures:
-    """Assign one wrap mode per image: an image used with two modes is listed twice."""
+    """List the images of a mesh with one wrap mode each; an image that is used with two modes is listed twice."""
 
     images: list[np.ndarray]
     _places: dict[tuple[int, tuple[int, int]], int] = field(default_factory=dict)
 
     def index(self, image: int, wrap: tuple[int, int]) -> int:
-        """Return the index of the image with this wrap mode."""
+        """Return the index in the list for image number ``image`` with this wrap mode; add an entry if needed."""
         if (image, wrap) not in self._places:
             place = image
             if any(image == known for known, _ in self._places):

@@ -21,7 +21,7 @@ _WORDS = {
     "-imfchan": ("r", "g", "b", "m", "l", "z"),
     "-type": ("sphere", *(f"cube_{side}" for side in ("top", "bottom", "front", "back", "left", "right"))),
 }
-# Option values without effect, and options that only change the filtering.
+# Values of options that have no effect, and options that only change the filtering.
 _IDLE = {"-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0), "-cc": "off", "-blendu": "on", "-blendv": "on"}
 _OF_FILTERS = ("-boost", "-texres", "-bm")
 _READ = ("-s", "-o", "-clamp", "-imfchan")
@@ -48,7 +48,7 @@ class TextureMap:
         return (CLAMP, CLAMP) if self.clamp else (REPEAT, REPEAT)
 
     def placed(self, uv: np.ndarray) -> np.ndarray:  # [V, 2] -> [V, 2], v up
-        """Return the coordinates in the image: offset + scale x the mesh's coordinates."""
+        """Return the image coordinates: offset + scale x the mesh's coordinates ``uv``."""
         return uv * self.scale + self.offset
 
 

@@ -17,13 +17,14 @@ from activestructure_gym.scenes.loaders.polygons import triangulated_if_concave
 _RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)
 _POLYGON = re.compile(r"^f(?: +[-\d/]+){4}", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\n]*")
-_COUNTED = ("v", "vt", "vn")  # entries counted by the three numbers of a corner
+_COUNTED = ("v", "vt", "vn")  # kinds of lines to which the three numbers of a corner refer, in order
 
 
 def plain_obj(text: str) -> str:
-    """Return the text without relative indices, concave polygons, leading blanks and comments after numbers.
+    """Return the text of an OBJ file in a form that trimesh reads correctly, with the same surface.
 
-    The surface is the same.
+    Indices are absolute, concave polygons are split into triangles, and leading blanks and comments after numbers are
+    removed.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "").replace("\t", " ")
     text = re.sub(r"^ +", "", text, flags=re.MULTILINE)
@@ -46,7 +47,7 @@ def _without_numbers_comment(comment: re.Match[str]) -> str:
 
 
 def _make_absolute(lines: list[str]) -> None:
-    """Rewrite relative indices, which count back from the entries above their line, as absolute ones."""
+    """Replace relative indices in ``lines``, which count back from the entries above their line, by absolute ones."""
     above = [0, 0, 0]
     for number, line in enumerate(lines):
         kind = line.partition(" ")[0]

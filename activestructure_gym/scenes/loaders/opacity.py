@@ -17,10 +17,10 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SOLID_FROM = 0.5  # for formats without a cutoff
+SOLID_FROM = 0.5  # minimum opacity of a solid point, for formats without their own cutoff
 MAX_PICTURE_SIDE = 1024  # pixels; larger images are shrunk. Not an option, since an image's size must not move walls
-_ROUNDING = 1e-6  # 0.7 in float32 is less than 0.7
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue (ITU-R BT.709)
+_ROUNDING = 1e-6  # tolerance of the cutoff, since 0.7 in float32 is less than 0.7
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue (ITU-R BT.709)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class OpacityPicture:
         for axis, mode in zip((1, 0), wrap):
             if mode == MIRROR:  # equivalent to repeating the image and its mirror image
                 picture = np.concatenate([picture, np.flip(picture, axis)], axis)
-        # minima and maxima over squares of 1, 2, 4, ... pixels starting at a pixel
+        # Level k: minima and maxima over the square of 2^k x 2^k pixels that starts at each pixel.
         self._lowest, self._highest = [picture], [picture]
         for level in range((max(picture.shape) - 1).bit_length()):
             self._lowest.append(self._doubled(self._lowest[-1], 1 << level, np.minimum))
@@ -81,7 +81,7 @@ class OpacityPicture:
         return table[self._inside(down, height, self._clamps[1]), self._inside(across, width, self._clamps[0])]
 
     def at(self, pixels: np.ndarray) -> np.ndarray:  # [..., 2] pixels from the corner -> [...] in 0..1
-        """Return the opacity at these positions, bilinear between pixel centres."""
+        """Return the opacity at the positions ``pixels``, bilinear between pixel centres."""
         corner = np.floor(pixels - 0.5)
         (x, y), (right, below) = np.moveaxis(corner.astype(np.int64), -1, 0), np.moveaxis(pixels - 0.5 - corner, -1, 0)
         upper, lower = (
@@ -91,7 +91,10 @@ class OpacityPicture:
         return ((1.0 - below) * upper + below * lower) / 255.0
 
     def bounds(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P, 2] pixels -> [P] each
-        """Return bounds of the opacity over rectangles: valid, but not always tight."""
+        """Return lower and upper bounds of the opacity over P rectangles with the corners ``low`` and ``high``.
+
+        The bounds are valid, but not always tight.
+        """
         first, last = np.floor(low - 0.5).astype(np.int64), np.floor(high - 0.5).astype(np.int64) + 1
         longest = (last - first + 1).max(axis=1)
         # Four squares of at least half the side length cover the rectangle.
@@ -110,7 +113,10 @@ class OpacityPicture:
         return lowest, highest
 
     def _exact_bounds(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P] each
-        """Return exact bounds over rectangles of at most two cells along each axis, from the cells' corners."""
+        """Return the exact bounds over rectangles of at most two cells of pixel centres along each axis.
+
+        The opacity is bilinear in a cell, so its extremes are at the corners of the rectangle's parts in each cell.
+        """
         seam = np.maximum(np.floor(high - 0.5) + 0.5, low)
         grid = np.stack([low, seam, high])  # [3, P, 2]
         values = [self.at(np.stack([x[:, 0], y[:, 1]], axis=1)) for x in grid for y in grid]

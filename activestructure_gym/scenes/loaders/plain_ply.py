@@ -13,7 +13,7 @@ from dataclasses import replace
 from activestructure_gym.ply_header import PlyElement, header_bytes, read_header
 
 _COLORS = ("red", "green", "blue", "alpha")
-# Names in other programs; the first set of three that an element has is its colour.
+# Names of colour properties in other programs; an element's colour is the first set of which it has the first three.
 _OTHER_NAMES = tuple(
     tuple(pattern.format(color, color[0]) for color in _COLORS)
     for pattern in ("{0}", "diffuse_{0}", "{1}", "color_{0}", "colour_{0}", "vertex_{0}", "diffuse_{1}", "color_{1}")
@@ -22,9 +22,9 @@ _PICTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(.*?)[ \t\r]*$", re.MULT
 
 
 def plain_ply(data: bytes) -> tuple[bytes, list[str]]:
-    """Return the file with a simplified header, and the names of its images; trimesh reads the first one.
+    """Return the content of a PLY file with a simplified header, and the names of its images.
 
-    An unreadable header is unchanged.
+    trimesh reads the first image. An unreadable header is unchanged.
     """
     stream = io.BytesIO(data)
     header = read_header(stream)

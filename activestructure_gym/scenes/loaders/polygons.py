@@ -9,10 +9,10 @@ import numpy as np
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
-# Sine of the angle by which a corner of a concave polygon must turn back. Float32 errors of a small face far from the
-# origin stay below it.
+# Sine of the minimum angle by which a concave corner turns back. Float32 errors of a small face far from the origin are
+# smaller.
 _TURN = 1e-4
-_MAX_CORNERS = 10_000  # of a concave polygon: ear clipping then takes a third of a second, and grows with the square
+_MAX_CORNERS = 10_000  # maximum corners of a concave polygon; its ear clipping takes a third of a second
 
 
 def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +42,10 @@ def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def triangulated_if_concave(points: np.ndarray, sizes: np.ndarray) -> dict[int, np.ndarray]:
-    """Return triangles [F, 3], over its own corners, of each concave polygon (arguments of `triangulated`)."""
+    """Return the triangles of each concave polygon by its index, for the arguments of `triangulated`.
+
+    The triangles [F, 3] are indices of the polygon's own corners.
+    """
     starts = np.cumsum(sizes) - sizes
     polygon, corner = concave_corners(points, sizes)
     # Scans have many slightly concave quads, which are split at the corner that turns back.
@@ -57,7 +60,7 @@ _QUAD = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]])  # through co
 
 
 def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return polygon and corner index of all concave corners (arguments of `triangulated`)."""
+    """Return polygon index and corner index (in its polygon) of all concave corners, as in `triangulated`."""
     if not (sizes > 3).any():
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     polygon = np.repeat(np.arange(len(sizes)), sizes)
@@ -79,7 +82,10 @@ def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, 
 
 
 def ear_clipped(points: np.ndarray, rings: tuple[int, ...] = ()) -> np.ndarray:  # [F, 3] indices of ``points``
-    """Return the triangles of one planar polygon [C, 3]; ``rings`` are the ends of its outline and holes."""
+    """Return the triangles of one planar polygon with C corners.
+
+    ``rings`` are the end indices of its outline and of its holes in ``points``; () means no holes.
+    """
     import mapbox_earcut
 
     if len(points) > _MAX_CORNERS:

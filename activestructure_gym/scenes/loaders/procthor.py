@@ -44,8 +44,8 @@ SIZES = {
     "television": (1.1, 0.15, 0.65), "washing": (0.6, 0.6, 0.85), "lamp": (0.4, 0.4, 1.5), "plant": (0.5, 0.5, 1.0),
     "garbage": (0.35, 0.35, 0.5), "bin": (0.35, 0.35, 0.5), "painting": (0.7, 0.05, 0.5), "box": (0.4, 0.3, 0.3),
 }  # fmt: skip
-_USUAL = (0.4, 0.4, 0.4)
-_SMALL = (0.15, 0.15, 0.15)  # objects on other objects
+_USUAL = (0.4, 0.4, 0.4)  # metres, size of an object of another kind
+_SMALL = (0.15, 0.15, 0.15)  # metres, size of an object on another object
 
 
 def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects: bool = True) -> Scene:
@@ -86,7 +86,7 @@ def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects
 
 
 def _text(path: Path, house: int) -> bytes:
-    """Return the bytes of one house."""
+    """Return the JSON text of house number ``house`` in a file, as bytes."""
     if house < 0:
         raise UnreadableMesh(f"houses are counted from 0 on, got {house}")
     data = SceneBudget().read(path)
@@ -138,7 +138,7 @@ def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
 
 
 class _Wall:
-    """Represent an upright rectangle with rectangular holes."""
+    """Represent a wall as an upright rectangle with rectangular holes."""
 
     def __init__(self, wall: dict[str, Any]) -> None:
         self.id = str(wall["id"])
@@ -159,7 +159,7 @@ class _Wall:
         return place
 
     def part(self) -> MeshPart:
-        """Return the rectangle without its holes."""
+        """Return the triangles of the wall without its holes."""
         xs = sorted({0.0, self.width, *(x for hole in self.holes for x in hole[:2])})
         ys = sorted({0.0, self.height, *(y for hole in self.holes for y in hole[2:])})
         quads = [
@@ -193,7 +193,7 @@ def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door
 
 
 def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
-    """Return a box for an object, and for the objects on it."""
+    """Return a box for an object, and boxes for the objects on it."""
     name = re.sub(r"(?<=[a-z])(?=[A-Z])|[_|]", " ", str(thing.get("assetId") or thing.get("id", ""))).lower()
     middle = _points([thing["position"]])[0]
     usual = next((size for kind, size in SIZES.items() if kind in name), _USUAL) if on_floor else _SMALL
@@ -234,7 +234,7 @@ def _quads(quads: np.ndarray, tint: tuple[float, float, float]) -> MeshPart:  # 
 
 
 def _tint(*words: str) -> tuple[float, float, float]:
-    """Return a muted colour that is a hash of the words."""
+    """Return a muted sRGB colour in 0..1, computed from a hash of the words."""
     number = zlib.crc32(" ".join(words).encode())
     return colorsys.hls_to_rgb(number % 360 / 360, 0.45 + (number >> 9) % 30 / 100, 0.2 + (number >> 17) % 30 / 100)
 

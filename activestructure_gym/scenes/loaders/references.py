@@ -56,7 +56,7 @@ def _is_inside(path: str, root: Path) -> bool:
 
 
 def _in_other_case(path: str, root: Path) -> str:
-    """Return the path under ``root`` that differs only in case, as Windows would find it; "" if there is none."""
+    """Return the existing path under ``root`` that differs from ``path`` only in case; "" if there is none."""
     found = str(root)
     for part in os.path.abspath(path)[len(os.path.join(root, "")) :].split(os.sep):
         entries = _entries(found)
@@ -76,5 +76,8 @@ def _entries(folder: str) -> dict[str, str]:
 
 @lru_cache(maxsize=16)
 def _listed(folder: str, changed: int) -> dict[str, str]:
-    """Return the names in a folder by their case-folded form; of several the first in sorted order."""
+    """Return the names in a folder by their case-folded form; of several, the first in sorted order.
+
+    ``changed`` is the folder's time of change, so that the cache is renewed when it changes.
+    """
     return {name.casefold(): name for name in sorted(os.listdir(folder), reverse=True)}

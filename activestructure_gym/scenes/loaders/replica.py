@@ -41,7 +41,7 @@ from activestructure_gym.scenes.scene import PartLabels, Scene
 STRUCTURAL_CLASSES = frozenset(("wall", "floor", "ceiling", "door", "window", "beam", "pillar", "stair"))
 
 _OWN_FILES = ("habitat", "textures", "traj.txt", "semantic.json", "preseg.json", "glass.sur")  # next to mesh.ply
-_FIRST_FACE = 256  # bytes that contain its number of corners
+_FIRST_FACE = 256  # number of bytes read from the first face; they contain its number of corners
 
 
 def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathLike[str] | None = None) -> Scene:
@@ -207,7 +207,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def _elements(header: PlyHeader | None) -> tuple[PlyElement, PlyElement]:
-    """Return the vertex and face elements, which must come first."""
+    """Return the vertex and the face element of a header; raise `UnreadableMesh` if they do not come first."""
     if header is None or not header.complete and not header.unreadable:
         raise UnreadableMesh("it has no PLY header")
     if header.format not in ("", BINARY_LITTLE_ENDIAN):
@@ -225,12 +225,12 @@ def _vertex_dtype(vertices: PlyElement) -> np.dtype:
 
 
 def _number(kind: str) -> str:
-    """Return the numpy type of a type name in the file."""
+    """Return the numpy type of a PLY type name, in the byte order of Replica's files."""
     return NUMPY_ORDERS[BINARY_LITTLE_ENDIAN] + NUMPY_TYPES[kind]
 
 
 def _corner_count(data: bytes, start: int, properties: Sequence[PlyProperty]) -> int:
-    """Return the number of corners of the first face."""
+    """Return the number of corners of the face at byte ``start``; raise `UnreadableMesh` unless it is 3 or 4."""
     for one in properties:
         if one.count_kind:
             corners = int(np.frombuffer(data, _number(one.count_kind), 1, start)[0])
@@ -242,7 +242,10 @@ def _corner_count(data: bytes, start: int, properties: Sequence[PlyProperty]) ->
 
 
 def _labels(info_file: Path, object_ids: np.ndarray) -> PartLabels:
-    """Return the objects as parts, sorted by id; without the info file they are only numbered."""
+    """Return the objects of a scene as labelled parts, sorted by id; ``object_ids`` [F] is the id of each triangle.
+
+    Without the file of names, the parts are only numbered.
+    """
     ids, face_part = np.unique(object_ids, return_inverse=True)
     names = {}
     if info_file.is_file():

@@ -21,8 +21,8 @@ from activestructure_gym.scenes.scene import Scene
 
 _SCANNET_MESH = "_vh_clean_2.ply"
 _SCANNETPP_MESH = Path("scans") / "mesh_aligned_0.05.ply"
-_RIGID = 1e-3  # the files have six decimals
-_MAX_TRANSLATION_M = 1e4  # metres; largest translation of an alignment
+_RIGID = 1e-3  # largest accepted entry of R R^T - I; the files have six decimals
+_MAX_TRANSLATION_M = 1e4  # metres, largest accepted translation of an alignment
 
 
 def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
@@ -60,7 +60,7 @@ def load_scannetpp_scene(path: str | os.PathLike[str]) -> Scene:
 
 
 def is_scannet(path: Path) -> bool:
-    """Return whether the path is a ScanNet scan with its text file (identifies paths without prefix)."""
+    """Return whether the path is a ScanNet scan with its text file; it identifies paths without a loader prefix."""
     path = Path(os.path.abspath(path))
     mesh_file = path / f"{path.name}{_SCANNET_MESH}" if path.is_dir() else path
     name = mesh_file.name.removesuffix(_SCANNET_MESH)
@@ -68,14 +68,14 @@ def is_scannet(path: Path) -> bool:
 
 
 def is_scannetpp(path: Path) -> bool:
-    """Return whether the path is a ScanNet++ scene (identifies paths without prefix)."""
+    """Return whether the path is a ScanNet++ scene; it identifies paths without a loader prefix."""
     if path.is_dir():
         return (path / _SCANNETPP_MESH).is_file()
     return path.name == _SCANNETPP_MESH.name and path.is_file()
 
 
 def axis_alignment(path: Path) -> np.ndarray:  # [4, 4]
-    """Return the transform in a scan's text file, or the identity without one.
+    """Return the transform ``axisAlignment`` in a scan's text file, or the identity if the file has none.
 
     Raises `InputError` if the file is missing or invalid.
     """

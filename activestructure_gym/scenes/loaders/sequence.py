@@ -24,7 +24,7 @@ from activestructure_gym.scenes.loaders.json_files import read_json
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MAX_PIXELS = 1 << 23  # per frame: 4K video; evaluations hold dozens of frames in memory
+MAX_PIXELS = 1 << 23  # maximum pixels of a frame (4K video); evaluations hold dozens of frames in memory
 _DEPTH_MODES = ("I;16", "I;16B", "I", "L")  # Pillow modes of single-channel integer images
 
 
@@ -113,10 +113,10 @@ def _poses(file: Path) -> np.ndarray:  # [T, 4, 4]
 
 def _is_rigid(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T] bool
     finite = np.isfinite(poses).all(axis=(1, 2))
-    # metres; overflowing values are invalid
+    # Poses with values above 1e6 (metres) are replaced by zeros, which are no rigid motion.
     poses = np.where(finite[:, None, None] & (np.abs(poses) < 1e6), poses, 0.0)
     rotation = poses[:, :3, :3]
-    # 1e-3, since trajectories are written with 4 to 18 digits.
+    # The tolerance is 1e-3, since trajectories are written with 4 to 18 digits.
     orthogonal = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= 1e-3
     return orthogonal & (np.linalg.det(rotation) > 0) & (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) <= 1e-6)
 
@@ -145,7 +145,7 @@ def _camera(path: Path) -> tuple[PinholeCamera, float]:
 
 def _parsed_camera(given: Any) -> tuple[PinholeCamera, float]:
     given = given["camera"]
-    # The file puts pixel centres at integers, this project at + 0.5.
+    # Pixel centres are at integers in the file, and at integers + 0.5 in this project.
     camera = PinholeCamera(
         width=int(given["w"]),
         height=int(given["h"]),

@@ -14,15 +14,15 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_HEADER = 84  # bytes: 80 of any content, then the count
-_NAME = re.compile(rb"^\s*(?:end)?solid\b.*$", re.MULTILINE | re.IGNORECASE)  # may contain the word vertex
+_HEADER = 84  # bytes: 80 of any content, then the number of triangles
+_NAME = re.compile(rb"^\s*(?:end)?solid\b.*$", re.MULTILINE | re.IGNORECASE)  # a name may contain the word vertex
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _MAGICS = b"COLOR="  # colour of the whole object in 4 bytes: red, green, blue, alpha
 _TOP_BIT = 1 << 15
 
 
 def read_stl(data: bytes, textures: TextureStore) -> list[MeshPart]:
-    """Return all triangles of all solids as one part; grey if the file has no colours."""
+    """Return all triangles of an STL file with the content ``data`` as one part; grey if the file has no colours."""
     count = int.from_bytes(data[80:_HEADER], "little")
     end = _HEADER + count * _RECORD.itemsize
     colors: np.ndarray = np.full(3, PLAIN_GREY)
@@ -44,7 +44,10 @@ def read_stl(data: bytes, textures: TextureStore) -> list[MeshPart]:
 
 
 def _colors(header: bytes, attributes: np.ndarray, textures: TextureStore) -> np.ndarray:
-    """Return the colour of the object [3], or of every corner [3 F, 3] if triangles have their own."""
+    """Return the colour of the object [3], or of every corner [3 F, 3] if triangles have colours of their own.
+
+    ``attributes`` [F] are the two colour bytes of each triangle.
+    """
     place = header.find(_MAGICS)
     marked = (attributes & _TOP_BIT) != 0
     shares = np.stack([attributes >> shift & 31 for shift in (0, 5, 10)], axis=1) / 31.0

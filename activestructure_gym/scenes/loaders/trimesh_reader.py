@@ -1,6 +1,6 @@
 """Read Wavefront OBJ and PLY with trimesh's parsers.
 
-Its scene objects are avoided: they take a minute for 20,000 materials.
+trimesh's scene objects are avoided, since they take a minute for 20,000 materials.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _COLORS = ("vertex_colors", "face_colors")
 
 
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
-    """Read all triangles of the file; polygons are split, colours and textures kept."""
+    """Return the parts of an OBJ or PLY file: all triangles, with polygons split, and their colours and textures."""
     import trimesh
     from trimesh.exchange import obj, ply
 
@@ -89,9 +89,10 @@ def _alpha(mesh: dict[str, Any]) -> np.ndarray | None:  # [N] in 0..1
 
 
 def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] bool
-    """Bring colours into the range that trimesh expects, in place; return the mask of non-finite ones per mesh.
+    """Scale the colours of ``meshes`` in place to the range that trimesh expects.
 
     trimesh expects floats in 0 to 1 and integers in 0 to 255; files also have floats up to 255 and 16-bit integers.
+    Returns, for each mesh, which of its N coloured vertices or faces have a colour that is not finite.
     """
     kinds = [next((kind for kind in _COLORS if kind in mesh and np.ndim(mesh[kind]) == 2), "") for mesh in meshes]
     colors = [
@@ -126,9 +127,9 @@ _ALL_LIBRARIES = "all libraries.mtl"
 
 
 def _with_one_library(text: str) -> tuple[str, list[str]]:
-    """Return the text with at most one material library, and the names of the libraries it replaces.
+    """Return the text of an OBJ file with at most one material library, and the names of the libraries in the file.
 
-    trimesh reads only one.
+    trimesh reads only one library. Several are replaced by the name `_ALL_LIBRARIES`, which `_resolver` resolves.
     """
     lines = (line.strip() for line in _LIBRARY.findall(text))
     names = list(dict.fromkeys(name for line in lines for name in _BETWEEN_LIBRARIES.split(line)))
@@ -138,7 +139,10 @@ def _with_one_library(text: str) -> tuple[str, list[str]]:
 
 
 def _note_unknown_materials(text: str, known: set[str], textures: TextureStore) -> None:
-    """Record the materials that are in no library; a missing library is reported elsewhere."""
+    """Record the materials used in an OBJ ``text`` that are in no library; ``known`` are the names in libraries.
+
+    A missing library is reported elsewhere.
+    """
     used = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl (.*)", text, re.MULTILINE))
     for name in used if known else ():
         if name not in known and name not in _NO_MATERIAL:
@@ -148,7 +152,7 @@ def _note_unknown_materials(text: str, known: set[str], textures: TextureStore) 
 _NO_MATERIAL = ("", "None", "(null)")  # written by exporters for no material
 
 
-# Materials times vertices: trimesh loops over all vertices for every material, 2 ns each.
+# Maximum of materials times vertices. trimesh loops over all vertices for every material, 2 ns each.
 _MAX_PASSES = 5_000_000_000
 _LINE_ENDS = (b"\n", b"\r", b"\v", b"\f", b"\x1c", b"\x1d", b"\x1e")
 
@@ -168,7 +172,8 @@ def _check_ply(data: bytes, textures: TextureStore) -> None:
         textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))
 
 
-# trimesh would decode an image for every material that names it; it gets the statement as an opaque word instead.
+# Texture statements are replaced by a word that trimesh does not understand. It would decode an image once for every
+# material that uses it.
 _MAP = re.compile(r"^[ \t]*map_(kd|d)[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
 _TEXTURE, _OPACITY = "statement_of_kd", "statement_of_d"
 _MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+(.*)", re.MULTILINE | re.IGNORECASE)
@@ -210,7 +215,10 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
 
 
 def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray, alpha: np.ndarray | None) -> MeshPart:
-    """Convert a geometry; ``broken`` and ``alpha`` [N] are of its coloured vertices or faces."""
+    """Convert a geometry of trimesh to a part.
+
+    ``broken`` [N] is True for coloured vertices or faces whose colour is not finite; ``alpha`` [N] is their opacity.
+    """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
@@ -282,7 +290,10 @@ def _downward(uv: np.ndarray) -> np.ndarray:  # [V, 2]
 
 
 def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return triangles [F, 3], with ears instead of fans in concave polygons of PLY, and the file's face of each."""
+    """Return triangles [F, 3] of a geometry, and for each the index of its face in the file.
+
+    Concave polygons of a PLY file are split by ear clipping, since trimesh splits them into fans.
+    """
     faces = np.asarray(geometry.faces)
     sizes = _polygon_sizes(geometry.metadata.get("_ply_raw"))
     if not (sizes > 3).any() or (sizes - 2).sum() != len(faces) or faces.max() >= len(geometry.vertices):
@@ -294,7 +305,7 @@ def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
     in_order = faces.copy()
     in_order[triangles : triangles + 2 * quads : 2] = halves[0]
     in_order[triangles + 1 : triangles + 2 * quads : 2] = np.roll(halves[1], 1, axis=1)
-    # The first triangle of a fan has three corners of its polygon; each other one adds its last corner.
+    # The first triangle of a fan has three corners of its polygon; each following triangle adds its last corner.
     own = np.tile([False, False, True], (len(faces), 1))
     own[np.cumsum(sizes - 2) - (sizes - 2)] = True
     around = in_order[own]

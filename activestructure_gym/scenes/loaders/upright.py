@@ -1,9 +1,10 @@
 """Infer the up axis from the geometry: many files do not state it, and some state a wrong one.
 
 An indoor scene has a floor and a ceiling: two level surfaces at the distance of a room's height. They have more area
-than the walls along any other axis, and usually lie along the shortest side. Furniture is on the floor, so geometry
-between the two is mostly near the floor, and free vertical lines end on furniture below and at the bare ceiling above.
-If this evidence is weak or contradictory, there is no verdict. Winding is ignored: half of all files have it inverted.
+than the walls along any other axis, and are usually at the ends of the shortest side of the bounding box. Furniture is
+on the floor, so geometry between floor and ceiling is mostly near the floor. Free vertical lines, which meet no
+surface, begin on furniture below and end at the bare ceiling above. If this evidence is weak or contradictory, there is
+no verdict. Winding is ignored: half of all files have it inverted.
 """
 
 from __future__ import annotations
@@ -22,26 +23,27 @@ UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
 _ENDS: dict[str, tuple[UpAxis, UpAxis]] = {"x": ("x", "-x"), "y": ("y", "-y"), "z": ("z", "-z")}
 CEILING_HEIGHTS = (1.9, 6.0)  # metres, floor to ceiling
 
-# Points on the surface, and columns per side of their grid: enough for hundreds of free lines, in a few tens of
-# milliseconds.
+# Number of points on the surface, and of columns per side of their grid. They give hundreds of free lines in a few tens
+# of milliseconds.
 _POINTS = 40_000
 _COLUMNS = 22
 _FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted at a time
-_LEVELS = 4096  # steps of the height within a column
+# "The side" is the side of the bounding box along the tested axis.
+_LEVELS = 4096  # number of steps of the height within a column
 
-_MIN_GAP = 0.3  # fraction of the side: shorter free lines are inside furniture and walls
-_MIN_LINES = 0.15  # fraction of the columns: with fewer free lines it is not a room
-_NEAR = 0.04  # fraction of the side: points this close to floor or ceiling belong to it
-_END = 0.12  # fraction of the side: walls and ceilings are up to this far behind frames and sills
-# minimum cosines between a normal and the axis: of walls and floors; of any supporting surface
+_MIN_GAP = 0.3  # minimum length of a free line, as a fraction of the side; shorter ones are inside furniture and walls
+_MIN_LINES = 0.15  # minimum fraction of the columns with a free line in a room
+_NEAR = 0.04  # fraction of the side; points this close to floor or ceiling belong to it
+_END = 0.12  # fraction of the side at which the ends are compared; frames and sills extend up to this far
+# Minimum cosines between a normal and the axis, for walls, floors and ceilings, and for any supporting surface.
 _FACING, _LEVEL = 0.98, 0.7
 
 # Required evidence; values for scenes of many sources are in tests/scenes/loaders/test_upright.py.
-_STANDS_OUT = 1.3  # factor on surface per length of the next side: shorter and larger than the others
-_CLEARLY_OUT = 2.2  # empty rooms narrower than high have up to 1.9 across
-_TELLS = 0.45  # evidence for one end, of at most about 3: furnished rooms have 1.2 to 2.4, empty ones -0.1 to 0.8
-_CLEAR = 1.0
-_MIN_BETWEEN = 0.015  # fraction of the level surface: with less there is no furniture to judge by
+_STANDS_OUT = 1.3  # minimum surface per length of the vertical axis, relative to the next axis
+_CLEARLY_OUT = 2.2  # the same to exclude other axes; empty rooms narrower than high have up to 1.9 across
+_TELLS = 0.45  # minimum |evidence| for one end to be the floor; furnished rooms have 1.2 to 2.4, empty ones -0.1 to 0.8
+_CLEAR = 1.0  # minimum |evidence| to exclude the other end
+_MIN_BETWEEN = 0.015  # minimum fraction of the level surface between floor and ceiling (furniture) for any evidence
 
 
 @dataclass(frozen=True)
@@ -55,18 +57,21 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Side:
-    """Hold statistics of the geometry along one axis, its low end called floor; lengths as fractions of the side."""
+    """Hold statistics of the geometry along one axis, with its low end called floor.
+
+    Heights and distances are fractions of the side of the bounding box along the axis. Lines are free lines.
+    """
 
     length: float  # metres
     surface: float  # fraction of all surface that faces along the axis
-    missing: float  # surface missing to close an open end, as in scans without a ceiling
+    missing: float  # fraction of surface missing to close an open end, as in scans without a ceiling
     lines: float  # fraction of the columns with a free line
-    floor: float = 0.0  # where most lines begin
-    ceiling: float = 1.0  # where most lines end
+    floor: float = 0.0  # height where most lines begin
+    ceiling: float = 1.0  # height where most lines end
     standing: float = 0.0  # mean height above the floor at which lines begin
-    hanging: float = 0.0  # mean distance below the ceiling at which they end
-    between: float = 0.0  # fraction of the level surface that belongs to neither
-    lower: float = 0.5  # fraction of it in the lower half
+    hanging: float = 0.0  # mean distance below the ceiling at which lines end
+    between: float = 0.0  # fraction of the level surface that is neither floor nor ceiling
+    lower: float = 0.5  # fraction of the level surface in between that is in the lower half
     middle: float = 0.5  # mean height of all surface between floor and ceiling, 0 = floor, 1 = ceiling
 
     @property
@@ -83,7 +88,7 @@ class _Side:
 
     @property
     def floor_is_low(self) -> float:
-        """Return the evidence that the low end is the floor; negative if the high end is."""
+        """Return the evidence, about -3 to 3, that the low end is the floor; negative if the high end is the floor."""
         if self.between < _MIN_BETWEEN:
             return 0.0
         # Lines that end on small surfaces are no evidence: door heads hang down as far as a single chair is high.
@@ -128,7 +133,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
 
 
 def _stands_out(side: _Side, others: Collection[_Side]) -> bool:
-    """Return whether this is the axis of floor and ceiling."""
+    """Return whether ``side`` belongs to the axis of floor and ceiling, compared with the two other sides."""
     return (
         side.is_room_high
         and side.length <= min(other.length for other in others)
@@ -154,7 +159,7 @@ def choose_up(
     vertices: np.ndarray,  # [V, 3] metres, file axes
     faces: np.ndarray,  # [F, 3]
     *,
-    given: str | None,  # of `UP_AXES`, "auto", or None
+    given: str | None,  # the user's choice: one of `UP_AXES`, "auto", or None
     declared: DeclaredUp,
 ) -> tuple[str, list[str]]:
     """Return the file's up axis, and a list with at most one message on the choice.
@@ -257,15 +262,19 @@ def _side(points: np.ndarray, normals: np.ndarray, axis: int) -> _Side:
 
 
 def _missing_end(heights: np.ndarray) -> int:
-    """Return the number of points by which one end exceeds the other, if the other has almost none."""
+    """Return the number of points missing at one end of the side; 0 unless it has almost none.
+
+    ``heights`` are the points that face along the axis. The result is the difference of the numbers at both ends.
+    """
     low, high = np.count_nonzero(heights < _END), np.count_nonzero(heights > 1.0 - _END)
     return int(abs(high - low)) if min(low, high) < 0.1 * max(low, high) else 0
 
 
 def _free_lines(column: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the ends of the longest free line of every column that has one, and the number of occupied columns.
+    """Return begin and end of the longest free line of every column that has one, and the number of occupied columns.
 
-    The ends of the side close a column, so without a ceiling it is open up to the end.
+    ``column`` and ``height`` [N] (0..1) are of the surface points. Both ends of the side count as surface, so without a
+    ceiling a line extends to the end of the side.
     """
     held = np.unique(column).astype(np.int32)
     levels = np.minimum((height * _LEVELS).astype(np.int32), _LEVELS - 1)
@@ -283,6 +292,6 @@ def _free_lines(column: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _most_common(places: np.ndarray) -> float:
-    """Return the centre of the most populated window of 2 % of the side."""
+    """Return the centre of the window of 0.02 that contains most of ``places``, which are in 0..1."""
     counts = np.histogram(places, bins=100, range=(0.0, 1.0))[0]
     return (int((counts[:-1] + counts[1:]).argmax()) + 1) / 100

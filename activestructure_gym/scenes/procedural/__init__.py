@@ -1,1 +1,1 @@
-"""Generate apartments: plans, rooms, furniture, light."""
+"""Generate apartments from a seed: floor plans, rooms, furniture and baked light."""

@@ -18,7 +18,7 @@ from activestructure_gym.scenes.procedural.room_trim import add_trim
 from activestructure_gym.scenes.raycaster import RayCaster
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
-_BOX_TRIANGLES = 1900  # limit that keeps the box room under 2000 triangles
+_BOX_TRIANGLES = 1900  # maximum number of triangles of the walls of the box room, which has fewer than 2000 in all
 
 
 def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
@@ -40,7 +40,7 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit
 
 
 def build_apartment(plan: ApartmentPlan, *, name: str, source: str, seed: int, lit: bool = True) -> Scene:
-    """Return the scene of a plan, with materials drawn from the seed."""
+    """Return the scene of an apartment's plan, with materials drawn from the seed; ``lit=False`` skips light."""
     layout = plan.layout
     materials = Materials(seed, painted=lit)
     builder = MeshBuilder()
@@ -68,7 +68,8 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
         extent = np.zeros(0)
     if extent.shape != (3,) or not np.isfinite(extent).all() or extent.min() < 0.5 or extent.max() > 50:
         raise InputError(f"a box room needs three sizes between 0.5 and 50 m (width, depth, height), got {size!r}")
-    # Two triangles per cell; the largest pitch that keeps the box under the limit, from its area.
+    # Cell size in metres. Each cell has two triangles; the first size follows from the area of the box, and grows until
+    # the number of triangles is below the limit.
     pairs = extent[[1, 2, 0]] * extent[[2, 0, 1]]
     pitch = float(np.sqrt(4 * pairs.sum() / _BOX_TRIANGLES))
     while True:
@@ -107,7 +108,11 @@ def _side_name(owner: str, axis: int, sign: int) -> str:
 def _describe_side(
     layout: Layout, materials: Materials, owner: int, axis: int, sign: int
 ) -> tuple[str, Material, bool]:
-    """Return name, material and texture fit of one flat side of a room, a doorway or a window niche."""
+    """Return part name, material, and whether the texture covers the side once, for one flat side of a space.
+
+    A space is a room, a doorway or a window niche with the index ``owner``. The side is at the low (-1) or high (1) end
+    (``sign``) of ``axis``.
+    """
     space = layout.spaces[owner]
     if owner < layout.rooms:
         name = _side_name(f"{space.kind} {owner}", axis, sign)
@@ -154,7 +159,7 @@ def _finish(
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
 ) -> Scene:
-    """Bake the light and assemble the scene."""
+    """Return the scene of a built mesh, with the light of ``lights`` and ``windows`` baked into its vertex colours."""
     caster = RayCaster(built.vertices, built.faces)
     # Linear mean colour of each texture, white for faces without one.
     mean = np.array([*([t[..., k].mean() / 255 for k in range(3)] for t in materials.textures), [1.0, 1.0, 1.0]])

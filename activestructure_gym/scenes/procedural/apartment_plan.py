@@ -13,10 +13,10 @@ from activestructure_gym.scenes.procedural.layout import CEILING, UNIT, Layout, 
 from activestructure_gym.scenes.procedural.room_programs import furnish_room
 from activestructure_gym.scenes.procedural.room_trim import front_door, window_frames
 
-# metres between free points and walls; skirting boards, casings and sills are up to 4 cm thick
-_FROM_WALLS = 0.05  # metres
-# metres between free points and furniture boxes, which handles and cushions exceed slightly
-_FROM_PIECES = 0.04  # metres
+# Metres, minimum distance of free points from walls. Skirting boards, casings and sills are up to 4 cm thick.
+_FROM_WALLS = 0.05
+# Metres, minimum distance of free points from furniture boxes. Handles and cushions exceed the boxes slightly.
+_FROM_PIECES = 0.04
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ApartmentPlan:
 
     @property
     def lights(self) -> list[Light]:
-        """Return the lamps; rooms without furniture get an invisible one below the ceiling."""
+        """Return the lamps of all rooms; without furniture, each room has an invisible lamp below its ceiling."""
         lights = [light for piece in self.pieces for light in lights_of(piece)]
         if not any(piece.kind == "pendant" for piece in self.pieces):
             for space in self.layout.spaces[: self.layout.rooms]:
@@ -55,7 +55,7 @@ class ApartmentPlan:
         return free
 
     def free_points(self, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 3] metres
-        """Sample uniform random points of the free space."""
+        """Return uniform random points of the free space."""
         size = np.array(self.layout.owner.shape) * UNIT
         found = np.empty((0, 3))
         while len(found) < count:
@@ -65,13 +65,13 @@ class ApartmentPlan:
 
 
 def plan_apartment(*, seed: int, rooms: int, furnished: bool) -> ApartmentPlan:
-    """Return the plan that `make_apartment` builds; every room has its own random generator."""
+    """Return the plan of an apartment, which `make_apartment` builds; every room has its own random generator."""
     layout = plan_layout(np.random.default_rng([seed, rooms, zlib.crc32(b"layout")]), rooms=rooms, seed=seed)
     return furnish(layout, seed=seed, furnished=furnished)
 
 
 def furnish(layout: Layout, *, seed: int, furnished: bool = True) -> ApartmentPlan:
-    """Add window frames, the front door and optional furniture, drawn from the seed, to a floor plan."""
+    """Return a plan: the floor plan ``layout`` with window frames, front door and optional furniture from the seed."""
     pieces = window_frames(layout) + front_door(layout)
     if furnished:
         for room in range(layout.rooms):

@@ -16,12 +16,12 @@ from activestructure_gym.scenes.procedural.furniture import Light
 from activestructure_gym.scenes.procedural.mesh_builder import BuiltMesh
 from activestructure_gym.scenes.raycaster import RayCaster
 
-_STRATA = 7  # 7 x 7 gathering rays per vertex
-_BOUNCES = 3  # the third adds about 5 % of the light
-_REACH = 8.0  # metres; a lamp's light is ignored beyond
-_CHUNK = 8192  # vertices per batch: half a million rays, 30 MB
+_STRATA = 7  # 7 x 7 rays per vertex gather the light of other surfaces
+_BOUNCES = 3  # number of reflections; the third adds about 5 % of the light
+_REACH = 8.0  # metres; the light of a lamp is ignored beyond
+_CHUNK = 8192  # number of vertices per batch: half a million rays, 30 MB
 _OFFSET = 0.008  # metres between a sample and its surface: above float32 noise, below a door's thickness
-_GAMMA = 1 / 2.2
+_GAMMA = 1 / 2.2  # exponent from linear light to display values
 _KEY = 0.5  # linear display value of a white surface in average light
 _WHITE = 1.08  # display factor that the brightest light approaches
 
@@ -42,14 +42,14 @@ class _Point:
     """Hold a point light: one sample of a lamp or a pane."""
 
     position: np.ndarray  # [3] metres
-    power: np.ndarray  # [3] linear RGB
+    power: np.ndarray  # [3] linear RGB irradiance at 1 m, facing the light
     facing: np.ndarray | None = None  # [3] normal of a flat light, None = radiates in all directions
-    upward: float = 1.0
+    upward: float = 1.0  # fraction radiated straight up, see `Light`
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """Hold one sample per vertex that needs light."""
+    """Hold the point and the normal at which the light of each of N vertices is computed."""
 
     points: np.ndarray  # [N, 3] float32
     normals: np.ndarray  # [N, 3] float32
@@ -63,7 +63,7 @@ def bake_light(
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
 ) -> np.ndarray:  # [V, 3] float32
-    """Return the factor for each vertex' sRGB colour; glowing vertices get their glow."""
+    """Return the factor of baked light on the sRGB colour of each vertex; glowing vertices get their glow instead."""
     lit = np.flatnonzero(mesh.glow == 0)
     samples = _samples(mesh, lit)
     direct = np.zeros((len(lit), 3), dtype=np.float32)
@@ -86,9 +86,10 @@ def bake_light(
 
 
 def _fill(values: np.ndarray, known: np.ndarray, faces: np.ndarray) -> None:
-    """Fill vertices inside furniture with the light of neighbours in the same surface, up to three edges away.
+    """Set the light ``values`` [V, 3] of vertices inside furniture to that of near vertices of the same surface.
 
-    Otherwise the dark inside of a rug or cupboard would darken the floor one face around it.
+    ``known`` [V] is False for these vertices. Light spreads over at most three edges. Otherwise the dark inside of a
+    rug or cupboard would darken the floor one face around it.
     """
     source = faces[:, [0, 1, 2, 0, 1, 2]].reshape(-1)
     target = faces[:, [1, 2, 0, 2, 0, 1]].reshape(-1)
@@ -104,9 +105,9 @@ def _fill(values: np.ndarray, known: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _samples(mesh: BuiltMesh, lit: np.ndarray) -> _Samples:
-    """Return the sample positions: slightly inside the faces around a vertex and in front of them.
+    """Return the samples of the vertices ``lit`` (indices), slightly inside the faces around each and in front of them.
 
-    A sample on the vertex itself would lie in the plane of the adjacent wall and see behind it.
+    A sample at the vertex itself would be in the plane of the adjacent wall and see behind it.
     """
     centroids = sum(mesh.vertices[mesh.faces[:, k]] for k in range(3)) / 3
     corners = mesh.faces.reshape(-1)
@@ -120,7 +121,7 @@ def _samples(mesh: BuiltMesh, lit: np.ndarray) -> _Samples:
 
 
 def _lamp_points(light: Light) -> list[_Point]:
-    """Return four points on the rim of a lamp, not aligned with the walls."""
+    """Return four point lights on the rim of a lamp, which are not aligned with the walls."""
     points = []
     for angle in (0.4, 2.0, 3.5, 5.1):
         offset = light.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -129,7 +130,7 @@ def _lamp_points(light: Light) -> list[_Point]:
 
 
 def _pane_points(window: WindowLight) -> list[_Point]:
-    """Return the centres of 3 x 3 fields of a pane; vertices are too far apart to resolve finer shadows."""
+    """Return point lights at the centres of 3 x 3 fields of a pane; more would not change the light at the vertices."""
     extent = window.upper - window.lower
     across = int(np.argmax(extent[:2]))
     power = np.array(window.emission) * extent[across] * extent[2] / 9 / np.pi
@@ -156,7 +157,7 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
         strength = np.maximum(np.einsum("ij,ij->i", towards, samples.normals[near]) / length, 0)
         if point.facing is not None:
             strength *= np.maximum(-(towards @ point.facing.astype(np.float32)) / length, 0)
-        elevation = 0.5 - 0.5 * towards[:, 2] / length  # of the sample as seen from the light: 0 below, 1 above
+        elevation = 0.5 - 0.5 * towards[:, 2] / length  # direction from the light to the sample: 0 is down, 1 is up
         strength *= 1 - (1 - point.upward) * elevation
         strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: avoids the singularity next to it
         bright = np.flatnonzero(strength * point.power.max() > 1e-3)
@@ -166,7 +167,7 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
 
 
 def _directions(strata: int) -> np.ndarray:  # [strata^2, 3] float32
-    """Return cosine-weighted directions around +z, the centres of a strata x strata grid's cells."""
+    """Return strata x strata unit directions around +z, distributed in proportion to their cosine to +z."""
     cell = (np.arange(strata) + 0.5) / strata
     share, turn = np.meshgrid(cell, cell, indexing="ij")
     radius = np.sqrt(share).reshape(-1)
@@ -183,7 +184,11 @@ def _bounce(
     direct: np.ndarray,
     face_albedo: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] irradiance, [N] bool
-    """Return direct light plus reflected light for each sample, and which samples lie inside furniture."""
+    """Return direct plus reflected light for each of N samples, and which samples are inside furniture.
+
+    ``lit`` [N] are the vertices of the samples, ``direct`` [N, 3] their light from lamps and windows, and
+    ``face_albedo`` [F, 3] the linear reflectance of the faces.
+    """
     corner = mesh.vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     directions = _directions(_STRATA)
@@ -215,17 +220,18 @@ def _bounce(
 
 
 def _vertex_area(mesh: BuiltMesh) -> np.ndarray:  # [V] m^2
-    """Return a third of the area of the faces around each vertex."""
+    """Return the area that belongs to each vertex: a third of the area of its faces."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return np.bincount(mesh.faces.reshape(-1), np.repeat(area / 3, 3), minlength=len(mesh.vertices))
 
 
 def _expose(irradiance: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """Return display factors from irradiance: half white balance, fixed brightness key, soft shoulder, gamma.
+    """Return factors on the sRGB colours of N vertices from their irradiance [N, 3] (linear).
 
-    ``area`` [N] in m^2 weights the vertices in the exposure average. Colours are multiplied in sRGB: (albedo *
-    light)^(1/2.2) = albedo^(1/2.2) * light^(1/2.2), so only light is converted.
+    The steps are half a white balance, a fixed average brightness, soft compression of bright values, and gamma.
+    ``area`` [N] in m^2 weights the vertices in the averages. Since (albedo * light)^(1/2.2) = albedo^(1/2.2) *
+    light^(1/2.2), only light is converted.
     """
     share = area / area.sum()
     luminance = irradiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""List all kinds of furniture by name, and add a placed piece to the mesh."""
+"""List all kinds of furniture by name, and add placed pieces to the mesh."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
 }
 # Parts of the building, not objects in it.
 STRUCTURAL_KINDS = frozenset({"front door", "window frame"})
-# Metres by which vases, pots and books extend above their piece.
+# Metres by which vases, pots and books extend above the piece of furniture that they are on.
 _ON_TOP = {"bathtub": 0.13, "coffee table": 0.08, "dining table": 0.27, "dresser": 0.31, "kitchen run": 0.26}
 
 
@@ -68,7 +68,7 @@ class Piece:
     yaw: float  # radians; 0 = front towards +y
     size: Size  # metres: width, depth, height before rotation
     base: float = 0.0  # metres above the floor
-    seed: int = 0  # of small variations
+    seed: int = 0  # seed of small variations
 
     @property
     def box(self) -> np.ndarray:  # [2, 3] metres
@@ -89,20 +89,20 @@ class Light:
     """Hold a small lamp that the light baker samples."""
 
     position: tuple[float, float, float]  # metres
-    radius: float  # metres, horizontal extent: softness of shadows
-    power: tuple[float, float, float]  # linear RGB; irradiance at 1 m below, facing it
-    upward: float = 1.0  # fraction radiated straight up; below 1 for lamps whose shade is not in the mesh
+    radius: float  # metres, horizontal extent, which softens shadows
+    power: tuple[float, float, float]  # linear RGB irradiance of a surface 1 m below the lamp that faces it
+    upward: float = 1.0  # light radiated straight up, as a fraction; below 1 for lamps whose shade is not in the mesh
 
 
 def draw_piece(builder: MeshBuilder, materials: Materials, piece: Piece) -> None:
-    """Add a piece to the mesh as a part of its own."""
+    """Add a piece of furniture to the mesh as a part of its own."""
     builder.part(piece.kind, structural=piece.kind in STRUCTURAL_KINDS)
     with builder.placed((piece.x, piece.y, piece.base), piece.yaw):
         BUILDERS[piece.kind](Pen(builder, materials, seed=piece.seed), piece.size)
 
 
 def lights_of(piece: Piece) -> list[Light]:
-    """Return a piece's lights: below a pendant's shade, above all other shades."""
+    """Return the lights of a piece: below the shade of a pendant, above the shade of other lamps; [] without a lamp."""
     warm = np.array([1.0, 0.80, 0.58])  # about 3000 K, white-balanced halfway to daylight
     if piece.kind == "pendant":
         return [Light((piece.x, piece.y, piece.base - 0.06), 0.12, tuple(1.3 * warm))]

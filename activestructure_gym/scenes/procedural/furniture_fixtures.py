@@ -49,7 +49,7 @@ def kitchen_run(pen: Pen, size: Size) -> None:
 
 
 def wall_units(pen: Pen, size: Size) -> None:
-    """Draw wall cupboards from z = 0 up; the caller sets their height."""
+    """Draw wall cupboards with their lower edge at z = 0; the placement of the piece lifts them."""
     width, depth, height = size
     x, y = width / 2, depth / 2
     count = round(width / MODULE)

@@ -21,7 +21,7 @@ Point = Sequence[float]
 
 
 class Pen:
-    """Draw solids into a mesh builder."""
+    """Add solids to a mesh builder, with materials by role name such as "light wood"; lengths are metres."""
 
     def __init__(self, builder: MeshBuilder, materials: Materials, *, seed: int) -> None:
         self.builder = builder
@@ -37,7 +37,7 @@ class Pen:
         self.builder.add(shape, material)
 
     def box(self, lower: Point, upper: Point, role: str | Material, *, max_edge: float = mesh_shapes.MAX_EDGE) -> None:
-        """Draw a box with sharp edges."""
+        """Draw a box with sharp edges between two opposite corners."""
         self.add(mesh_shapes.box(np.array(lower), np.array(upper), max_edge=max_edge), role)
 
     def panel(self, lower: Point, upper: Point, role: str | Material) -> None:
@@ -47,11 +47,11 @@ class Pen:
     def soft(
         self, lower: Point, upper: Point, role: str | Material, *, radius: float = 0.04, puff: float = 0.0
     ) -> None:
-        """Draw a box with round edges and, with ``puff`` metres, bulging sides."""
+        """Draw a box with round edges of ``radius``; the middle of each side bulges out by ``puff`` metres."""
         self.add(mesh_shapes.rounded_box(np.array(lower), np.array(upper), radius=radius, puff=puff), role)
 
     def post(self, x: float, y: float, bottom: float, top: float, role: str | Material, *, width: float = 0.04) -> None:
-        """Draw a square upright, such as a leg."""
+        """Draw an upright post with a square section, such as a leg, with its centre at (x, y)."""
         half = width / 2
         self.box((x - half, y - half, bottom), (x + half, y + half, top), role)
 
@@ -65,7 +65,7 @@ class Pen:
     def turned(
         self, profile: Sequence[Point], role: str | Material, *, at: Point = (0, 0, 0), segments: int = 16
     ) -> None:
-        """Draw a solid of revolution from its (radius, height) profile."""
+        """Draw a solid of revolution around the vertical axis through ``at``, from its (radius, height) profile."""
         with self.builder.placed(tuple(at)):  # type: ignore[arg-type]
             self.add(mesh_shapes.lathe(np.array(profile), segments=segments), role)
 
@@ -81,7 +81,7 @@ class Pen:
         top_radius: float | None = None,
         segments: int = 12,
     ) -> None:
-        """Draw an upright cylinder or cone."""
+        """Draw an upright cylinder with its centre at (x, y); with ``top_radius``, a truncated cone."""
         with self.builder.placed((x, y, 0.0)):
             self.add(
                 mesh_shapes.cylinder(radius, bottom, top, top_radius=top_radius, segments=segments),

@@ -28,37 +28,37 @@ class Wall:
     along: np.ndarray  # [2] unit
     inward: np.ndarray  # [2] unit
     length: float  # metres
-    openings: tuple[tuple[float, float], ...]  # door openings: intervals along the wall
-    doors: tuple[tuple[float, float], ...]  # the openings plus the front door
-    windows: tuple[tuple[float, float, float], ...]  # intervals and sill height
+    openings: tuple[tuple[float, float], ...]  # doorways: start and end along the wall in metres
+    doors: tuple[tuple[float, float], ...]  # doorways and the front door, if it is in this wall
+    windows: tuple[tuple[float, float, float], ...]  # start and end along the wall, and height of the sill, in metres
 
     @property
     def yaw(self) -> float:
-        """Return the yaw that turns a piece's front into the room."""
+        """Return the yaw in radians of a piece with its back at this wall."""
         return self.index * np.pi / 2
 
     def point(self, along: float, away: float) -> np.ndarray:  # [2]
-        """Return the point at the given distances along the wall and from it."""
+        """Return the point (metres, world) ``along`` metres along the wall and ``away`` metres from it."""
         return self.start + along * self.along + away * self.inward
 
     def rect(self, start: float, end: float, near: float, far: float) -> Rect:
-        """Return the rectangle start..end along the wall, near..far from it."""
+        """Return the rectangle from ``start`` to ``end`` along the wall and from ``near`` to ``far`` away from it."""
         a, b = self.point(start, near), self.point(end, far)
         return (min(a[0], b[0]), min(a[1], b[1]), max(a[0], b[0]), max(a[1], b[1]))
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Describe a position at a wall."""
+    """Describe a position at a wall where a piece fits."""
 
     wall: Wall
     centre: float  # metres along the wall
     footprint: Rect
-    front: Rect | None  # free floor in front
+    front: Rect | None  # floor in front that must stay free
 
 
 def _ends_a_row(spots: list[Spot], i: int) -> bool:
-    """Return whether a run of adjacent spots starts or ends here: next to a corner or to another piece."""
+    """Return whether spot ``i`` is at the end of a row of adjacent spots, next to a corner or to another piece."""
     before, after = spots[i - 1] if i else None, spots[i + 1] if i + 1 < len(spots) else None
     return any(
         s is None or s.wall is not spots[i].wall or abs(s.centre - spots[i].centre) > 0.15 for s in (before, after)
@@ -66,7 +66,7 @@ def _ends_a_row(spots: list[Spot], i: int) -> bool:
 
 
 def overlap(a: Rect, b: Rect, gap: float = 0.0) -> bool:
-    """Return whether two rectangles are closer than ``gap``."""
+    """Return whether two rectangles overlap or are closer than ``gap`` metres."""
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
@@ -108,8 +108,8 @@ class RoomPlanner:
         self.walls = walls_of(layout, room)
         self.rng = rng
         self.pieces: list[Piece] = []
-        self.solid: list[Rect] = []  # occupied
-        self.clear: list[Rect] = []  # must stay free: in front of doors and cupboards
+        self.solid: list[Rect] = []  # floor occupied by furniture
+        self.clear: list[Rect] = []  # floor that must stay free, in front of doors and cupboards
         for wall in self.walls:
             for a, b in wall.doors:
                 self.clear.append(wall.rect(a - 0.1, b + 0.1, 0.0, DOOR_CLEARANCE))
@@ -131,7 +131,7 @@ class RoomPlanner:
         return self.piece(kind, x, y, wall.yaw, size, base=base)
 
     def fits(self, rect: Rect, *, gap: float = GAP) -> bool:
-        """Return whether a footprint is inside the room and on free floor."""
+        """Return whether a footprint is inside the room, ``gap`` metres from furniture, and off the clear floor."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )
@@ -142,14 +142,17 @@ class RoomPlanner:
         )
 
     def free_of_furniture(self, rect: Rect) -> bool:
-        """Return whether a position is suitable for a person: inside the room and free of furniture."""
+        """Return whether a rectangle is suitable for a person: inside the room and free of furniture."""
         inside = (
             rect[0] >= self.room[0] and rect[1] >= self.room[1] and rect[2] <= self.room[2] and rect[3] <= self.room[3]
         )
         return inside and not any(overlap(rect, r) for r in self.solid)
 
     def add(self, pieces: Iterable[Piece], *, clear: Iterable[Rect] = (), solid: bool = True) -> None:
-        """Add pieces to the room; ``solid=False`` for pieces one can walk on or under."""
+        """Add pieces to the room, and rectangles of floor that must stay clear.
+
+        ``solid=False`` is for pieces that do not occupy the floor, such as rugs and lamps.
+        """
         for piece in pieces:
             self.pieces.append(piece)
             if solid:
@@ -221,7 +224,10 @@ class RoomPlanner:
         return piece
 
     def roomiest(self, width: float, depth: float, *, margin: float) -> tuple[float, float] | None:
-        """Return the centre of the most distant free rectangle of this size; None if it is closer than ``margin``."""
+        """Return the centre of the free rectangle of this size that is farthest from walls and furniture.
+
+        The result is None if it is closer than ``margin`` metres to a wall or furniture.
+        """
         x = np.arange(self.room[0] + width / 2, self.room[2] - width / 2 + 1e-9, _GRID)[:, None]
         y = np.arange(self.room[1] + depth / 2, self.room[3] - depth / 2 + 1e-9, _GRID)[None, :]
         if not x.size or not y.size:
@@ -243,5 +249,8 @@ class RoomPlanner:
 
 
 def _distance(a: tuple[np.ndarray, ...], b: Rect) -> np.ndarray:
-    """Return the distance in metres between rectangles (arrays of sides) and another; negative if they overlap."""
+    """Return the distance in metres between each of many rectangles and one other; negative if they overlap.
+
+    ``a`` are arrays of x0, y0, x1 and y1, one entry per rectangle.
+    """
     return np.maximum(np.maximum(a[0] - b[2], b[0] - a[2]), np.maximum(a[1] - b[3], b[1] - a[3]))

@@ -23,7 +23,10 @@ _SPINES = np.array(
 def cupboard_front(
     pen: Pen, x0: float, x1: float, y: float, z0: float, z1: float, role: str, *, handle: str = "bar"
 ) -> None:
-    """Draw a door or drawer front with a gap around it and a handle; its face is 2 cm in front of y."""
+    """Draw a door or drawer front between x0, x1, z0 and z1 (metres), with a gap around it and a handle.
+
+    Its face is at y + 2 cm.
+    """
     pen.box((x0 + 0.004, y - 0.001, z0 + 0.004), (x1 - 0.004, y + 0.02, z1 - 0.004), role)
     middle = (x0 + x1) / 2
     if handle == "bar":
@@ -35,7 +38,10 @@ def cupboard_front(
 
 
 def _books(pen: Pen, x0: float, x1: float, back: float, depth: float, z: float, height: float) -> None:
-    """Draw a dense row of books from x0 to about x1."""
+    """Draw a dense row of books from x0 to about x1 with their backs at y = ``back``; all lengths are metres.
+
+    ``depth`` and ``height`` are the space on the shelf at height z; each book fills a random part of it.
+    """
     x = x0
     while x < x1 - 0.05:
         thick = pen.rng.uniform(0.028, 0.055)

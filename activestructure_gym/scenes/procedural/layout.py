@@ -14,9 +14,9 @@ import numpy as np
 
 UNIT = 0.1  # metres per lattice step
 CEILING = 27  # lattice steps: 2.7 m, a common room height in apartments
-DOOR_HEAD = 21  # 2.1 m
-_WINDOW_SILL, WINDOW_HEAD = 9, 22  # 0.9 m and 2.2 m
-NICHE = 2  # 0.2 m from the inner face of an outer wall to the pane
+DOOR_HEAD = 21  # lattice steps: 2.1 m, height of a door
+_WINDOW_SILL, WINDOW_HEAD = 9, 22  # lattice steps: lower and upper edge of a window at 0.9 m and 2.2 m
+NICHE = 2  # lattice steps: 0.2 m from the inner face of an outer wall to the pane
 _WALL = 1  # lattice steps between a room and its cell's border: inner walls are 0.2 m thick
 
 RoomKind = Literal["living", "bedroom", "kitchen", "bath", "study", "child", "dining"]
@@ -41,7 +41,7 @@ Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in lattice steps
 
 @dataclass(frozen=True)
 class Space:
-    """Describe a box of air."""
+    """Describe a box of air on the lattice: a room, a doorway or a window niche."""
 
     kind: RoomKind | Literal["door", "window"]
     lower: tuple[int, int, int]  # lattice steps
@@ -51,7 +51,7 @@ class Space:
 
     @property
     def box(self) -> np.ndarray:  # [2, 3] metres
-        """Return lower and upper corner."""
+        """Return the lower and the upper corner of the box."""
         return np.array([self.lower, self.upper]) * UNIT
 
 
@@ -67,7 +67,10 @@ class Layout:
 
     @cached_property
     def owner(self) -> np.ndarray:  # [X, Y, Z] int16
-        """Return the space of each lattice cell, -1 = no air. Cell (i, j, k) starts at (i, j, k) * UNIT."""
+        """Return the index of the space that contains each lattice cell, -1 = no air.
+
+        The lower corner of cell (i, j, k) is at (i, j, k) * UNIT metres.
+        """
         size = np.max([space.upper for space in self.spaces], axis=0) + 1
         owner = np.full(size, -1, dtype=np.int16)
         for index, space in enumerate(self.spaces):
@@ -128,14 +131,17 @@ def _split(cell: Box, kinds: list[RoomKind], rng: np.random.Generator) -> list[t
 
 
 def _usable(kind: RoomKind, box: Box) -> bool:
-    """Return whether the room is wide enough for its furniture and not a corridor."""
+    """Return whether a room is wide enough for its furniture and at most twice as long as wide."""
     short, long = sorted((box[2] - box[0], box[3] - box[1]))
     least = {"bath": 19, "living": 34, "bedroom": 29}.get(kind, 27)  # decimetres
     return short >= least and long <= 2.0 * short
 
 
 def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator) -> list[Space] | None:
-    """Return door tunnels that connect all rooms: a random spanning tree and a quarter of the remaining pairs."""
+    """Return door tunnels that connect all rooms; None if the rooms cannot be connected.
+
+    They are a random spanning tree of the pairs of adjacent rooms, and a quarter of the other pairs.
+    """
     pairs = []
     for i, a in enumerate(boxes):
         for j, b in enumerate(boxes[:i]):
@@ -168,7 +174,10 @@ def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generat
 def _windows(
     boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator
 ) -> tuple[list[Space], list[tuple[int, int, int]]]:
-    """Return window niches in outer walls, at most two per room, and outer walls without (room, wall, length)."""
+    """Return window niches in outer walls, at most two per room, and the outer walls without a window.
+
+    A wall is (room, wall, length in lattice steps), as in `Layout.entrance`.
+    """
     edge = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
     windows: list[Space] = []
     free_walls = []

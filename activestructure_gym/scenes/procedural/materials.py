@@ -17,7 +17,7 @@ from activestructure_gym.scenes.procedural.textures import Color
 
 @dataclass(frozen=True)
 class Scheme:
-    """Define matching colours (sRGB)."""
+    """Define the colour scheme of an apartment: matching sRGB colours in 0..1."""
 
     walls: tuple[Color, Color, Color]  # used by rooms in turn
     accent: Color  # one wall of living room and bedroom
@@ -86,7 +86,7 @@ PLAIN: dict[str, Color] = {
 
 
 class Materials:
-    """Provide materials by role; ``textures`` grows as roles are first used."""
+    """Provide materials by role, such as "light wood"; the first use of a role adds its texture to ``textures``."""
 
     def __init__(self, seed: int, *, detail: float = 1.0, painted: bool = True) -> None:
         self._detail = detail  # factor on the size of all textures
@@ -117,7 +117,7 @@ class Materials:
         return self._index[key]
 
     def __getitem__(self, role: str) -> Material:
-        """Return the material for a role: a plain colour's name, ``wall 2``, ``floor bath``, ``light wood`` ..."""
+        """Return the material for a role: a name in `PLAIN`, or ``wall 2``, ``floor bath``, ``light wood``, ..."""
         if role in PLAIN:
             return Material(tint=PLAIN[role])
         kind, _, detail = role.partition(" ")
@@ -126,11 +126,11 @@ class Materials:
         return getattr(self, "_" + role.replace(" ", "_"))()
 
     def tinted(self, role: str, tint: Color) -> Material:
-        """Return a role's material with another tint."""
+        """Return the material of a role with another tint, an sRGB factor."""
         return replace(self[role], tint=tint)
 
     def glowing(self, tint: Color, glow: float) -> Material:
-        """Return the material of a lamp's shade."""
+        """Return an emissive material for a lamp's shade; ``glow`` is the display value of its tint."""
         return Material(tint=tint, glow=glow)
 
     def _wall(self, detail: str) -> Material:
@@ -236,5 +236,5 @@ class Materials:
         return Material(self._texture(f"picture {detail}", paint))
 
     def _street(self, detail: str) -> Material:
-        # The pane shows the sky: as bright as the display allows, whatever the exposure.
+        # The pane shows the sky, which has the maximum brightness of the display at any exposure.
         return Material(self._texture(f"street {detail}", pictures.street), glow=1.08)

@@ -24,7 +24,7 @@ class Material:
 
 @dataclass(frozen=True)
 class BuiltMesh:
-    """Hold all data for the light baker and the scene, in world coordinates."""
+    """Hold the mesh of a generated scene in world coordinates, before its light is baked."""
 
     vertices: np.ndarray  # [V, 3] float32 metres
     normals: np.ndarray  # [V, 3] float32 unit, towards free space
@@ -39,7 +39,7 @@ class BuiltMesh:
 
 
 class MeshBuilder:
-    """Build an append-only mesh. Shapes are added to the current part with the current placement."""
+    """Build a mesh by adding shapes; each belongs to the part started last and is moved by the current placement."""
 
     def __init__(self) -> None:
         self._shapes: list[Shape] = []
@@ -83,7 +83,7 @@ class MeshBuilder:
         self._parts.append(len(self._names) - 1)
 
     def build(self) -> BuiltMesh:
-        """Return the whole mesh; empty parts keep their number."""
+        """Return the mesh of all added shapes; parts without shapes keep their number."""
         shapes, materials = self._shapes, self._materials
         vertex_count = [len(shape.vertices) for shape in shapes]
         face_count = [len(shape.faces) for shape in shapes]

@@ -38,7 +38,10 @@ def join(shapes: list[Shape]) -> Shape:
 
 @lru_cache(maxsize=1024)
 def grid_faces(rows: int, columns: int) -> np.ndarray:  # [2 (rows - 1)(columns - 1), 3]
-    """Return two triangles per cell of a row-major vertex grid; counter-clockwise if rows x columns point outward."""
+    """Return two triangles per cell of a grid of rows x columns vertices, stored row by row.
+
+    They are counter-clockwise from outside if the cross product of row and column direction points outward.
+    """
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
@@ -50,7 +53,10 @@ def lines(start: float, end: float, max_edge: float = MAX_EDGE) -> np.ndarray:
 
 
 def _cube_sides(axis_lines: list[np.ndarray]) -> list[tuple[int, int, int, np.ndarray]]:
-    """Return the six sides of a lattice box as (axis, row axis, column axis, grid [R, C, 3]), winding outward."""
+    """Return the six sides of a box as (axis, row axis, column axis, grid of vertices [R, C, 3]), winding outward.
+
+    ``axis_lines`` are the coordinates of the grid lines along x, y and z.
+    """
     sides = []
     for axis in range(3):
         for top in (False, True):
@@ -64,9 +70,10 @@ def _cube_sides(axis_lines: list[np.ndarray]) -> list[tuple[int, int, int, np.nd
 
 
 def _side_uv(grid: np.ndarray, row: int, column: int, *, fit: bool) -> np.ndarray:
-    """Return texture coordinates of one side: u along its longer edge (wood grain), or the whole image once.
+    """Return the texture coordinates [R C, 2] of the grid [R, C, 3] of one side, in metres.
 
-    With ``fit``, u runs along the horizontal axis and v down the vertical one, both 0..1.
+    u runs along the longer edge, as wood grain does. With ``fit``, the image covers the side once: u runs along the
+    horizontal axis and v down the vertical one, both in 0..1.
     """
     flat = grid.reshape(-1, 3)
     extent = np.ptp(flat, axis=0)
@@ -104,11 +111,11 @@ def rounded_box(
     lower: np.ndarray,
     upper: np.ndarray,
     *,
-    radius: float,  # metres, of edges and corners
+    radius: float,  # metres, radius of edges and corners
     puff: float = 0.0,  # metres by which the middle of each side bulges out: cushions, pillows
     max_edge: float = MAX_EDGE,
 ) -> Shape:
-    """Return a box with round edges: cushions, mattresses, ceramics."""
+    """Return an axis-aligned box with round edges, for cushions, mattresses and ceramics."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     half, centre = (upper - lower) / 2, (upper + lower) / 2
     radius = min(radius, 0.999 * float(half.min()))
@@ -174,7 +181,7 @@ def _without_slivers(shape: Shape) -> Shape:
 
 
 def lying(shape: Shape) -> Shape:
-    """Tip a shape over: +z becomes +y."""
+    """Return a shape tipped over, so that its +z axis becomes +y."""
     return replace(shape, vertices=_tip(shape.vertices), normals=_tip(shape.normals))
 
 
@@ -192,9 +199,10 @@ def cylinder(radius: float, bottom: float, top: float, *, top_radius: float | No
 
 
 def extrusion(outline: np.ndarray, bottom: float, top: float, *, max_edge: float = MAX_EDGE) -> Shape:
-    """Return a wall of height bottom..top over a strip [N, 2, 2]: pairs of (front, back) points in x, y.
+    """Return a closed upright wall from height ``bottom`` to ``top`` over a strip in the floor plane.
 
-    It is used for curtains: front and back follow the pleats; ends and edges are closed.
+    ``outline`` [N, 2, 2] are pairs of (front, back) points in x, y along the strip. Curtains use it: front and back
+    follow the pleats.
     """
     front, back = outline[:, 0], outline[:, 1]
     levels = lines(bottom, top, max_edge)

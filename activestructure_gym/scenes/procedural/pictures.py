@@ -1,4 +1,4 @@
-"""Paint images shown once over 0..1: paintings, the view from a window, a screen, an oven's front."""
+"""Paint images that cover a surface once: paintings, the view from a window, a screen, the front of an oven."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def landscape(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
 
 
 def abstract(rng: np.random.Generator, *, size: int = 256) -> np.ndarray:
-    """Paint flat coloured cells (nearest of a few random points) with dark lines between them."""
+    """Paint flat coloured cells with dark lines between them; a cell contains the pixels nearest to a random point."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     points = rng.random((14, 2))

@@ -48,7 +48,7 @@ def hang_lamp(planner: RoomPlanner) -> None:
 
 
 def hang_pictures(planner: RoomPlanner, *, most: int) -> None:
-    """Place pictures on free stretches of wall between 1.25 and 2.0 m, over low furniture first."""
+    """Place up to ``most`` pictures on free stretches of wall, their middle at 1.62 m, over low furniture first."""
     rng = planner.rng
     low = [p for p in planner.pieces if p.kind in ("sofa", "bed", "dresser", "nightstand", "coffee table", "armchair")]
     motifs = rng.permutation(PICTURES)

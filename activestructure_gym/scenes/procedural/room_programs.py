@@ -1,4 +1,4 @@
-"""Furnish rooms by kind, in placement order."""
+"""Furnish rooms by kind: each kind has a fixed order in which its furniture is placed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.scenes.procedural.furniture_fixtures import MODULE
 from activestructure_gym.scenes.procedural.furniture_placement import GAP, RoomPlanner, Wall
 from activestructure_gym.scenes.procedural.room_decoration import add_radiators, hang_curtains, hang_lamp, hang_pictures
 
-# Metres. Below the light samples' distance from the floor (baked_light), so that a rug casts no shadow around it.
+# Metres, thickness of a rug. Light samples are farther above the floor (baked_light), so a rug casts no shadow.
 RUG = 0.006
 
 
@@ -40,7 +40,7 @@ def _living(planner: RoomPlanner) -> None:
 
 
 def _media_corner(planner: RoomPlanner) -> None:
-    """Place television and sofa face to face, with a rug and a coffee table between."""
+    """Place television and sofa face to face, with a rug and a coffee table between; else both at any wall."""
     rng = planner.rng
     sofa = (float(rng.choice([2.1, 2.1, 1.8])), 0.92, 0.84)
     bench = (1.6, 0.40, 1.22)
@@ -49,7 +49,8 @@ def _media_corner(planner: RoomPlanner) -> None:
     for i in rng.permutation(len(spots)):
         wall, centre = spots[i].wall, spots[i].centre
         depth = planner.room[3] - planner.room[1] if wall.index in (0, 2) else planner.room[2] - planner.room[0]
-        # At the opposite wall if within 4.6 m; otherwise the sofa is free-standing with a passage behind it.
+        # The sofa is at the opposite wall if the room is less than 4.6 m deep, else free-standing with a passage
+        # behind.
         back = depth - GAP if depth < 4.6 else min(3.9, depth - 1.0)
         rect = wall.rect(centre - sofa[0] / 2, centre + sofa[0] / 2, back - sofa[1], back)
         if planner.fits(rect) and planner.passable([rect, spots[i].footprint]):
@@ -85,7 +86,7 @@ def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
     # First with space to walk around the table, then with the chairs of one side at a wall.
     for margin, (width, depth) in [(margin, size) for margin in (0.24, 0.0) for size in sizes]:
         for turned in rng.permutation([0, 1]):
-            # Footprint of the group: half pushed-in chairs extend up to 0.32 m on both long sides.
+            # The footprint includes chairs, which extend up to 0.32 m on both long sides.
             outer = (width + 0.05, depth + 0.64)
             group = outer[::-1] if turned else outer
             middle = planner.roomiest(*group, margin=margin)
@@ -201,7 +202,7 @@ def _kitchen(planner: RoomPlanner) -> None:
 
 
 def _kitchen_line(planner: RoomPlanner) -> None:
-    """Place fridge and base units in one line, with cupboards above outside windows."""
+    """Place fridge and base units in one line at a wall, with tiles and cupboards above where there is no window."""
     tall = 0.66
     for units, free in ((5, 0.8), (4, 0.8), (3, 0.8), (3, 0.6), (2, 0.6)):  # free: metres in front of the units
         width = units * MODULE
@@ -231,7 +232,7 @@ def _kitchen_line(planner: RoomPlanner) -> None:
 
 
 def _kitchen_wall(planner: RoomPlanner, wall: Wall, start: float, end: float) -> None:
-    """Place tiles and cupboards over the worktop between windows."""
+    """Place tiles and cupboards over the worktop from ``start`` to ``end`` (metres along the wall) between windows."""
     edges = [(start, end)]
     for a, b, _ in wall.windows:
         edges = [

@@ -13,15 +13,16 @@ import numpy as np
 from activestructure_gym.scenes.procedural.mesh_builder import Material, MeshBuilder
 from activestructure_gym.scenes.procedural.mesh_shapes import Shape
 
-# (owner, axis, sign of the outward side) -> part name, material, whether the texture covers the side once
+# Returns part name, material, and whether the texture covers the side once, for (owner, axis, sign) of a side. The sign
+# is that of the direction along the axis from the air to the wall.
 Describe = Callable[[int, int, int], tuple[str, Material, bool]]
 
 
 def add_shell(builder: MeshBuilder, owner: np.ndarray, lines: Sequence[np.ndarray], describe: Describe) -> None:
-    """Add one structural part per flat side of every space.
+    """Add the closed surface around all spaces to the mesh, with one structural part per flat side of every space.
 
-    ``owner`` [X, Y, Z] holds the space of each cell (-1 = no air); ``lines`` are the lattice coordinates in metres, one
-    more than cells per axis. Normals point into the air.
+    ``owner`` [X, Y, Z] is the index of the space that contains each cell (-1 = no air). ``lines`` are the coordinates
+    of the lattice in metres, one more than cells per axis. Normals point into the air.
     """
     padded = np.pad(owner, 1, constant_values=-1)
     for axis in range(3):

@@ -40,7 +40,7 @@ def front_door(layout: Layout) -> list[Piece]:
 
 
 def add_trim(builder: MeshBuilder, materials: Materials, layout: Layout) -> None:
-    """Add skirting boards, casings and window boards as structural parts."""
+    """Add skirting boards, door casings and window boards of all rooms to the mesh, as structural parts."""
     for room in range(layout.rooms):
         kind = layout.spaces[room].kind
         for wall in walls_of(layout, room):

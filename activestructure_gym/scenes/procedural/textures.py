@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-# Contrast of all patterns. With it the renderings have about as much fine detail as real rooms (PSNR between a 320x240
-# image and its sigma 1.5 px blur: 29 to 32 dB).
+# Factor on the contrast of all patterns. With it, renderings have about as much fine detail as images of real rooms:
+# the PSNR between a 320x240 image and its blur with sigma 1.5 px is 29 to 32 dB in both.
 CONTRAST = 0.75
 
 Color = tuple[float, float, float]  # sRGB, 0..1
@@ -38,7 +38,7 @@ def noise(
 
 
 def finish(image: np.ndarray) -> np.ndarray:
-    """Lower the contrast and convert to bytes."""
+    """Return an image [h, w] or [h, w, 3] in 0..1 with contrast reduced by `CONTRAST`, as [h, w, 3] uint8."""
     image = np.atleast_3d(image)
     mean = np.array([image[..., k].mean() for k in range(image.shape[2])])
     image = np.clip(mean + CONTRAST * (image - mean), 0.0, 1.0)
@@ -46,7 +46,7 @@ def finish(image: np.ndarray) -> np.ndarray:
 
 
 def pixel_grid(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v of the pixel centres, 0..1."""
+    """Return the texture coordinates u (across) and v (down) of the pixel centres, [h, w] each in 0..1."""
     v, u = np.meshgrid((np.arange(shape[0]) + 0.5) / shape[0], (np.arange(shape[1]) + 0.5) / shape[1], indexing="ij")
     return u, v
 
@@ -152,7 +152,7 @@ def stone(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndar
 
 
 def rug(rng: np.random.Generator, *, colors: list[Color], size: int = 256) -> np.ndarray:
-    """Paint a carpet shown once over 0..1: border bands and a field of diamonds."""
+    """Paint a carpet that covers its surface once: bands along the border and a field of diamonds."""
     shape = (size, size)
     u, v = pixel_grid(shape)
     rim = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))

@@ -37,7 +37,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
     A frontier is a connected cluster of free voxels next to space that no keyframe has seen. The candidate that sees
     most of its voxels serves it; a frontier that no candidate sees is ignored. It is near if its centre is within 3 m
     of the agent. The uncertainty of a place is the mean squared error of its rendered colours, to which a learned
-    variance of colour converges. Source: [aiisrfe], by its abstract and a digest.
+    variance of colour converges. Source: [aiisrfe], by its abstract and a summary.
     """
     poses, keyframes = context.world_from_camera, context.mapper.keyframes
     table = np.zeros((len(poses), 4))

@@ -1,1 +1,1 @@
-"""Hold benchmarks for developers; run ``python -m benchmarks.NAME --help`` at the top of a checkout."""
+"""Hold the benchmarks for developers; run one by ``python -m benchmarks.NAME`` in the top folder of a checkout."""

@@ -19,15 +19,18 @@ from activestructure_gym.streams import complain
 
 
 class Command(Protocol):
-    """Hold the options of a benchmark; a dataclass."""
+    """Define the interface of a benchmark: a dataclass of its options, with a method that runs it."""
 
     def run(self) -> int:
-        """Measure and print; return the exit code."""
+        """Measure, print the results, and return the exit code."""
         ...
 
 
 def run(kind: type[Command], words: Sequence[str] | None = None) -> int:
-    """Run a benchmark with the program's arguments, or with ``words``; return the exit code, 2 for wrong input."""
+    """Run the benchmark of the class ``kind``, and return its exit code; it is 2 for wrong input.
+
+    ``words`` are the command-line arguments, by default those of this process.
+    """
     set_passive_waiting()
     try:
         return tyro.cli(kind, args=words).run()
@@ -37,7 +40,10 @@ def run(kind: type[Command], words: Sequence[str] | None = None) -> int:
 
 
 def write_rows(out: str, name: str, settings: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows with their settings and the hardware as JSON into the folder ``out``, which is returned."""
+    """Write the rows of a result, its settings and the hardware to the JSON file ``name`` in the folder ``out``.
+
+    Return the folder, which is created if necessary.
+    """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     content = {"settings": settings, "hardware": machine.hardware(), "rows": rows}
@@ -47,7 +53,7 @@ def write_rows(out: str, name: str, settings: Mapping[str, Any], rows: Sequence[
 
 @contextmanager
 def measuring(console: Console, steps: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar; yield the function that advances it by one step."""
+    """Show a progress bar of ``steps`` steps during the ``with`` block; yield a function that advances it by a step."""
     with progress_bar(console, disable=not console.is_terminal) as bar:
         task = bar.add_task("measuring", total=steps)
         yield lambda: bar.advance(task)

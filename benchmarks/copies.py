@@ -1,7 +1,8 @@
-"""Measure a mapping event in one place while the map grows by copies of an apartment, to millions of Gaussians.
+"""Measure the time of a mapping event in one part of an apartment while the map grows to millions of Gaussians.
 
-The copies are "storeys" far above each other, outside every view, or a "floor" of apartments side by side, inside the
-views and behind the walls of the place. Copies have no keyframes, so no optimiser step is spent on them.
+A mapping event is `Mapper.observe` of one frame. The map grows by shifted copies of the apartment. As "storeys", the
+copies are far above each other, outside all views. As a "floor", they are next to each other, inside the views and
+hidden behind walls. Copies have no keyframes, so the optimiser spends no step on them.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.scenes.scene import Scene
 from benchmarks.growth import STOREY, places, processor_ms, quartiles
 
-COUNTS = (250_000, 500_000, 1_000_000, 2_000_000)  # Gaussians
-KEYFRAMES = (6, 120)  # keyframes of the place, and of the apartment that is copied
-_A_ROW = 5  # copies side by side on a floor before the next row begins
+COUNTS = (250_000, 500_000, 1_000_000, 2_000_000)  # numbers of Gaussians in the large map
+KEYFRAMES = (6, 120)  # number of keyframes of the small map (the place), and of the apartment that is copied
+_A_ROW = 5  # number of copies in a row of a floor
 _APART = 1.0  # metres between the copies of a floor
 
 Where = Literal["storeys", "floor"]
@@ -31,14 +32,14 @@ Where = Literal["storeys", "floor"]
 
 @dataclass(frozen=True)
 class CopiesRow:
-    """Hold the costs of one place in a small and in a large map, by pairs of events with the same frame."""
+    """Hold the times of mapping events in a small and in a large map, compared frame by frame."""
 
     where: Where  # arrangement of the copies
-    gaussians: tuple[int, int]
-    pairs: int
-    event_ratio: tuple[float, float, float]  # lower quartile, median, upper quartile
-    event_ms: tuple[float, float]  # processor time, medians
-    mb_per_million: float  # memory of the map's arrays per million Gaussians of capacity
+    gaussians: tuple[int, int]  # number in the small and in the large map
+    pairs: int  # number of pairs of events with the same frame
+    event_ratio: tuple[float, float, float]  # time in the large map / in the small map: quartile, median, quartile
+    event_ms: tuple[float, float]  # median processor time in the small and in the large map
+    mb_per_million: float  # MB of the map's arrays per million Gaussians of capacity
 
 
 def run_copies_benchmark(
@@ -53,7 +54,12 @@ def run_copies_benchmark(
     rounds: int = 2,
     advance: Callable[[], None] = lambda: None,  # called once per row
 ) -> list[CopiesRow]:
-    """Map an apartment with the empty ``mapper``; compare one place of it alone and among copies of the apartment."""
+    """Map an apartment with the empty ``mapper``, and compare mapping events with and without copies of it.
+
+    The small map has the first ``keyframes[0]`` keyframes; the copied apartment has ``keyframes[1]``. A large map has
+    ``counts`` Gaussians. ``size`` is (width, height) of the images in pixels. ``probes`` is the number of timed frames,
+    which are repeated ``rounds`` times. Return one row per count and arrangement of the copies.
+    """
     frames, probe_frames, _ = places(scene, keyframes[1], size, 1, probes, seed)
     place: Mapper | None = None
     for index, frame in enumerate(frames):
@@ -71,11 +77,11 @@ def run_copies_benchmark(
 
 def among_copies(
     place: Mapper,
-    whole: np.ndarray,  # [14, n] Gaussians of the apartment that the place belongs to
+    whole: np.ndarray,  # [14, n] Gaussians of the whole apartment
     count: int,
     where: Where,
 ) -> Mapper:
-    """Return a copy of ``place`` with shifted copies of the apartment appended, ``count`` Gaussians in all."""
+    """Return a copy of the mapper ``place`` whose map has ``count`` Gaussians, by shifted copies of ``whole``."""
     grown, number = copy.deepcopy(place), 0
     extent = np.ptp(whole[MEAN], axis=1) + _APART
     while grown.map.count < count:
@@ -93,10 +99,10 @@ def _compared(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], round
     for _ in range(rounds):
         trials = [copy.deepcopy(mapper) for mapper in (small, large)]
         for trial in trials:
-            trial.observe(probe_frames[0])  # not timed, since the copies' arrays may have to grow
+            trial.observe(probe_frames[0])  # not timed, since the arrays of a copied map may have to grow
         for number, frame in enumerate(probe_frames):
             taken = {}
-            for size in (0, 1) if number % 2 else (1, 0):  # alternating order
+            for size in (0, 1) if number % 2 else (1, 0):  # 0: small map, 1: large map; the order alternates
                 taken[size] = processor_ms(partial(trials[size].observe, frame))
             times.append((taken[0], taken[1]))
     return CopiesRow(
@@ -110,6 +116,6 @@ def _compared(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], round
 
 
 def bytes_of(gaussians: GaussianMap) -> int:
-    """Return the bytes of the arrays that are as long as the map's capacity."""
+    """Return the memory in bytes of a map's arrays per Gaussian: parameters, moments of the optimiser, and ids."""
     arrays = (gaussians.parameters, gaussians.first_moment, gaussians.second_moment, gaussians.ids)
     return sum(array.nbytes for array in arrays)

@@ -1,4 +1,4 @@
-"""Measure the true rate of the views chosen by features and policies, as a share of the best candidate's."""
+"""Measure how good the choices of features and policies are, by ground truth: the command of `frozen_decisions`."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Decisions:
                 ended += 1
                 records += found
                 if folder is not None:
-                    with replaced(folder / _RECORDS) as file:  # written atomically, so that it holds whole episodes
+                    with replaced(folder / _RECORDS) as file:  # written atomically, so it always holds whole episodes
                         file.writelines(f"{json.dumps(record)}\n".encode() for record in records)
         records = [record for record in records if (record["scene"], record["seed"]) in asked]
         rows, quality = benchmark.decision_rows(records), benchmark.quality_rows(records)
@@ -109,7 +109,7 @@ class Decisions:
             raise InputError(f"--played is one policy, got {len(played)}")
         for policy in (*played, *policies):
             make_policy(policy)
-        column_names(split_list(self.features))  # unknown names raise InputError before anything is written
+        column_names(split_list(self.features))  # raises InputError for unknown names before anything is written
         for name in ("frames", "first", "every"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
@@ -129,7 +129,11 @@ class Decisions:
 
 
 def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
-    """Return the records of finished episodes in ``folder``; begin a new one; raise `InputError` for other settings."""
+    """Return the records of the finished episodes in ``folder``.
+
+    If the folder is new, write ``settings`` into it and return []. Raise `InputError` if it has other settings, or if a
+    file is damaged.
+    """
     written = json.loads(json.dumps(dataclasses.asdict(settings)))
     place, records = folder / "settings.json", folder / _RECORDS
     if not place.exists():

@@ -1,4 +1,4 @@
-"""Measure the cost of evaluating one episode by stages, with ground truth already cached."""
+"""Measure the time of each stage of evaluating one episode, when the ground truth is in the cache already."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ SCENES = ("room", "apartment?rooms=3&seed=5")
 
 
 def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) -> list[dict[str, Any]]:
-    """Explore every scene once by `random`, then time the stages of measuring its map by the protocol ``standard``."""
+    """Explore every scene once with the policy random, then time each stage of its evaluation.
+
+    The protocol is ``standard``. Return one row per scene and stage, with wall and processor time in seconds.
+    """
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
     protocol = StandardProtocol(views=4, surface_samples=20_000) if quick else StandardProtocol()
@@ -68,7 +71,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     truth, cost = _timed(lambda: protocol.truth(ground_truth_of(scene)))
     yield {**name, "stage": "truth from the cache", **cost}
     threshold = protocol.threshold_m
-    truth.surface.discs, truth.surface.samples  # noqa: B018 - builds the search trees, once for a scene
+    truth.surface.discs, truth.surface.samples  # noqa: B018 - builds the search trees, once per scene
     _, cost = _timed(lambda: geometry_scores(protocol.points(gaussians), truth.surface, threshold_m=threshold))
     yield {**name, "stage": "distances of the means", **cost}
     points, cost = _timed(lambda: protocol.on_surface(protocol.surface(gaussians, path).pieces))

@@ -1,8 +1,9 @@
-"""Build a whole storey: apartments of seven rooms on both sides of a corridor, 25 x 57 m for twelve apartments.
+"""Build a scene of a whole floor: apartments of seven rooms on both sides of a corridor.
 
     asg compare --scenes "benchmarks.floor:make_floor" --policies hole_area
 
-Every apartment is a layout of `plan_layout` with a doorway instead of windows in the wall to the corridor.
+Twelve apartments take 25 x 57 m. Every apartment is a layout of `plan_layout` that has a doorway, and no windows, in
+the wall to the corridor. A lattice step is 0.1 m.
 """
 
 from __future__ import annotations
@@ -19,16 +20,19 @@ from activestructure_gym.scenes.procedural.apartment_plan import ApartmentPlan, 
 from activestructure_gym.scenes.procedural.layout import CEILING, DOOR_HEAD, NICHE, UNIT, Layout, Space, plan_layout
 from activestructure_gym.scenes.scene import Scene, SceneMesh
 
-_ROOMS = 7
-_WIDTH = 24  # width of the corridor, lattice steps
-_DOOR, _BESIDE = 9, 2  # lattice steps: width of a doorway, and of the wall next to it
-_APART = 1  # lattice steps between neighbours
+_ROOMS = 7  # rooms per apartment
+_WIDTH = 24  # width of the corridor in lattice steps
+_DOOR, _BESIDE = 9, 2  # width of a doorway, and of the wall next to it, in lattice steps
+_APART = 1  # lattice steps between neighbouring apartments
 
-Side = Literal[-1, 1]  # side of the corridor along x
+Side = Literal[-1, 1]  # side of an apartment on which the corridor is: low (-1) or high (1) x
 
 
 def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scene:
-    """Build a floor of furnished apartments, half of them on each side of a corridor."""
+    """Build a floor of furnished apartments, half of them on each side of a corridor.
+
+    ``apartments`` is their number, at least 2. Without ``lit``, the floor has no light and no textures.
+    """
     if isinstance(apartments, bool) or not isinstance(apartments, int) or apartments < 2:
         raise InputError(f"a floor has at least two apartments, got apartments={apartments!r}")
     parts: list[SceneMesh] = []
@@ -37,7 +41,7 @@ def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scen
     for number in range(apartments):
         side: Side = -1 if number % 2 else 1
         layouts.append((side, *with_doorway(_layout(seed + number), side)))
-    left = max(layout.owner.shape[0] for side, layout, _ in layouts if side == 1)  # position of the corridor along x
+    left = max(layout.owner.shape[0] for side, layout, _ in layouts if side == 1)  # lower x of the corridor
     reached = {-1: 0, 1: 0}
     for number, (side, layout, door) in enumerate(layouts):
         start = left - door.upper[0] if side == 1 else left + _WIDTH - door.lower[0]
@@ -58,7 +62,10 @@ def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scen
 
 
 def with_doorway(layout: Layout, side: Side) -> tuple[Layout, Space]:
-    """Return the layout with a doorway in the wall at low (-1) or high (1) x and no windows there, and the doorway."""
+    """Put a doorway into the outer wall at low (-1) or high (1) x, and remove the windows of this wall.
+
+    Return the new layout, and the doorway.
+    """
     rooms = layout.spaces[: layout.rooms]
     edge = max(room.upper[0] for room in rooms) if side == 1 else min(room.lower[0] for room in rooms)
     outer = [i for i, room in enumerate(rooms) if (room.upper[0] if side == 1 else room.lower[0]) == edge]
@@ -75,7 +82,7 @@ def _layout(seed: int) -> Layout:
 
 
 def _corridor(length: int, seed: int, lit: bool) -> Scene:
-    """Build a tiled corridor of pieces of about 8 m, each of which has a lamp like a room."""
+    """Build a tiled corridor of ``length`` lattice steps from pieces of about 8 m, each of which has a lamp."""
     ends = np.linspace(NICHE, NICHE + length, 1 + max(1, round(length / 80))).astype(int).tolist()
     pieces = [
         Space("bath", (NICHE, a, 0), (NICHE + _WIDTH, b, CEILING), i) for i, (a, b) in enumerate(zip(ends, ends[1:]))
@@ -85,7 +92,10 @@ def _corridor(length: int, seed: int, lit: bool) -> Scene:
 
 
 def _without(mesh: SceneMesh, plane: float, boxes: Sequence[np.ndarray]) -> SceneMesh:
-    """Remove the triangles that are in the plane x = ``plane`` metres and in one of the boxes [2, 3]."""
+    """Remove the triangles that are in the plane x = ``plane`` (metres) and inside one of the boxes.
+
+    A box [2, 3] has its lower and its upper corner in metres.
+    """
     corners = mesh.vertices[mesh.faces].astype(np.float64)  # [F, 3, 3]
     near = 1e-3  # metres; vertices are float32 points of a lattice of 0.1 m
     gone = np.zeros(len(corners), dtype=bool)

@@ -1,7 +1,8 @@
-"""Compare the choices of features and policies with the best candidate, by ground truth.
+"""Compare the candidates that features and policies choose with the truly best candidate, by ground truth.
 
-One policy plays an episode. At some of its decisions the true rate of every candidate is computed: the newly observed
-area along the path and at its end, per frame. Every feature and policy picks a row of the same candidate table.
+One policy plays an episode. Some of its decisions are frozen: the true rate of every candidate is computed from ground
+truth. The true rate is the newly observed area along the path and at its end, in m^2 per frame. Each feature and each
+policy then picks a row of the same candidate table; its pick is compared with the row that has the highest true rate.
 """
 
 from __future__ import annotations
@@ -26,30 +27,33 @@ if TYPE_CHECKING:
 
 SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
 FEATURES = ("hole_area", "pixel")
-_MIN_RATE = 1e-3  # m^2 per frame; decisions whose best candidate has less are left out
-_SHORTLIST = 8  # best rows by a feature, of which the one with the best true rate is reported
+_MIN_RATE = 1e-3  # m^2 per frame; decisions are left out if no candidate has a higher true rate
+_SHORTLIST = 8  # number of rows with the highest feature; the best true rate among them is reported too
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Hold the settings of the benchmark, apart from scene and seed."""
+    """Hold the settings of the benchmark, except scene and seed."""
 
-    played: str = "hole_area"  # the policy whose episodes are frozen
-    features: tuple[str, ...] = FEATURES  # columns that are scored, times the shared travel term
-    policies: tuple[str, ...] = ()  # policies that are scored
+    played: str = "hole_area"  # policy that plays the episodes
+    features: tuple[str, ...] = FEATURES  # columns that are compared, each times the shared travel term
+    policies: tuple[str, ...] = ()  # policies that are compared
     preset: Preset = "default"
     frames: int = 300  # frame budget of an episode
     first: int = 1  # frame from which on decisions are frozen
-    every: int = 4  # one of this many decisions is frozen
-    pool: int | None = None  # number of views of the pool among which the best is searched; None: all
-    quality: int = 0  # views of each frozen table that are mapped in a copy; 0: none
-    views: int = 8  # held-out views that measure the copies
+    every: int = 4  # freeze every n-th decision
+    pool: int | None = None  # number of views drawn from the pool to find the best view; None: all
+    quality: int = 0  # number of candidates per frozen decision that are mapped in a copy of the map; 0: none
+    views: int = 8  # number of held-out views by which the copies of the map are measured
 
 
 def frozen_decisions(
     scene: str, seed: int, settings: Settings, notify: Callable[[int], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Return one record per frozen decision of an episode; ``notify`` is called with the frames spent."""
+    """Play one episode, and return one record per frozen decision (see `_Judge.record`).
+
+    ``notify`` is called with the number of frames so far.
+    """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -94,7 +98,7 @@ def _picks(
     policies: Mapping[str, Policy],
     features: Sequence[str],
 ) -> dict[str, np.ndarray]:
-    """Return the candidate rows by decreasing score, for every feature; for a policy only its choice."""
+    """Return the picks by name: for a feature all candidate rows by decreasing score, for a policy its chosen row."""
     from activestructure_gym.policies import Candidates, travel_discount
 
     candidates = Candidates(observation, env.config.features, "the benchmark of decisions")
@@ -111,7 +115,7 @@ def _picks(
 
 
 class _Judge:
-    """Score candidates of one episode by ground truth."""
+    """Measure the candidates of one episode by ground truth."""
 
     def __init__(self, truth: Any, settings: Settings) -> None:
         self._surface, self._settings = TrueSurface(truth), settings
@@ -119,7 +123,12 @@ class _Judge:
         self._quality = TrueQuality(truth, protocol) if settings.quality else None
 
     def record(self, env: ReconstructionEnv, picks: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        """Return true rates of table, pool and picks; with ``quality`` also the changes of image quality by views."""
+        """Return the true rates at the current decision, in m^2 per frame.
+
+        ``table`` has the best and the mean rate of the candidates, ``pool`` the best rate among the views of the pool,
+        and ``picks`` the rates of the picked rows. With `Settings.quality`, ``quality`` has the change of image quality
+        by each mapped candidate.
+        """
         episode = env.reconstruction
         self._surface.follow(episode)
         taken = episode.agent.paths(episode.volume, episode.candidates.world_from_camera)
@@ -138,11 +147,10 @@ class _Judge:
         return found
 
     def _mapped_rows(self, taken: Sequence[PlannedPath | None], picks: Mapping[str, np.ndarray]) -> list[int]:
-        """Return the candidate rows whose views are mapped in a copy of the map.
+        """Return the candidate rows whose views are mapped in a copy of the map, usually `Settings.quality` of them.
 
-        These are the best row of every feature and the chosen row of every policy, then rows spread evenly over the
-        table. There are at most `Settings.quality` rows. If the features and policies alone have more different rows,
-        all of those are returned.
+        These are the best row of every feature and the chosen row of every policy, all of them in any case, then rows
+        spread evenly over the table.
         """
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
@@ -151,7 +159,11 @@ class _Judge:
 
 
 def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
-    """Return the true rate of the first row, the best among the first `_SHORTLIST`, and the rank correlation of all."""
+    """Return how good picked ``rows`` (best first) are by the true ``rates`` of all candidates.
+
+    The result has the first row and its rate. For several rows it also has the best rate among the first `_SHORTLIST`
+    rows, and the rank correlation between the order of the rows and their rates.
+    """
     from scipy.stats import spearmanr
 
     known = rows[rows < len(rates)]
@@ -166,10 +178,11 @@ def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
 
 
 def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row per pick with its rate as a share of the best rate: means over scenes of means over decisions.
+    """Return a row per feature or policy: the true rate of its picks as a share of the best rate.
 
-    Decisions without a candidate above `_MIN_RATE` are left out. Intervals are by bootstrap over scenes; one scene has
-    none.
+    Shares are means over scenes of means over decisions. Decisions without a candidate above `_MIN_RATE` are left out.
+    Intervals are by bootstrap over the scenes; there are none for one scene. The first row is for a random candidate,
+    the last one for the best candidate.
     """
     counted = [record for record in records if record["table"]["best"] > _MIN_RATE]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
@@ -190,15 +203,15 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return one row per feature or policy: the change of the held-out metrics when its chosen view is mapped.
+    """Return one row per feature or policy: the change of the held-out metrics when its picked view is mapped.
 
-    The metrics are those of `QUALITY`. ``<metric>_per_100`` is the change per 100 frames of path: the mean over scenes
-    of means over decisions. ``<metric>_of_best`` is the change as a share of that of the best mapped view: 1 is as good
-    as the best, and below 0 the view made the map worse. Both changes are summed over the decisions of a scene before
-    they are divided, and the shares are averaged over scenes. This average leaves out scenes in which even the best
-    view improved nothing.
+    The metrics are the keys of `QUALITY`. ``<metric>_per_100`` is the change per 100 frames of path, as the mean over
+    scenes of means over decisions. ``<metric>_of_best`` is this change divided by the change of the best mapped view: 1
+    is as good as the best, and below 0 the view made the map worse. Both changes are summed over the decisions of a
+    scene before the division, and the shares are averaged over scenes. Scenes in which even the best view improves
+    nothing are left out of this average.
 
-    Two more rows are the mean and the best of all mapped views.
+    Two more rows are for the mean and for the best of all mapped views.
     """
     counted = [record for record in records if record.get("quality")]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
@@ -223,7 +236,10 @@ def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _of_best(
     values: Sequence[tuple[Mapping[str, Any], float]], key: str, sign: float
 ) -> tuple[float | None, tuple[float, float] | None]:
-    """Return the change as a share of the best view's, from sums per scene: the mean over scenes with its interval."""
+    """Return the column ``<metric>_of_best`` of `quality_rows` with its interval, for one metric and one pick.
+
+    ``values`` are (record, change) pairs, ``key`` is the metric, and ``sign`` is -1 if smaller values are better.
+    """
     sums: dict[str, list[float]] = {}
     for record, value in values:
         best = _changed(record, "best of those mapped", key, sign)
@@ -290,10 +306,13 @@ def run_decisions_benchmark(
     seeds: Sequence[int],
     settings: Settings,
     *,
-    done: Sequence[Mapping[str, Any]] = (),  # records that exist already
+    done: Sequence[Mapping[str, Any]] = (),  # existing records; their episodes are not played again
     notify: Callable[[str, int, int], None] = lambda scene, seed, frames: None,
 ) -> Iterator[list[dict[str, Any]]]:
-    """Yield the records of every episode that is not in ``done``, episode by episode."""
+    """Play one episode per scene and seed, except those in ``done``; yield the records of each episode.
+
+    ``notify`` is called with the scene, the seed and the number of frames so far.
+    """
     have = {(record["scene"], record["seed"]) for record in done}
     for scene in scenes:
         for seed in seeds:

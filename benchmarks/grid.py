@@ -1,4 +1,7 @@
-"""Measure the overhead of the supervisor of runs against the same jobs started by `xargs`."""
+"""Measure the overhead of `asg compare` in running jobs, relative to the same jobs started by the program ``xargs``.
+
+The supervisor is the part of `asg compare` that starts, watches and records the processes of jobs.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ from activestructure_gym.evaluation.running.live_progress import LiveProgress
 from activestructure_gym.specs import Spec
 from benchmarks.command import run
 
-# Program that runs one job in a new process.
+# Python program that runs one job, given the path of its JSON file and the output directory.
 BY_HAND = """
 import json, sys
 from pathlib import Path
@@ -56,14 +59,15 @@ def run_grid_benchmark(
     repeats: int = 3,
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """Return wall and processor seconds of both methods, with overheads: a row per repetition and a row of medians.
+    """Return wall and processor seconds by the supervisor and by ``xargs``: a row per repetition and a row of medians.
 
-    ``own_cpu_%`` is the processor time of the supervisor's process relative to that of its workers, which does not
-    depend on the machine's load.
+    ``overhead_%`` is the additional wall time by the supervisor and ``overhead_cpu_%`` its additional processor time.
+    ``own_cpu_%`` is the processor time of the supervisor's process divided by that of its workers, which does not
+    depend on the load of the machine.
 
     There are two jobs per scene and seed, one per policy. Both methods run as many jobs at a time as there are cores,
-    with equal limits on threads; the supervisor's live display is on. The preparation and the drawing by `asg compare`
-    are not timed. The two methods alternate in order.
+    with equal limits on threads. The supervisor's live display is on. The preparation and the report of `asg compare`
+    are not timed. The order of the two methods alternates.
     """
     if shutil.which("xargs") is None:
         raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
@@ -93,7 +97,7 @@ def run_grid_benchmark(
 
 
 def _by_hand(jobs: Sequence[Job], directory: Path) -> None:
-    """Run one command per job by `xargs`, as many at a time as there are cores."""
+    """Run one process per job by ``xargs``, as many at a time as there are cores."""
     slots = count_slots(len(jobs), Limits())
     lines = []
     for number, job in enumerate(jobs):
@@ -114,7 +118,7 @@ def _supervised(jobs: Sequence[Job], directory: Path) -> None:
 
 
 def _processor_seconds() -> tuple[float, float]:
-    """Return the processor seconds of this process and of its children that have ended."""
+    """Return the processor seconds of this process, and of all its children that have ended."""
     import resource  # missing on Windows, which has no xargs either
 
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))

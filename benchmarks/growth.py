@@ -1,12 +1,13 @@
-"""Measure a mapping event and a decision in one place while the map grows elsewhere.
+"""Measure the times of a mapping event and of a decision in one place while the map grows elsewhere.
 
-20 keyframes are taken around one start of an apartment, 20 around the next, and so on. Every such place is raised to a
-storey of its own, far enough above the last that no view of one reaches another. At certain numbers of keyframes,
-copies of the map observe the same frames of the first place and score the same 256 views of it. The Gaussians in view
-are the same at every size, so additional cost comes from the size of the map.
+A mapping event is `Mapper.observe` of one frame. 20 keyframes are taken around one start pose of an apartment (a
+place), 20 around the next, and so on. Each place is shifted up by 30 m relative to the last one, so no view of a place
+shows another place. At certain numbers of keyframes, copies of the map observe the same frames of the first place and
+score the same 256 views of it. The Gaussians in view are the same at every size, so additional time comes from the size
+of the map.
 
-Clock rates change within minutes, so the ratio between two sizes is not computed from the rows. Copies of both maps
-are kept, and each frame is observed by both in direct succession.
+Clock rates change within minutes, so the ratio between two sizes is not computed from the rows. Instead, copies of both
+maps are kept, and both observe each frame in direct succession.
 """
 
 from __future__ import annotations
@@ -41,22 +42,22 @@ from benchmarks.command import measuring, run, write_rows
 from benchmarks.mapping_views import KEYFRAME_EVERY, capture, random_walk, true_volume
 
 SCENE = "apartment?seed=1&rooms=4"
-SIZE = (160, 90)  # pixels
-SCORED = 256  # candidate views at half the size, as in the default preset
-CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 thousand Gaussians
-PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
-PLACE_KEYFRAMES = 20  # keyframes per place; after all 16 starts the first is used again
-_RADIUS = 1.8  # metres of path length; radius of a place
-STOREY = 30.0  # metres; no view rises by more than 44 degrees, so points 30 m above and 10 m away are outside
+SIZE = (160, 90)  # width and height of frames in pixels
+SCORED = 256  # number of scored candidate views, which have half the size, as in the default preset
+CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # numbers of keyframes; 4 keyframes give about 9,000 Gaussians
+PAIR = (20, 400)  # numbers of keyframes of the two maps that are compared frame by frame
+PLACE_KEYFRAMES = 20  # keyframes per place; after all 16 start poses, the first one is used again
+_RADIUS = 1.8  # radius of a place as a path length in metres
+STOREY = 30.0  # metres; view rays rise by at most 44 degrees, so points 30 m above and 10 m away are never in view
 
 
 @dataclass(frozen=True)
 class GrowthRow:
-    """Hold the costs at one size of the map: processor milliseconds, medians over the probes."""
+    """Hold the times at one size of the map: processor milliseconds, as medians over the timed frames."""
 
     keyframes: int
     gaussians: int
-    in_view: int  # Gaussians whose centre projects into a probe's image, median
+    in_view: int  # number of Gaussians whose centre projects into a timed frame, median
     event_ms: float  # `Mapper.observe` of a new frame of the first place
     decision_ms: float  # `Mapper.keyframe_psnr`, called once per decision
     scoring_ms: float  # `render_depth_alpha` of 256 views of the first place
@@ -65,14 +66,14 @@ class GrowthRow:
 
 @dataclass(frozen=True)
 class GrowthPair:
-    """Hold the ratios of costs of the same frame at two sizes of the map: quartiles over the pairs."""
+    """Hold the ratios between the times of the same frame in a large and in a small map."""
 
-    keyframes: tuple[int, int]
-    gaussians: tuple[int, int]
-    in_view: tuple[int, int]
-    pairs: int
-    event_ratio: tuple[float, float, float]  # lower quartile, median, upper quartile
-    decision_ratio: tuple[float, float, float]
+    keyframes: tuple[int, int]  # of the small and of the large map
+    gaussians: tuple[int, int]  # of the small and of the large map
+    in_view: tuple[int, int]  # as in `GrowthRow`, of the small and of the large map
+    pairs: int  # number of pairs of events
+    event_ratio: tuple[float, float, float]  # large / small: lower quartile, median, upper quartile over the pairs
+    decision_ratio: tuple[float, float, float]  # as ``event_ratio``, for `Mapper.keyframe_psnr`
 
 
 def run_growth_benchmark(
@@ -87,9 +88,11 @@ def run_growth_benchmark(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,  # called `growth_steps` times
 ) -> tuple[list[GrowthRow], GrowthPair]:
-    """Grow the empty ``mapper`` along a seeded walk, measure it at every checkpoint, and compare two of them in pairs.
+    """Grow the empty ``mapper`` along a seeded walk, measure it at every checkpoint, and compare two checkpoints.
 
-    A voxel volume and a plane graph are updated too, so that the memory is that of an episode.
+    ``checkpoints`` are numbers of keyframes, ``size`` is (width, height) in pixels, ``scored`` the number of scored
+    views, and ``probes`` the number of timed frames. A voxel volume and a plane graph are updated too, so the memory is
+    as in an episode.
     """
     frames, probe_frames, candidates = places(scene, max(checkpoints), size, scored, probes, seed, advance)
     volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
@@ -108,7 +111,7 @@ def run_growth_benchmark(
 
 
 def growth_steps(checkpoints: Sequence[int]) -> int:
-    """Return the number of calls of ``advance`` by `run_growth_benchmark`."""
+    """Return how often `run_growth_benchmark` calls ``advance``."""
     return 2 * max(checkpoints)
 
 
@@ -121,7 +124,11 @@ def places(
     seed: int,
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
-    """Return the keyframes (not raised to storeys yet), the timed frames, and the scored views."""
+    """Walk through a scene place by place, and return the keyframes, the timed frames, and the scored views.
+
+    Places are not shifted up yet. The timed frames and the scored views are of the first place. ``keyframes``,
+    ``scored`` and ``probes`` are the numbers of keyframes, scored views and timed frames.
+    """
     starts = ground_truth_of(scene).free_space.start_poses
     volume = true_volume(scene)
     places = -(-keyframes // PLACE_KEYFRAMES)
@@ -140,7 +147,7 @@ def places(
             )
         )
     keyframe_poses = np.concatenate([walk[::KEYFRAME_EVERY] for walk in poses])[:keyframes]
-    # The frames between keyframes of the first place are new to the map, but show no new surface.
+    # Timed frames are between keyframes of the first place: they are new to the map, but show no new surface.
     between = np.delete(poses[0], np.arange(0, len(poses[0]), KEYFRAME_EVERY), axis=0)
     camera = PinholeCamera.from_size(*size)
     frames = capture(scene, camera, keyframe_poses, supersample=2, advance=advance)
@@ -167,7 +174,7 @@ def _measure(
     scoring_ms = processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
     trial = copy.deepcopy(mapper)
     events, decisions = [], []
-    trial.observe(probe_frames[0])  # not timed, since the copy's arrays may have to grow
+    trial.observe(probe_frames[0])  # not timed, since the arrays of a copied map may have to grow
     for frame in probe_frames:
         events.append(processor_ms(partial(trial.observe, frame)))
         decisions.append(processor_ms(trial.keyframe_psnr))
@@ -183,14 +190,17 @@ def _measure(
 
 
 def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds: int = 3) -> GrowthPair:
-    """Compare both maps on the same frames, in direct succession; every round begins with new copies."""
+    """Time mapping events and decisions of both maps on the same frames, in direct succession.
+
+    Every round begins with new copies of the maps.
+    """
     events, decisions = [], []
     for _ in range(rounds):
         trials = [copy.deepcopy(mapper) for mapper in (small, large)]
         for trial in trials:
-            trial.observe(probe_frames[0])  # not timed, since the copy's arrays may have to grow
+            trial.observe(probe_frames[0])  # not timed, since the arrays of a copied map may have to grow
         for number, frame in enumerate(probe_frames):
-            order = (0, 1) if number % 2 else (1, 0)  # alternating
+            order = (0, 1) if number % 2 else (1, 0)  # 0: small map, 1: large map; the order alternates
             event, decision = {}, {}
             for size in order:
                 event[size] = processor_ms(partial(trials[size].observe, frame))
@@ -211,7 +221,7 @@ def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """Return the lower quartile, the median and the upper quartile."""
+    """Return the lower quartile, the median and the upper quartile of ``values``."""
     low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
     return low, middle, high
 
@@ -221,10 +231,10 @@ def _median_in_view(mapper: Mapper, frames: Sequence[Frame]) -> int:
 
 
 def gaussians_in_view(
-    parameters: np.ndarray,  # [14, n] live Gaussians
+    parameters: np.ndarray,  # [14, n] parameters of n Gaussians
     frame: Frame,
 ) -> int:
-    """Return the number of centres that project into the frame's image, including hidden ones."""
+    """Return the number of Gaussians whose centre projects into the frame's image, including occluded ones."""
     camera = frame.camera
     pose = invert_rigid(frame.world_from_camera).astype(np.float32)
     x, y, z = pose[:3, :3] @ parameters[MEAN] + pose[:3, 3:]
@@ -234,7 +244,7 @@ def gaussians_in_view(
 
 
 def resident_mb() -> float:
-    """Return the resident memory of this process in MB, or its maximum so far on systems without ``/proc``."""
+    """Return the resident memory of this process in MB; on systems without ``/proc``, its maximum so far."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -246,7 +256,7 @@ def resident_mb() -> float:
 
 
 def processor_ms(action: Callable[[], object]) -> float:
-    """Return the processor milliseconds of a call."""
+    """Return the processor time of a call of ``action`` in milliseconds."""
     before = time.process_time()
     action()
     return 1e3 * (time.process_time() - before)

@@ -1,7 +1,8 @@
-"""Measure the quality of maps on held-out views: a fixed walk through a scene is mapped by several recipes.
+"""Measure the quality of maps on held-out views: several mapper recipes map the same walk through a scene.
 
-Frames and true views have 160 x 90 pixels, no noise, and 4 x 4 supersampling, since aliasing alone would limit PSNR to
-about 30 dB. This module maps and renders; `benchmarks.mapping_figures` measures and draws.
+A recipe is a mapper with a number of iterations and a stride of seeds. Frames and true views have 160 x 90 pixels, no
+noise, and 4 x 4 supersampling, since aliasing alone would limit PSNR to about 30 dB. This module maps and renders;
+`benchmarks.mapping_figures` measures and draws.
 """
 
 from __future__ import annotations
@@ -36,32 +37,32 @@ from benchmarks.mapping_views import (
     true_volume,
 )
 
-SIZE = (160, 90)  # pixels, as in comparisons
-SUPERSAMPLE = 4
+SIZE = (160, 90)  # width and height in pixels, as in comparisons
+SUPERSAMPLE = 4  # samples per pixel along each image axis
 PROCEDURAL_SCENES = ("apartment?seed=0", "apartment?seed=1&rooms=4")
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Define a mapper by its name, iterations per frame, and pixels between seeds by SplaTAM's rule."""
+    """Define a mapper that is compared."""
 
-    mapper: str
-    iterations: int
-    stride: int = 2
+    mapper: str  # name of the mapper
+    iterations: int  # optimiser iterations per frame
+    stride: int = 2  # pixels between new Gaussians along each image axis, by the seeding rule of SplaTAM
 
     def __str__(self) -> str:
         return f"{self.mapper} at {self.iterations}" + (f", stride {self.stride}" if self.stride != 2 else "")
 
     def make(self, rng: np.random.Generator) -> Mapper:
-        """Return an empty mapper of this recipe."""
+        """Return a mapper of this recipe with an empty map."""
         config = mapper_config(self.mapper)
         if not isinstance(config, MapperConfig):
             raise InputError(f"mapper '{self.mapper}' is no recipe of MapperConfig")
         return Mapper(replace(config, iterations=self.iterations, seed_stride=self.stride), rng)
 
 
-# SplaTAM seeds every pixel of its 1200 x 680 frames, and every second pixel in its faster setting, the default here.
-# At 160 x 90 that gives few Gaussians, so recipes with every pixel are added.
+# SplaTAM adds a Gaussian at every pixel of its 1200 x 680 frames, or at every second pixel in its faster setting, which
+# is the default here. At 160 x 90 pixels the latter gives few Gaussians, so recipes with every pixel are added.
 RECIPES = (
     Recipe("default", 5),
     Recipe("default", 15),
@@ -74,22 +75,22 @@ RECIPES = (
 
 @dataclass(frozen=True)
 class MappingCourse:
-    """Hold the keyframes to map and the held-out views to render, equal for every recipe."""
+    """Hold the keyframes that every recipe maps, and the held-out views that it renders."""
 
     keyframes: list[Frame]
-    truth: list[Frame]  # held-out views
+    truth: list[Frame]  # true held-out views
 
 
 @dataclass(frozen=True)
 class MappedViews:
-    """Hold the held-out views rendered from one recipe's map, and the cost of mapping."""
+    """Hold V held-out views rendered from one recipe's map, and the cost of mapping."""
 
     scene: str
     recipe: Recipe
     color: np.ndarray  # [V, H, W, 3] float32 0..1
-    depth: np.ndarray  # [V, H, W] float32 metres: accumulated depth over alpha, 0: no surface
-    gaussians: int
-    event_seconds: float  # processor time of a mapping event, mean
+    depth: np.ndarray  # [V, H, W] float32 metres: accumulated depth divided by alpha; 0: no surface
+    gaussians: int  # number of Gaussians in the map
+    event_seconds: float  # mean processor time per keyframe
 
 
 def make_course(
@@ -101,9 +102,10 @@ def make_course(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,  # called after every rendered frame
 ) -> MappingCourse:
-    """Render every fifth frame of a seeded random walk from the scene's first start pose, and held-out views.
+    """Render the keyframes of a random walk from the scene's first start pose, and held-out views.
 
-    See `held_out_poses` for the choice of held-out views; raises `InputError` if there are too few.
+    ``keyframes`` and ``views`` are their numbers, and ``size`` is (width, height) in pixels. Every fifth frame of the
+    walk is a keyframe. `held_out_poses` chooses the held-out views; it raises `InputError` if there are too few.
     """
     camera = PinholeCamera.from_size(*size)
     walk, held_out = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
@@ -122,8 +124,8 @@ def map_course(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,  # called after every mapping event
 ) -> MappedViews:
-    """Map the keyframes in order and render the held-out views."""
-    # A first event that is not timed compiles the kernels.
+    """Map the keyframes of a course in order by a recipe, and render the held-out views; ``scene`` is a label."""
+    # The first keyframe is mapped once without timing, which compiles the kernels.
     recipe.make(np.random.default_rng(seed)).observe(course.keyframes[0])
     mapper = recipe.make(np.random.default_rng(seed))
     seconds = 0.0
@@ -154,7 +156,10 @@ def run_quality_benchmark(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[MappingCourse, list[MappedViews]]]:
-    """Yield per scene its course and one result per recipe; ``advance`` is called `quality_steps` times in all."""
+    """Yield, for every scene, its course and one result per recipe.
+
+    The arguments are as in `make_course`; ``advance`` is called `quality_steps` times.
+    """
     for scene in scenes:
         course = make_course(scene, keyframes=keyframes, views=views, size=size, seed=seed, advance=advance)
         yield (
@@ -164,7 +169,7 @@ def run_quality_benchmark(
 
 
 def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
-    """Return the number of calls of ``advance`` by `run_quality_benchmark`."""
+    """Return how often `run_quality_benchmark` calls ``advance``; the arguments are numbers."""
     return scenes * (keyframes + views + recipes * keyframes)
 
 

@@ -1,4 +1,4 @@
-"""Make tables and figures of the mapping benchmarks: quality on held-out views, and cost over the size of the map."""
+"""Make tables and figures of the mapping benchmarks: quality on held-out views, and time over the size of the map."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from benchmarks.mapping import MappedViews, MappingCourse
 
 _RECIPE = ("mapper", "iterations", "stride")  # columns that identify a recipe
-MEAN = "mean"  # value of "scene" in rows of means over all scenes
-_ENLARGED = 2  # screen pixels per rendered pixel, without smoothing
+MEAN = "mean"  # entry of the column "scene" in rows with means over all scenes
+_ENLARGED = 2  # factor by which views are enlarged, without smoothing
 
 
 def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
-    """Return mean image quality and depth error over the held-out views of one scene and recipe.
+    """Return a row with the image quality and the depth error of one recipe on the held-out views of one scene.
 
-    ``depth_cm`` is the mean over all pixels with a surface, and holes count with their whole depth. ``median_depth_cm``
-    is the median over the covered pixels, which is robust against a few wrong edges.
+    ``depth_cm`` is the mean depth error over all pixels with a true surface; holes of the map count with their whole
+    depth. ``median_depth_cm`` is the median over the pixels that the map covers, which is robust against wrong edges.
     """
     images = [frame.rgb.astype(np.float64) / 255.0 for frame in course.truth]
     depths = [frame.depth for frame in course.truth]
@@ -62,13 +62,13 @@ def with_means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def quality_strip(
     courses: Sequence[MappingCourse],
-    mapped: Sequence[Sequence[MappedViews]],  # per course, one per recipe
+    mapped: Sequence[Sequence[MappedViews]],  # for every course, the results of all recipes
     *,
     shown: Sequence[str] = ("default at 5", "splatam at 15", "splatam at 15, stride 1"),
 ) -> Image.Image:
-    """Draw one row per scene: a held-out view, and its renderings from the maps of the recipes.
+    """Draw one row per scene: a true held-out view, and the same view rendered from the maps of the recipes ``shown``.
 
-    The view is the one with the most detail in the true image, so the choice does not depend on the maps.
+    The held-out view with the most detail in its true image is taken, so the choice does not depend on the maps.
     """
     rows, labels = [], []
     for course, entries in zip(courses, mapped):
@@ -93,7 +93,7 @@ def _enlarged(image: np.ndarray) -> Image.Image:
 
 
 def plot_growth(rows: Sequence[GrowthRow], path: Path, *, title: str) -> None:
-    """Plot milliseconds, and the size of the map, over keyframes."""
+    """Plot the times in milliseconds, and the number of Gaussians, over the number of keyframes; write to ``path``."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 

@@ -1,7 +1,7 @@
 """Make the views of the mapping benchmarks: a seeded walk through a scene, and held-out views of the observed part.
 
 The walk has the clearance, steps and turns of an episode, and every fifth frame is a keyframe. It is planned in the
-true free space, so that it depends only on the scene and the seed.
+true free space, so it depends only on the scene and the seed.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from activestructure_gym.sensors.renderer import make_renderer
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
-KEYFRAME_EVERY = 5  # frames, as in an episode
-_PITCH_DEG = (-30.0, 15.0)  # pitch of views
-_TRIES = 200  # successive goals without a path before an error is raised
-_SEEN_WITHIN = (0.03, 0.01)  # metres, and per metre of depth; tolerance between a point and a measured depth
-_SEEN_FROM = 1.5  # largest distance of a keyframe, as a multiple of the view's distance
+KEYFRAME_EVERY = 5  # frames between keyframes, as in an episode
+_PITCH_DEG = (-30.0, 15.0)  # range of the pitch of views in degrees; negative is down
+_TRIES = 200  # number of successive goals without a path after which an error is raised
+_SEEN_WITHIN = (0.03, 0.01)  # tolerance between a point and a measured depth: 0.03 m + 0.01 times the depth
+_SEEN_FROM = 1.5  # largest depth of a point in a keyframe, as a multiple of its depth in the held-out view
 
 
 def true_volume(scene: Scene) -> VoxelVolume:
-    """Return the scene's true free space as a voxel volume for path planning."""
+    """Return a voxel volume for path planning in which the true free space of a scene is free."""
     volume = VoxelVolume(scene.bounds)
     centers = volume.center_of(np.argwhere(np.ones(volume.shape, bool)))
     volume.state[ground_truth_of(scene).free_space.clearance_at(centers).reshape(volume.shape) > 0] = FREE
@@ -44,10 +44,10 @@ def random_walk(
     *,
     goal_allowed: Callable[[np.ndarray], np.ndarray] | None = None,  # [N, 3] metres -> [N] bool
 ) -> np.ndarray:  # [frames, 4, 4] world_from_camera, including the start
-    """Walk between random goals, with one pose per frame and a random view direction at each goal.
+    """Walk between random goals for a number of ``frames``, with a random view direction at each goal.
 
-    Goals are uniform over the voxels that have a candidate view's clearance, are within 0.2 m of the start's height,
-    and satisfy ``goal_allowed`` if it is given. Raises `InputError` if no goal can be reached.
+    Goals are uniform over the voxels that have the clearance of candidate views and are within 0.2 m of the start's
+    height. ``goal_allowed`` further limits the goals. Raise `InputError` if no goal can be reached.
     """
     motion = MotionConfig()
     centers = volume.center_of(np.argwhere(volume.clearance >= motion.candidate_clearance))
@@ -80,10 +80,10 @@ def capture(
     poses: np.ndarray,  # [F, 4, 4] world_from_camera
     *,
     supersample: int,
-    max_range: float = 10.0,  # metres, as of the default sensor
+    max_range: float = 10.0,  # metres, as for the default sensor; larger depths become 0
     advance: Callable[[], None] = lambda: None,
 ) -> list[Frame]:
-    """Render noise-free frames; ``advance`` is called after each."""
+    """Render one noise-free frame per pose; ``advance`` is called after each frame."""
     renderer = make_renderer("raycast", scene)
     frames = []
     try:
@@ -101,10 +101,10 @@ def observed_share(
     depth: np.ndarray,  # [N] metres along the optical axis of the view
     keyframes: Sequence[Frame],
 ) -> float:
-    """Return the share of the points of a view that some keyframe measured from a similar distance.
+    """Return the share of the surface points of a view that keyframes have measured from a similar distance.
 
-    The point must be in the keyframe's image, the keyframe's depth must agree, and its distance must be at most 1.5
-    times the view's. No mapper can render sharply a surface that was seen only from far away.
+    A point counts if, in some keyframe, it is in the image, agrees with the measured depth, and has at most 1.5 times
+    its depth in the view. No mapper can render a surface sharply that was measured only from far away.
     """
     left, farthest = np.asarray(points), _SEEN_FROM * np.asarray(depth)
     for frame in keyframes:
@@ -133,14 +133,14 @@ def held_out_poses(
     count: int,
     rng: np.random.Generator,
     *,
-    least_observed: float = 0.9,  # share of the pixels
-    tries: int = 4000,  # largest number of drawn views
+    least_observed: float = 0.9,  # least share of the pixels of a view
+    tries: int = 4000,  # largest number of views that are drawn
 ) -> np.ndarray:  # [count, 4, 4] world_from_camera
-    """Draw views from free space whose surfaces the keyframes measured from a similar distance.
+    """Draw ``count`` held-out views in free space that show surfaces which the keyframes have observed.
 
-    Positions are uniform where candidate views are allowed, headings are uniform, and the pitch is as in the walk. A
-    view is accepted if at least ``least_observed`` of its pixels are observed (`observed_share`), so that the views
-    measure the quality of the map and not exploration. Raises `InputError` if too few such views are found.
+    Positions are uniform at least 0.3 m from surfaces, headings are uniform, and the pitch is as in the walk. A view is
+    accepted if at least the share ``least_observed`` of its pixels is observed (`observed_share`). So the views measure
+    the quality of the map and not exploration. Raise `InputError` if too few such views are found.
     """
     thin = PinholeCamera.from_size(camera.width // 5, camera.height // 5)  # enough pixels to estimate the share
     renderer = make_renderer("raycast", scene)

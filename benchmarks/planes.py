@@ -1,14 +1,15 @@
-"""Measure recall and precision of plane detection in scenes with known planes, and the cost of detection and graph.
+"""Measure the recall and precision of plane detection by true planes, and the time of detection and plane graph.
 
-True planes come from the mesh, which gives the face of every pixel. Faces are joined, the one with most pixels first,
-if their normals differ by at most 3 degrees and their pixels are within 5 mm + 1.5 sigma(z) of the common plane. So
-planes that the sensor cannot separate count as one. Pixels beyond the detector's range or at grazing angles are left
-out. Planes and segments of at least 1 % of the image are counted (docs/notebook/groundwork.md). A plane is found, and a
-segment is right, if their intersection over union is at least one half.
+True planes come from the mesh, which gives the triangle of every pixel. A plane begins with the triangle that has the
+most pixels. Triangles join it if their normals differ by at most 3 degrees and their pixels are within 5 mm + 1.5
+sigma(z), where sigma(z) is the depth noise. So planes that the sensor cannot separate count as one. Pixels beyond the
+detector's range or at grazing angles are left out. Only planes and detected segments of at least 1 % of the image are
+counted (docs/notebook/groundwork.md). A plane is found, and a segment is correct, if their intersection over union is
+at least one half.
 
-*Clear* planes are faces of walls and boxes. They hold a circle of 1/20 of the image's width, and no other true plane is
-so near that the graph would join both (8 degrees, 5 cm). Frames, skirtings, slats and panels before a wall are not
-clear.
+*Clear* planes are large faces, for example of walls and boxes. A clear plane contains a circle with a diameter of 1/20
+of the image's width, and no other true plane is so near that the plane graph would join both (8 degrees, 5 cm). Frames,
+skirtings, slats and panels in front of a wall are not clear.
 """
 
 from __future__ import annotations
@@ -38,47 +39,47 @@ from activestructure_gym.sensors.noise import DepthNoise, noisy_depth
 from benchmarks.command import run
 
 SCENES = ("room?seed=3", "apartment?rooms=4&seed=2")
-SIZES = ((160, 90), (320, 180))
+SIZES = ((160, 90), (320, 180))  # (width, height) in pixels
 NOISES: tuple[DepthNoise, ...] = ("none", "kinect")
-CANDIDATES = 256
-PLANES = 60  # number of planes at which the graph's cost is reported
-_LARGE = 0.01  # share of the image
-_SMALL = 0.003  # share of the image; a near plane of this size makes a plane unclear
-_FACE_ANGLE_DEG = 3.0
-_WIDE = 0.025  # least radius of the largest circle inside, as a share of the image's width
+CANDIDATES = 256  # number of candidate views
+PLANES = 60  # number of planes in the graph for which times are reported
+_LARGE = 0.01  # share of the image; smaller planes and segments are not counted
+_SMALL = 0.003  # share of the image; smaller planes next to a plane do not make it unclear
+_FACE_ANGLE_DEG = 3.0  # degrees; largest angle between the normals of joined triangles
+_WIDE = 0.025  # share of the image's width; least radius of the largest circle inside a clear plane
 
-Labels = np.ndarray  # [H, W] int, -1 = no plane
-Detector = Callable[[Frame], tuple[Labels, np.ndarray]]  # labels and the segments' normals [S, 3] in the world
+Labels = np.ndarray  # [H, W] int: index of the plane or segment of each pixel, -1 for none
+Detector = Callable[[Frame], tuple[Labels, np.ndarray]]  # returns labels, and normals [S, 3] of S segments in the world
 
 
 @dataclass(frozen=True)
 class TruePlanes:
-    """Hold the true planes of one view."""
+    """Hold the K true planes of one view."""
 
     depth: np.ndarray  # [H, W] float32 metres, without noise
     labels: Labels
-    planes: np.ndarray  # [K, 4] unit normal towards the camera and offset, world
-    large: np.ndarray  # [K] bool
-    clear: np.ndarray  # [K] bool, a subset of ``large``
-    structural: np.ndarray  # [K] bool: by the scene's face labels; False without labels
+    planes: np.ndarray  # [K, 4] unit normal towards the camera, and offset in metres, world frame
+    large: np.ndarray  # [K] bool: has at least the share `_LARGE` of the image
+    clear: np.ndarray  # [K] bool: is large and clear
+    structural: np.ndarray  # [K] bool: is structural by the scene's face labels; False without labels
 
 
 @dataclass
 class Tally:
-    """Count planes and segments over views."""
+    """Count true planes and detected segments over all views."""
 
-    large: int = 0
-    found: int = 0
+    large: int = 0  # large planes
+    found: int = 0  # large planes that were found
     clear: int = 0
     clear_found: int = 0
     structural: int = 0
     structural_found: int = 0
-    segments: int = 0
-    right: int = 0
-    angles: tuple[float, ...] = ()  # degrees between found planes and their segments
+    segments: int = 0  # large segments
+    right: int = 0  # large segments that are correct
+    angles: tuple[float, ...] = ()  # degrees between the normals of found planes and their segments
 
     def figures(self) -> dict[str, float]:
-        """Return recall, precision and the median angle; NaN for counts of 0."""
+        """Return recall, recall of clear planes, precision and median angle (degrees); NaN if nothing was counted."""
         parts = {
             "recall": (self.found, self.large),
             "clear_recall": (self.clear_found, self.clear),
@@ -93,11 +94,11 @@ def true_planes(
     camera: PinholeCamera,
     pose: np.ndarray,  # [4, 4] world_from_camera
     *,
-    noise_scale: float,  # multiple of the Kinect model's noise, as in `PlaneDetectionConfig`
+    noise_scale: float,  # multiple of the Kinect noise that sigma(z) assumes, as in `PlaneDetectionConfig`
     config: PlaneDetectionConfig | None = None,
     matching: MatchingConfig | None = None,
 ) -> TruePlanes:
-    """Join the mesh's faces in one view to true planes, as described in the module's docstring."""
+    """Return the true planes of one view, joined from the triangles of the mesh as the module's docstring describes."""
     config, matching = config or PlaneDetectionConfig(), matching or MatchingConfig()
     shape = (camera.height, camera.width)
     eye = pose[:3, 3]
@@ -166,7 +167,7 @@ def score_segments(
     truth: TruePlanes,
     tally: Tally,
 ) -> None:
-    """Add the segments of one view to the counts."""
+    """Compare the S detected segments of one view with its true planes, and add the counts to ``tally``."""
     count, total = len(normals), len(truth.planes)
     both = (labels >= 0) & (truth.labels >= 0)
     shared = np.bincount(truth.labels[both] * count + labels[both], minlength=total * count).reshape(total, count)
@@ -189,19 +190,20 @@ def score_segments(
 
 
 def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
-    """Return a detector by OpenCV's plane finder, or None if the installed OpenCV has none (it came with OpenCV 5).
+    """Return a detector that uses OpenCV's plane finder, or None if OpenCV is older than version 5 and has none.
 
-    Block and segment sizes are the best ones measured: blocks of 4 px at 160 px (docs/notebook/groundwork.md).
+    ``noisy`` says whether images have Kinect noise. Block and segment sizes are the best measured ones: blocks of 4
+    pixels for images of 160 pixels width (docs/notebook/groundwork.md).
     """
     if not hasattr(cv2, "findPlanes") or not hasattr(cv2, "RgbdNormals_create"):
         return None
     matrix = camera.matrix.astype(np.float32)
-    matrix[:2, 2] -= 0.5  # OpenCV's origin is the centre of the first pixel
+    matrix[:2, 2] -= 0.5  # the origin of OpenCV's pixel coordinates is the centre of the first pixel
     shape = (camera.height, camera.width)
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS  # type: ignore[attr-defined]
     finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, method)  # type: ignore[attr-defined]
     block = max(4, camera.width // 40)
-    # `axial_sigma` as a z^2 + b z + c
+    # Coefficients a, b, c of the depth noise `axial_sigma`, written as a z^2 + b z + c.
     error = (GROWTH, -2.0 * GROWTH * MIN_DEPTH_M, MIN_SIGMA_M + GROWTH * MIN_DEPTH_M**2) if noisy else (0.0, 0.0, 0.0)
 
     def detect(frame: Frame) -> tuple[Labels, np.ndarray]:
@@ -226,7 +228,10 @@ def detection_rows(
     views: int = 20,
     seed: int = 3,
 ) -> list[dict[str, Any]]:
-    """Return one row per size and noise: planes, recall, precision, angle and processor time, and those of OpenCV."""
+    """Return one row per image size and noise, with results of this package's detector and of OpenCV (``cv2_``).
+
+    A row has the number of planes, recall, precision, the median angle in degrees, and the median wall time in ms.
+    """
     poses = benchmark_views(scene, views, np.random.default_rng(seed))
     rows = []
     for size in sizes:
@@ -262,12 +267,12 @@ def detection_rows(
 def graph_rows(
     scene: Scene, *, keyframes: int = 60, candidates: int = CANDIDATES, seed: int = 5
 ) -> list[dict[str, Any]]:
-    """Return one row with the wall time of plane detection and graph per decision, as medians in milliseconds.
+    """Return one row with the wall time of plane detection and plane graph per decision, in milliseconds.
 
-    The medians are over the third of the keyframes whose graph has closest to 60 planes. ``sum_ms`` excludes detection:
-    it is the update of the graph with quality, surprise and deficits, the visibility of planes from all candidates, and
-    the features `structure` and `deficiency`. Views are drawn as in `detection_rows`; sensor, map, volume and threads
-    are those of the preset ``default``.
+    Times are medians over a third of the keyframes: those in which the number of planes in the graph is closest to 60.
+    ``sum_ms`` excludes detection. It includes the update of the graph with quality, surprise and deficits, the
+    visibility of planes from all candidates, and the features `structure` and `deficiency`. Views are drawn as in
+    `detection_rows`; sensor, map, volume and threads are as in the preset ``default``.
     """
     from activestructure_gym.config import configure
     from activestructure_gym.features import FEATURES, FeatureContext
@@ -309,7 +314,7 @@ def graph_rows(
         graph.integrate(frame, detection)
         graph.assess(space_state=volume.state_at, map_points=points)
         marks.append(time.perf_counter())
-        _ = context.visible  # computed here, so that the features do not include it
+        _ = context.visible  # computed here, so the times of the features do not include it
         marks.append(time.perf_counter())
         for feature in ("structure", "deficiency"):
             FEATURES.get(feature)(context)
@@ -317,7 +322,7 @@ def graph_rows(
         for name, taken in zip(seconds, np.diff(marks)):
             seconds[name].append(1000.0 * taken)
         counts.append(len(graph.nodes))
-    # The first keyframe is left out, since it compiles kernels.
+    # The first keyframe is left out, since kernels are compiled during it.
     near = 1 + np.argsort(np.abs(np.array(counts[1:]) - PLANES), kind="stable")[: max(1, keyframes // 3)]
     row: dict[str, Any] = {"scene": scene.name, "keyframes": keyframes, "candidates": candidates}
     row["nodes"] = tuple(np.percentile([counts[k] for k in near], (0, 100)).astype(int).tolist())

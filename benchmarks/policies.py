@@ -1,4 +1,7 @@
-"""Time one decision of each policy: the features of all candidates and the choice, on one real state of an episode."""
+"""Measure the time of one decision of each policy, in the same state of an episode.
+
+A decision consists of the candidates, the features of all candidates, and the choice.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,8 @@ from benchmarks.command import run
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
-LIMIT_S = 2.0  # seconds per decision, except for the policies of LIMITS_S
-LIMITS_S = {"activestructure": 0.12}
+LIMIT_S = 2.0  # limit of the seconds per decision, for policies without an entry in LIMITS_S
+LIMITS_S = {"activestructure": 0.12}  # limit of the seconds per decision by policy
 SCENE = "apartment?rooms=3"
 _SEED = 0
 
@@ -33,19 +36,19 @@ _SEED = 0
 def run_policy_benchmark(
     scene: str = SCENE,
     *,
-    policies: Sequence[str] = (),  # (): all registered policies
+    policies: Sequence[str] = (),  # empty: all registered policies
     preset: Preset = "default",
-    gaussians: int = 30_000,  # the state is taken when the map has this many and the candidate table is full
-    frames: int = 400,  # or after this many frames
-    repeats: int = 7,
+    gaussians: int = 30_000,  # the state is taken once the map has this number and the candidate table is full
+    frames: int = 400,  # the state is taken after this number of frames at the latest
+    repeats: int = 7,  # timed decisions per policy
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """Return a row per policy: seconds per decision as median with quartiles, and medians of its parts.
+    """Return a row per policy: median and quartiles of the seconds per decision, and the medians of its parts.
 
-    The state is that of an episode of `pixel_only`. A decision is ``offer``, features and policy together; ``offer``
-    (paths, candidates, revisits) is equal for all policies. Every decision is made on a fresh copy of the mapper after
-    its last keyframes, so that the cost includes the policy's measurements of new keyframes. Policies alternate, and
-    the first round, which compiles kernels, is not timed. ``limit`` states whether the median is under the limit.
+    The state is from an episode of the policy pixel_only. The parts of a decision are ``offer`` (paths, candidates and
+    revisits, equal for all policies), features, and policy. Every decision is made on a fresh copy of the mapper, so
+    the time includes the features' measurements of new keyframes. Policies alternate. The first round is not timed,
+    since it compiles kernels. ``limit`` states whether the median is under the limit.
     """
     from activestructure_gym.policies import POLICIES
 
@@ -73,7 +76,7 @@ def run_policy_benchmark(
 
 
 def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
-    """Return an env in the middle of an episode."""
+    """Play a part of an episode with the policy pixel_only, and return the environment in this state."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
 
@@ -94,7 +97,7 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
 
 
 def _update_memory(env: Any) -> None:
-    """Update the memory of features about keyframes (`FeatureContext.episode`), without candidates."""
+    """Update the data that some features keep about keyframes (`FeatureContext.episode`), as for a real decision."""
     from activestructure_gym.features import FEATURES
 
     context = env.reconstruction.feature_context(np.zeros((0, 4, 4)))
@@ -103,7 +106,11 @@ def _update_memory(env: Any) -> None:
 
 
 def _decision(env: Any, name: str) -> dict[str, float]:
-    """Time one decision of policy ``name`` in the env's state, which is not changed; return seconds by part."""
+    """Time one decision of the policy ``name`` in the current state of ``env``, without a step of the environment.
+
+    Return the wall seconds of each part, and the processor seconds of the decision. The configuration of ``env`` gets
+    the features of the policy.
+    """
     from activestructure_gym.envs.observation import encode
     from activestructure_gym.policies import make_policy
 
@@ -172,7 +179,7 @@ class Policies:
         size |= {name: value for name, value in given.items() if value is not None}
         names = split_policies(self.policies)
         for name in names:
-            make_policy(name)  # refuses an unknown name before exploring
+            make_policy(name)  # raises InputError for an unknown name before the episode is played
         with console.status("measuring the policies") as status:
             rows = [
                 row | {"scene": spec}

@@ -24,14 +24,14 @@ master_doc = "index"
 
 # Single backticks in docstrings mark code.
 default_role = "code"
-myst_heading_anchors = 4  # links to headings are checked, as on GitHub
+myst_heading_anchors = 4  # headings up to level 4 get anchors as on GitHub, so links to headings are checked
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_rtype = False
-nitpicky = True  # for names with an entry in the reference; the pattern below excepts all others
+nitpicky = True  # warn about names that cannot be resolved; the pattern below excepts names without an entry
 nitpick_ignore_regex = [(r"py:.*", rf"(?!(?:{'|'.join(map(re.escape, ROOMS))})\.[A-Z]\w+$).*")]
-linkcheck_timeout = 20  # seconds, in docs/build --links
+linkcheck_timeout = 20  # seconds per link in docs/build --links
 
 html_theme = "furo"
 html_title = f"ActiveStructure Gym {__version__}"

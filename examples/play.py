@@ -1,9 +1,9 @@
-"""Run any policy on any scene, step by step, with the loop of `asg compare`.
+"""Run any policy on any scene, step by step, with the same loop as `asg compare`.
 
     python examples/play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
 
-The environment computes the features that the policy requires, and the policy finds their columns by name. Copy this
-file to change the loop.
+The environment computes the features that the policy requires, and the policy finds their columns by name. You can copy
+this file and change the loop.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from activestructure_gym.policies import make_env_and_policy
 
 @dataclass
 class Args:
-    """Define the options."""
+    """Hold the command-line options."""
 
     policy: str = "hole_area"
     """A name with its options, package.module:Class, or learned:CHECKPOINT."""
@@ -34,7 +34,7 @@ class Args:
 
 
 def main(args: Args) -> list[int]:
-    """Play one episode; return the chosen rows of the candidate table."""
+    """Play one episode, and return the rows of the candidate table that the policy has chosen."""
     env, policy = make_env_and_policy(
         args.policy, args.scene, preset=args.preset, frame_budget=args.frames, render_mode="rgb_array"
     )

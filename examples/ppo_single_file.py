@@ -2,8 +2,8 @@
 
     python examples/ppo_single_file.py --env-id activestructure_gym:ActiveStructure/Room-v0 --total-steps 8192
 
-The network scores every row of the candidate table; the action mask excludes empty rows. The file imports nothing from
-the learned policies of this project. Copy it to change the algorithm.
+The network scores every row of the candidate table; the action mask excludes empty rows. The file does not use the
+learned policies of this project. You can copy it and change the algorithm.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from torch import Tensor, nn
 
 import activestructure_gym  # noqa: F401  (registers the environments)
 
+# Entries of an observation that the network reads.
 KEYS = ("pose", "budget", "candidates", "candidate_features", "action_mask", "plane_features", "candidate_planes")
 
 
 @dataclass
 class Args:
-    """Define the options; the defaults suit short episodes on two cores."""
+    """Hold the command-line options; the defaults are for short episodes on two cores."""
 
     env_id: str = "activestructure_gym:ActiveStructure/Room-v0"
     preset: str = "fast"
@@ -51,7 +52,7 @@ class Args:
 
 
 class Agent(nn.Module):
-    """Score each candidate by its row, the mean and maximum over all rows, and its visible planes."""
+    """Score each candidate from its row, its visible planes, and the mean and maximum over all rows."""
 
     def __init__(self, features: int, plane_columns: int, width: int = 64) -> None:
         super().__init__()
@@ -64,14 +65,14 @@ class Agent(nn.Module):
         nn.init.normal_(self.score[-1].weight, std=0.01)
 
     def forward(self, observation: dict[str, Tensor]) -> tuple[torch.distributions.Categorical, Tensor]:
-        """Return the distribution over rows, and the values [B]."""
+        """Return the distribution over the K rows of each of B observations, and the values [B]."""
         mask = observation["action_mask"] > 0  # [B, K]
         table, features = observation["candidates"], observation["candidate_features"]
         offset = (table[..., :3] - observation["pose"][:, None, :3]) / 5.0
-        discount = 1.0 / (1.0 + table[..., 7:8] / 5.0)  # by the frames of the path
+        discount = 1.0 / (1.0 + table[..., 7:8] / 5.0)  # column 7 is the number of frames of the path
         largest = (features.abs() * mask[..., None]).amax(1, keepdim=True).clamp(min=1e-6)
         seen = observation["candidate_planes"]
-        # Logarithmic, since areas and positions have no common scale.
+        # Plane features are scaled logarithmically, since areas and positions have no common scale.
         planes = self.planes(observation["plane_features"].sign() * observation["plane_features"].abs().log1p())
         summary = seen @ planes / (1.0 + seen.sum(-1, keepdim=True))
         row = torch.cat(
@@ -79,7 +80,7 @@ class Agent(nn.Module):
         )
         tokens = self.rows(row) * mask[..., None]
         mean = tokens.sum(1) / mask.sum(1, keepdim=True).clamp(min=1)
-        common = torch.cat([mean, tokens.amax(1), observation["budget"]], -1)  # tokens are 0 or more
+        common = torch.cat([mean, tokens.amax(1), observation["budget"]], -1)  # empty rows are 0, the least value
         spread = common[:, None].expand(-1, tokens.shape[1], -1)
         scores = self.score(torch.cat([tokens, spread], -1)).squeeze(-1)
         logits = torch.where(mask, scores, scores.new_full((), -1e8))
@@ -87,12 +88,12 @@ class Agent(nn.Module):
 
 
 def tensors(observation: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """Return the observation entries of `KEYS` as float32 tensors."""
+    """Return the entries `KEYS` of an observation as float32 tensors."""
     return {key: torch.as_tensor(np.asarray(observation[key]), dtype=torch.float32) for key in KEYS}
 
 
 def main(args: Args) -> list[float]:
-    """Train; return the mean reward per step of every update."""
+    """Train an agent, and return the mean reward per step of every update."""
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     vector: dict[str, object] = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
@@ -130,7 +131,7 @@ def main(args: Args) -> list[float]:
             raw, reward, terminated, truncated, _ = envs.step(action.numpy())
             observation = tensors(raw)
             rewards.append(torch.as_tensor(reward, dtype=torch.float32))
-            # The budget is part of the observation, so its end is a termination without a further value.
+            # The budget is part of the observation. So its end is a termination, and no later value is added.
             dones.append(torch.as_tensor(terminated | truncated, dtype=torch.float32))
 
         with torch.no_grad():

@@ -1,4 +1,4 @@
-"""Train PPO of RLlib with the candidate-set network, on one machine or a cluster.
+"""Train PPO of RLlib with the project's network over candidate views, on one machine or on a cluster.
 
     pip install 'activestructure-gym[rllib]'
     python examples/rllib_ppo.py --iterations 2 --env-runners 2
@@ -31,7 +31,7 @@ ENV = "active_structure"
 
 @dataclass
 class Args:
-    """Define the options."""
+    """Hold the command-line options."""
 
     env_id: str = "activestructure_gym:ActiveStructure/Room-v0"
     preset: str = "fast"
@@ -49,7 +49,7 @@ class Args:
 
 
 class CandidateModule(TorchRLModule, ValueFunctionAPI):
-    """Adapt `CandidateNetwork` to RLlib: the masked scores are the logits."""
+    """Adapt `CandidateNetwork` to RLlib; the masked scores of the candidates are the logits of the actions."""
 
     def setup(self) -> None:
         """Create the network; RLlib calls this instead of a constructor."""
@@ -60,18 +60,18 @@ class CandidateModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: scores}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> Any:
-        """Return the values of the critic, which RLlib needs for advantages."""
+        """Return the critic's values [B] of a batch of observations, which RLlib needs for advantages."""
         return self.network({key: value.float() for key, value in batch[Columns.OBS].items()})[1]
 
 
 def make_env(config: dict[str, Any]) -> gym.Env[Any, Any]:
-    """Return an environment with only those observation entries that the network reads."""
+    """Make an environment whose observations have only the entries that the network reads."""
     options = dict(config)
     return with_used_keys(gym.make(options.pop("env_id"), disable_env_checker=True, **options))
 
 
 def main(args: Args) -> list[float]:
-    """Train; return the mean episode return of every iteration."""
+    """Train a policy, and return the mean episode return of every iteration."""
     ray.init(address=args.address, ignore_reinit_error=True, include_dashboard=False, log_to_driver=False)
     register_env(ENV, make_env)
     config = (

@@ -1,4 +1,4 @@
-"""Train PPO of Stable-Baselines3 on one of our environments, in twelve lines."""
+"""Train PPO of Stable-Baselines3 on an environment of this project, and play an episode with the trained policy."""
 
 import gymnasium as gym
 from stable_baselines3 import PPO

@@ -1,7 +1,7 @@
-"""Make pages of the site from the code: environments, policies, features and the reference.
+"""Make pages of the documentation site from the code: environments, policies, features and the reference.
 
-They are written to ``docs/_made``, which git ignores, before the site is built. Unchanged pages are not written again,
-so that Sphinx does not read them again.
+The pages are written to ``docs/_made``, which git ignores, before the site is built. Unchanged pages are not written
+again, so Sphinx does not read them again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ MADE = Path(__file__).parents[1] / "_made"
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Register the handlers with Sphinx; pages are made before it searches for sources."""
+    """Register the handlers of this package with Sphinx, such that pages are made before Sphinx lists its sources."""
     from _site.links import named_links, outside_links
     from _site.reference import link_to_entry
     from _site.shapes import add_shapes
@@ -29,12 +29,12 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def _bars(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Escape bars in docstrings, which are absolute values as in |P_i| and not substitutions."""
+    """Escape bars such as in |P_i| in the lines of a docstring, since reStructuredText uses bars for substitutions."""
     lines[:] = [re.sub(r"(?<!\\)\|", r"\\|", line) if "``" not in line else line for line in lines]
 
 
 def make_pages() -> None:
-    """Write all pages that are made from the code, and remove old ones."""
+    """Write all pages that are made from the code, and remove pages that are no longer made."""
     from _site import environments, gallery, reference
 
     pages = {**environments.pages(MADE), **gallery.pages(), **reference.pages()}
@@ -46,7 +46,7 @@ def make_pages() -> None:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a file if its content changes."""
+    """Write ``text`` to the file ``path``, unless the file has this content already."""
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

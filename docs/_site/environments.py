@@ -1,4 +1,4 @@
-"""Make a page per environment: its docstring, how to make it, and an animation of an episode."""
+"""Make a page per environment: its docstring, code that makes it, and an animation of an episode."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from activestructure_gym.envs import tasks
 from activestructure_gym.envs.registration import NAMESPACE, TASKS
 
 ROOT = Path(__file__).parents[2]
-# Scene of each animation. Datasets may not be published, so their pages show the animation of Mesh-v0.
+# Scene of the animation by environment. Images of datasets may not be published, so their pages show that of Mesh-v0.
 SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2", "Mesh-v0": "flat.glb?up=y"}
 FLAT = "apartment?rooms=1&seed=5"  # the scene in flat.glb
-POLICY, FRAMES, SEED = "activestructure", 150, 0
-_WIDTH = 720  # pixels
-_MILLISECONDS = 700  # per decision
+POLICY, FRAMES, SEED = "activestructure", 150, 0  # of the episode in an animation
+_WIDTH = 720  # width of an animation in pixels
+_MILLISECONDS = 700  # duration of a decision in an animation
 
 
 def pages(made: Path) -> dict[str, str]:
-    """Return the pages by name, and write their animations into ``made``."""
+    """Return the pages by file name, and write their animations below the folder ``made``."""
     texts = {"environments/index.md": _index()}
     for task, class_name in TASKS.items():
         texts[f"environments/{task.lower()}.md"] = _page(task, getattr(tasks, class_name), made)
@@ -54,12 +54,15 @@ def _page(task: str, kind: type, made: Path) -> str:
     )
     make = f'import gymnasium as gym\n\nenv = gym.make("activestructure_gym:{NAMESPACE}/{task}"'
     make += ', scene="...")' if inspect.signature(kind).parameters["scene"].default is None else ")"
-    # The headings of the docstring are of the second level already.
+    # The docstring of an environment begins with a heading of level 2.
     return f"# {task}\n\n{shown}```python\n{make}\n```\n\n{lines}\n"
 
 
 def animation(task: str, folder: Path) -> str:
-    """Return the file name of an animation of a short episode, which is made again if the code has changed."""
+    """Return the name of the file in ``folder`` with the animation of an environment.
+
+    The animation is made if the file does not exist, or if the code has changed since.
+    """
     key = hashlib.sha256(f"{_code()} {SHOWN_IN[task]}".encode()).hexdigest()[:8]
     path = folder / f"{task.lower()}-{key}.webp"
     if not path.is_file():
@@ -72,7 +75,7 @@ def animation(task: str, folder: Path) -> str:
 
 @cache
 def _code() -> str:
-    """Return a checksum of this file and of the code that plays an episode."""
+    """Return a checksum of this file and of all code that affects an episode."""
     files = [path for room in ("activestructure_gym", "envs", "policies") for path in (ROOT / room).rglob("*.py")]
     total = hashlib.sha256()
     for path in (*sorted(files), Path(__file__)):

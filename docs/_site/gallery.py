@@ -1,4 +1,4 @@
-"""Make the gallery of policies: criterion, equation and features from docstrings, and the benchmark's curve."""
+"""Make the gallery of policies: criterion, equation and features from docstrings, and curves of the benchmark."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ DOCS = Path(__file__).parents[1]
 CURVES = DOCS / "images" / "benchmark_curves.json"
 RUNS = DOCS / "notebook" / "benchmark.csv"
 SEEDS = ("0", "1", "2")  # seeds that every policy has played
-SAME = {"activestructure-a": "pixel_only"}  # policies with byte-equal runs, which are played once
-_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # size of a chart, pixels
-_MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # quantity and limits of the vertical axis, percent
+SAME = {"activestructure-a": "pixel_only"}  # policy whose runs are byte by byte those of another policy, by name
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # size, left margin and lower margin of a chart in pixels
+_MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # metric and limits of the vertical axis in percent
 
 
 def pages() -> dict[str, str]:
-    """Return the gallery and a page per policy, by name."""
+    """Return the gallery and one page per policy, by file name."""
     curves = json.loads(CURVES.read_text(encoding="utf-8"))
     names = sorted(POLICIES)
     texts = {f"policies/{name}.md": _page(name, curves) for name in names}
@@ -95,7 +95,10 @@ def _page(name: str, curves: dict) -> str:
 
 
 def _benchmark(name: str, key: str) -> float:
-    """Return the number of a policy in the table of benchmark.md: mean over scenes of means over `SEEDS`."""
+    """Return a policy's value of the metric ``key`` in the table of benchmark.md.
+
+    It is the mean over scenes of means over `SEEDS`.
+    """
     by_scene = defaultdict(list)
     for run in _runs():
         if run["policy"] == SAME.get(name, name) and run["seed"] in SEEDS:
@@ -110,7 +113,7 @@ def _runs() -> list[dict[str, str]]:
 
 
 def _equation(kind: type[Policy]) -> str:
-    """Return the sentence of the docstring's first paragraph that is an equation or names a maximum."""
+    """Return the first sentence with "=", argmax or argmin in the first paragraph of a policy's docstring, or ""."""
     first = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
     first = re.sub(r"^(Choose|Follow) ", "", first)
     sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|, as ActiveGS", first)
@@ -127,7 +130,7 @@ def _table(names: Sequence[str]) -> str:
 
 
 def _readme(kind: type[Policy]) -> str:
-    """Return README.md of the planner's folder without heading, with links adapted; empty if there is none."""
+    """Return README.md in the folder of a policy without its heading, with adapted links; empty without the file."""
     page = Path(inspect.getfile(kind)).with_name("README.md") if kind.__module__.endswith(".policy") else None
     if page is None or not page.is_file():
         return ""
@@ -160,13 +163,13 @@ def _chart(name: str, curves: dict, behind: str) -> str:
 
 
 def _others(curves: dict) -> str:
-    """Return the lines of all policies and the oracle, as the background of a chart."""
+    """Return the curves of all policies and of the oracle as SVG elements, for the background of a chart."""
     policies = [_line(curves["frames"], values[_MEASURE], "other") for values in curves["policies"].values()]
     return "".join(policies) + _line(curves["frames"], curves["references"]["oracle"][_MEASURE], "reference")
 
 
 def _behind(curves: dict) -> str:
-    """Return the background as an SVG definition, which all charts of a page use by name."""
+    """Return the background of all charts as an SVG with a definition "others", to which the charts refer."""
     lines = f'<defs><g id="others">{_others(curves)}</g></defs>'
     return f'<svg class="curve" width="0" height="0" aria-hidden="true">{lines}</svg>'
 

@@ -1,6 +1,8 @@
-"""Adapt links to the site: links to other files of the repository become text, papers and programs become links.
+"""Adapt the links of pages to the site, and summarise the result of Sphinx's link check.
 
-python -m _site.links ../build/links/output.json    # the result of docs/build --links
+python -m _site.links ../build/links/output.json    # summarise the result of docs/build --links
+
+Links to files outside docs/ become text. In the bibliography, arXiv numbers and names of repositories become links.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def outside_links(app: Any, name: str, source: list[str]) -> None:
-    """Replace links to files outside of docs/ by their text when Sphinx reads a page."""
+    """Replace links to files outside docs/ by their text; Sphinx calls this when it reads the page ``name``."""
     folder = (DOCS / name).parent
 
     def replaced(found: re.Match[str]) -> str:
@@ -36,14 +38,14 @@ def outside_links(app: Any, name: str, source: list[str]) -> None:
 
 
 def named_links(app: Any, name: str, source: list[str]) -> None:
-    """Turn arXiv numbers and repositories behind "Code:" in the bibliography into links."""
+    """Turn arXiv numbers, and names of repositories after "Code:", into links on the page of references."""
     if name == "references":
         text = _PAPER.sub(r"[arXiv \1](https://arxiv.org/abs/\1)", source[0])
         source[0] = _PROGRAM.sub(r"\1[`\2`](https://github.com/\2)", text)
 
 
 def summary(lines: list[str]) -> tuple[str, bool]:
-    """Return a summary of the lines of Sphinx's ``output.json``, and whether every link answered."""
+    """Summarise the lines of ``output.json`` of Sphinx's link check as text; return also whether all links work."""
     links = {found["uri"]: found for found in map(json.loads, lines) if found["uri"].startswith(("http:", "https:"))}
     count = Counter(found["status"] for found in links.values())
     answered = count["working"] + count["redirected"]

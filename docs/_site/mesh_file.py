@@ -1,4 +1,4 @@
-"""Write a scene as a binary glTF file, for the page of Mesh-v0."""
+"""Write the mesh of a scene as a binary glTF file, for the page of the environment Mesh-v0."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from PIL import Image
 
 from activestructure_gym.scenes import SceneMesh
 
-_BUFFERS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125}  # component types, glTF 2.0, 3.6.2.2
+_BUFFERS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125}  # component type by dtype (glTF 2.0, 3.6.2.2)
 
 
 def write_glb(mesh: SceneMesh, path: Path) -> None:
-    """Write triangles, textures and vertex colours, y up and in linear light (glTF 2.0, 3.4 and 3.9.2)."""
+    """Write the triangles, textures and vertex colours of ``mesh`` to the file ``path``.
+
+    glTF needs y up and linear vertex colours (glTF 2.0, 3.4 and 3.9.2).
+    """
     whole: dict[str, Any] = {
         "asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "images": [], "textures": [], "materials": [],
     }  # fmt: skip
@@ -66,6 +69,6 @@ def write_glb(mesh: SceneMesh, path: Path) -> None:
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
-    """Return the linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
+    """Convert sRGB values in 0..1 to linear light (IEC 61966-2-1)."""
     shown = np.clip(srgb, 0.0, 1.0)
     return np.asarray(np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4))

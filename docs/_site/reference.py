@@ -1,4 +1,4 @@
-"""Make the reference: a page per room with its public names, from docstrings and comments."""
+"""Make the reference: a page per room with its public names, from docstrings and comments. A room is a package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from activestructure_gym.features.table import feature_table
 
-# The rooms of docs/guide/api.md and those it refers to. A name in several rooms has its entry in the last one.
+# Titles of the rooms in docs/guide/api.md. A name that several rooms have is described in the last of these.
 ROOMS = {
     "activestructure_gym": "What most programs need",
     "activestructure_gym.envs": "Environments",
@@ -30,7 +30,7 @@ ROOMS = {
 
 
 def pages() -> dict[str, str]:
-    """Return a page per room and their index, by name."""
+    """Return a page per room, the table of features, and the index of the reference, by file name."""
     texts = {f"reference/{room}.md": _page(room, title) for room, title in ROOMS.items()}
     texts["features/index.md"] = f"# Table of the features\n\n{feature_table()}\n"
     names = "\n".join(ROOMS)
@@ -44,7 +44,10 @@ def pages() -> dict[str, str]:
 
 @cache
 def entries() -> dict[str, str]:
-    """Return the name of the entry of every function and class, by the name of its definition."""
+    """Return, for the full name of each public function's or class's definition, the name under which it is described.
+
+    For example, "activestructure_gym.scenes.scene.Scene" is described as "activestructure_gym.scenes.Scene".
+    """
     found = {}
     for room in ROOMS:
         module = importlib.import_module(room)
@@ -56,7 +59,7 @@ def entries() -> dict[str, str]:
 
 
 def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
-    """Resolve a name in a signature that Sphinx does not find to the entry of its definition."""
+    """Return a link for a name in a signature that Sphinx cannot resolve, by `entries`; None for other names."""
     name = entries().get(node.get("reftarget", ""))
     if name is None:
         return None
@@ -65,7 +68,10 @@ def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
 
 
 def field_words(kind: type) -> list[tuple[str, str, str, str]]:
-    """Return name, type, default and comment (behind, below or above) of the fields that a dataclass defines itself."""
+    """Return (name, type, default, description) of each field that a dataclass defines itself and does not inherit.
+
+    The description is the comment on the field's line, else the string below it, else the comment above it.
+    """
     source = inspect.cleandoc("\n" + inspect.getsource(kind))
     comments = {
         token.start[0]: (token.string.lstrip("# "), token.line.lstrip().startswith("#"))
@@ -91,7 +97,7 @@ def field_words(kind: type) -> list[tuple[str, str, str, str]]:
 
 
 def escaped(text: str) -> str:
-    """Escape a docstring or comment for Markdown, except its code."""
+    """Escape Markdown characters in a docstring or comment, except in code between backticks."""
     parts = text.split("`")
     parts[::2] = ["".join(f"\\{letter}" if letter in "*<>|_[]#" else letter for letter in part) for part in parts[::2]]
     parts[1::2] = [part.replace("|", "\\|") for part in parts[1::2]]
@@ -137,7 +143,7 @@ def _has_entry_in(thing: Any, room: str, name: str) -> bool:
 
 
 def _entry(room: str, name: str, thing: object) -> list[str]:
-    # Policies and environments have pages of their own.
+    # Environments have their own pages.
     if inspect.isclass(thing):
         if not _has_entry_in(thing, room, name):
             return [f"`{name}`: :py:class:`{entries()[_written(thing)]}`"]
@@ -154,7 +160,7 @@ def _entry(room: str, name: str, thing: object) -> list[str]:
 
 
 def _has_table(thing: object) -> bool:
-    """Return whether it is a dataclass whose fields are described by comments and not in its docstring."""
+    """Return whether ``thing`` is a dataclass whose fields are described by comments and not in its docstring."""
     if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
         return False
     comments = [bool(words) for *_, words in field_words(thing)]

@@ -1,4 +1,4 @@
-"""Add shapes and units of arguments and results, from the comments in signatures, to the reference."""
+"""Add the shapes and units of arguments and results to the reference, from comments in signatures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def add_shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Append shapes and units to the docstring of a function, method or property."""
+    """Append shapes and units to the lines of a docstring; Sphinx calls this for every documented object."""
     if what not in ("function", "method", "property"):
         return
     comments = [f"``{name}`` {_plain(words)}" if name else _plain(words) for name, words in shapes(thing)]
@@ -21,7 +21,7 @@ def add_shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: 
 
 
 def shapes(thing: Any) -> list[tuple[str, str]]:
-    """Return the comments in a function's signature as pairs of argument and text; the result's argument is empty."""
+    """Return (argument, comment) for every comment in a function's signature; the argument is "" for the result."""
     function: Any = thing.fget if isinstance(thing, property) else inspect.unwrap(thing)
     try:
         source = textwrap.dedent(inspect.getsource(function))
@@ -40,7 +40,7 @@ def shapes(thing: Any) -> list[tuple[str, str]]:
     rows = [
         (one.arg, comments[one.end_lineno])
         for one in asked
-        if one.end_lineno in comments and one.end_lineno != last  # the result's comment
+        if one.end_lineno in comments and one.end_lineno != last  # a comment on the last line is on the result
     ]
     if last in comments:
         rows.append(("", comments[last] if "->" in comments[last] else f"returns {comments[last]}"))
@@ -48,7 +48,7 @@ def shapes(thing: Any) -> list[tuple[str, str]]:
 
 
 def _plain(words: str) -> str:
-    """Escape a text for reStructuredText, except its code."""
+    """Escape reStructuredText characters in a text, except in code between backticks."""
     parts = words.split("`")
     parts[::2] = [re.sub(r"([*|_\\])", r"\\\1", part) for part in parts[::2]]
     return "`".join(parts)

@@ -1,11 +1,11 @@
 """Make benchmark_curves.json, the curves of policies over 300 frames, and draw benchmark_curves.svg and policies.svg.
 
-    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # replace all policies
-    python docs/images/benchmark_curves.py runs/oracle                  # add references
+    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # replace the curves of all policies
+    python docs/images/benchmark_curves.py runs/oracle                  # add references, if the runs have any
     python docs/images/benchmark_curves.py                              # draw only
 
-A curve is the mean over scenes of means over seeds. A run in several comparisons is taken from the first. The gallery
-of the site (docs/_site/gallery.py) draws the same file.
+A curve is the mean over scenes of means over seeds. If a run is in several comparisons, the first one is used. The
+gallery of the site (docs/_site/gallery.py) draws the same curves.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from activestructure_gym.evaluation.report.charts.plots import Line, line_chart,
 from activestructure_gym.evaluation.report.results import gather
 
 FRAMES = np.arange(0, 301, 10)
-MEASURES = ("observed", "completion_ratio")  # PSNR during an episode is of few views
-SAME = {"activestructure-a": "pixel_only"}  # policies with byte-equal runs, which are played once
+MEASURES = ("observed", "completion_ratio")  # without PSNR, which is measured on few views during an episode
+SAME = {"activestructure-a": "pixel_only"}  # policy whose runs are byte by byte those of another policy, by name
 
 PLACE = Path(__file__).with_suffix(".json")
 DRAWN = ("oracle", "activestructure", "unknown_volume", "hole_area", "pixel_only", "random")
-FIRST = 50  # first frame of the figure; the first views show two fifths of the surface and would flatten the rest
+FIRST = 50  # first frame of the figure; the first views show two fifths of the surface, which would flatten the curves
 PANELS = {"observed": "surface observed [%]", "completion_ratio": "C.R. at 5 cm [%]"}
 Curves = dict[str, dict[str, list[float]]]  # by policy and measure
 
 
 def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str, int]]]:
-    """Return mean curves of policies and of references in these runs, and their scenes and seeds."""
+    """Return the mean curves of policies, those of references, and all (scene, seed) pairs in comparison directories.
+
+    Policies and references without a run of every pair are left out, with a message.
+    """
     runs: dict[tuple[str, str, int], Run] = {}
     for directory in directories:
         for run in gather([directory]).runs:
@@ -68,7 +71,7 @@ def _mean(
 
 
 def written(directories: Sequence[Path]) -> None:
-    """Write the curves of these comparisons into the file."""
+    """Write the curves of the runs in comparison directories to benchmark_curves.json."""
     policies, references, every = gathered(directories)
     content = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
     content["references"] = dict(sorted((content.get("references", {}) | references).items()))
@@ -83,7 +86,7 @@ def written(directories: Sequence[Path]) -> None:
 
 
 def drawn() -> str:
-    """Draw the observed share over frames of some policies and the oracle, as SVG."""
+    """Return a chart of the observed share over frames as SVG text, for the policies and references in `DRAWN`."""
     content = json.loads(PLACE.read_text(encoding="utf-8"))
     frames, curves = np.array(content["frames"], np.float64), content["references"] | content["policies"]
     later = frames >= FIRST
@@ -98,7 +101,7 @@ def drawn() -> str:
 
 
 def panels() -> str:
-    """Draw the observed share and C.R. of every policy, with all others in grey, as SVG."""
+    """Return a chart with a panel per policy as SVG text: observed share and C.R., with all others in grey."""
     content = json.loads(PLACE.read_text(encoding="utf-8"))
     frames = np.array(content["frames"], np.float64)
     names = sorted(content["policies"])

@@ -1,4 +1,4 @@
-"""Choose the scene and seed of README's pictures: the median paired difference in PSNR among headline.csv."""
+"""Choose the scene and the seed of README's images: the pair of runs in headline.csv with the median gain in PSNR."""
 
 from __future__ import annotations
 
@@ -19,20 +19,27 @@ NUMBERS = ("observed", "completion_ratio", "psnr", "metres")
 
 
 def median_cell(table: dict[str, dict[tuple[str, int], dict[str, float]]]) -> tuple[str, int]:
-    """Return scene and seed of the median of PSNR of OURS minus BASE; for an even number the lower of the two."""
+    """Return the scene and the seed with the median difference in PSNR, OURS minus BASE.
+
+    ``table`` has metrics by policy, then by (scene, seed). For an even number of pairs, it is the lower of the middle
+    two.
+    """
     gains = {cell: run["psnr"] - table[BASE][cell]["psnr"] for cell, run in table[OURS].items() if cell in table[BASE]}
     return sorted(gains, key=lambda cell: (gains[cell], cell))[(len(gains) - 1) // 2]
 
 
 def stored() -> dict[str, dict[tuple[str, int], dict[str, float]]]:
-    """Return the numbers of every run of headline.csv, by policy, then by scene and seed."""
+    """Return the metrics of all runs in headline.csv, by policy, then by (scene, seed)."""
     table: dict[str, dict[tuple[str, int], dict[str, float]]]
     table = runpy.run_path(str(RUNS.with_name("benchmark_table.py")))["read"](RUNS)
     return table
 
 
 def runs_of_cell(comparison: Path, policies: Sequence[str]) -> list[Run]:
-    """Return the runs of these policies in the median cell; raise `InputError` if one is missing."""
+    """Return the runs of ``policies`` with the scene and seed of `median_cell`, from a comparison's directory.
+
+    Raise `InputError` if a run is missing.
+    """
     scene, seed = median_cell(stored())
     found = {run.policy: run for run in gather([comparison]).runs if (run.scene, run.job.seed) == (scene, seed)}
     if missing := [policy for policy in policies if policy not in found]:
@@ -41,7 +48,7 @@ def runs_of_cell(comparison: Path, policies: Sequence[str]) -> list[Run]:
 
 
 def record(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return scene, seed and the numbers of each run, rounded as in headline.csv; a test compares them."""
+    """Return scene, seed and metrics of ``runs``, rounded as in headline.csv; a test compares the two."""
     return {
         "scene": runs[0].scene,
         "seed": runs[0].job.seed,
@@ -50,5 +57,5 @@ def record(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def write_record(runs: Sequence[Run], picture: Path) -> None:
-    """Write the `record` of a picture next to it."""
+    """Write the `record` of the runs in an image to a JSON file next to the image."""
     picture.with_suffix(".json").write_text(json.dumps(record(runs), indent=1) + "\n", encoding="utf-8")

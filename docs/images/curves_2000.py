@@ -1,9 +1,10 @@
-"""Make curves_2000.svg: quality and coverage over long episodes, one line per run of one or more comparisons.
+"""Make curves_2000.svg: quality and coverage over long episodes, with one line per run of one or more comparisons.
 
     asg compare --scenes "apartment?rooms=3&seed=14" --frames 2000 --policies hole_area,activestructure --out runs/long
     python docs/images/curves_2000.py runs/long
 
-It prints a table too: the final values, the minima, and the largest fall from any checkpoint to a later one.
+A table is printed too. It has the final value and the minimum of each curve, and its largest fall from a checkpoint to
+a later one.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ ROWS = (
     ),
     (("precision", "precision of the means [%]"), ("psnr", "PSNR of 8 held-out views [dB]")),
 )
-FIRST = 100  # first frame of the figure; the first views show a fifth of the surface and would flatten the rest
+FIRST = 100  # first frame of the figure; the first views show a fifth of the surface, which would flatten the curves
 
 
 def main(directories: Sequence[Path]) -> None:
-    """Draw the curves of every run in these comparisons, and print the table."""
+    """Draw the curves of all runs in the given comparison directories, and print the table."""
     runs = gather(list(directories)).runs
     names = [f"{run.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
     charts = []
@@ -49,14 +50,14 @@ def main(directories: Sequence[Path]) -> None:
 
 
 def line(run: Run, name: str, index: int, measure: str) -> Line:
-    """Return a run's curve from frame `FIRST` on."""
+    """Return the curve of one metric of a run from frame `FIRST` on; ``index`` selects its colour."""
     frames, values = curve_of(run, "frames", measure)
     later = frames >= FIRST
     return Line(name, index, frames[later], values[later])
 
 
 def summary(run: Run, measure: str) -> str:
-    """Return last value, minimum, and largest fall of a curve from a checkpoint to a later one."""
+    """Return the last value, the minimum, and the largest fall from a checkpoint to a later one, as text."""
     values = curve_of(run, "frames", measure)[1]
     fall = float((np.maximum.accumulate(values) - values).max())
     return f"{measure} {values[-1]:.2f}, least {values.min():.2f}, falls by {fall:.2f}"

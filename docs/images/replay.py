@@ -2,8 +2,8 @@
 
     python docs/images/replay.py runs/headline
 
-The runs are of headline.csv (docs/notebook/benchmark.md); `cell.py` chooses scene and seed. It needs Chromium and the
-extra ``test``.
+The runs are of headline.csv (docs/notebook/benchmark.md); `cell.py` chooses scene and seed. This program needs Chromium
+and the extra ``test``.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.browser import open_page
 
 OUT = Path(__file__).with_name("replay.webp")
-WIDTH, HEIGHT, PICTURES, MS = 1300, 1060, 80, 120
-SHOWN = 860  # width of the animation, pixels
+WIDTH, HEIGHT, PICTURES, MS = 1300, 1060, 80, 120  # window in pixels, number of images, milliseconds per image
+SHOWN = 860  # width of the animation in pixels
 
 
 def main(comparison: Path) -> None:
-    """Replay the runs, record the page and write the animation."""
+    """Replay the two runs of a comparison's directory, record the page, and write the animation."""
     runs = runs_of_cell(comparison, (BASE, OURS))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         page_file = Path(folder) / "replay.html"
@@ -37,7 +37,7 @@ def main(comparison: Path) -> None:
             page.until("window.player && player.drawn > 0")
             frames = []
             for n in range(PICTURES):
-                # The view turns slowly while time runs; the last 12 pictures show the end.
+                # The view turns slowly while time runs; the last 12 images show the end of the episode.
                 share = min(n / (PICTURES - 12), 1.0)
                 turn = f"for (const run of player.runs) run.orbit.yaw = run.orbit.home.yaw + {0.5 * share};"
                 page.value(f"{turn} player.to(1 + {share} * (player.end - 1)); 1")

@@ -1,8 +1,8 @@
-"""Make docs/images/report.jpg, the picture of a report in the guide: its head, and next to it later parts.
+"""Make docs/images/report.jpg, the image of a report in the guide: the top of the page, and next to it later parts.
 
     python docs/images/report.py REPORT.html
 
-It needs Chromium and the extra ``test``.
+This program needs Chromium and the extra ``test``.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.browser import Page, open_page
 
 OUT = Path(__file__).with_name("report.jpg")
-WIDTH, HEIGHT = 1160, 2000  # size of the window and of the left part, pixels
-# Elements of the right part, and their heights in pixels: two rows of charts, one scene's views and plans.
+WIDTH, HEIGHT = 1160, 2000  # size of the browser window and of the left part in pixels
+# CSS selectors of the right part, with their heights in pixels: two rows of charts, then views and plans of one scene.
 RIGHT = {"#convergence": 738, "#scene-2 .strip": 800, "#scene-2 .tiles": 700}
-SHOWN = 1560  # width of the picture, pixels
+SHOWN = 1560  # width of the image in pixels
 
 
 def main(words: list[str]) -> None:
-    """Open the report, capture its parts, and write them side by side."""
+    """Open the report ``words[0]`` in a browser, capture its parts, and write them next to each other as one image."""
     if len(words) != 1:
         sys.exit(__doc__)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -43,7 +43,7 @@ def main(words: list[str]) -> None:
 
 
 def part(page: Page, name: str) -> np.ndarray:  # [h, WIDTH, 3] uint8
-    """Return the page's rows that show an element."""
+    """Return a screenshot of the page's rows that show the element with the CSS selector ``name``."""
     page.value(f"document.querySelector('{name}').scrollIntoView(), 1")
     page.value("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
     top, end = page.value(

@@ -1,8 +1,8 @@
-"""Make docs/images/views.jpg, the picture of README, from runs of headline.csv (docs/notebook/benchmark.md).
+"""Make docs/images/views.jpg, the image of README, from runs of headline.csv (docs/notebook/benchmark.md).
 
     python docs/images/views.py runs/headline
 
-The view is the first one of the report (docs/guide/report.md); `cell.py` chooses scene and seed.
+The view is that at the top of a report (docs/guide/report.md); `cell.py` chooses scene and seed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ POLICIES = ("random", "hole_area", "activestructure")
 
 
 def main(comparison: Path) -> None:
-    """Draw a strip of a true view, its rendering from each map, and each map from above."""
+    """Draw a true view, the same view rendered from each policy's map, and each map from above, as one image.
+
+    ``comparison`` is the directory of the runs.
+    """
     runs = runs_of_cell(comparison, POLICIES)
     title = f"{runs[0].scene}, {runs[0].metrics['metrics']['frames']} frames, seed {runs[0].job.seed}"
     compare_strip(runs, title=title).save(OUT, quality=84, optimize=True, progressive=True)

@@ -1,4 +1,4 @@
-"""Make wall.jpg: a wall mapped from one keyframe at 5 m, rendered from 1.3 m, with two rules for seeding Gaussians.
+"""Make wall.jpg: a wall mapped from one keyframe at 5 m and rendered from 1.3 m, by two rules for seeding Gaussians.
 
 python docs/images/wall.py
 """
@@ -23,7 +23,7 @@ RULES = {"by pixels (SplaTAM's rule)": {"mapper.seed_spacing": None}, "by the su
 
 
 def main() -> None:
-    """Find a free position 5 m from a wall, map its view with both rules, and render the wall from nearby."""
+    """Find a free position 5 m from a wall, map its view by both rules, and render the wall from 1.3 m to wall.jpg."""
     scene = load_scene(SCENE)
     renderer, sensor = RaycastRenderer(scene), configure("default").sensor
     camera = PinholeCamera.from_size(sensor.width, sensor.height, sensor.horizontal_fov_deg)
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def place(scene, renderer, camera) -> np.ndarray:  # type: ignore[no-untyped-def]  # [4, 4]
-    """Return the best of 400 random poses: the closest to 5 m from a flat wall that it faces."""
+    """Return the best of 400 random poses (world_from_camera): it faces a flat wall at a distance closest to 5 m."""
     free, best, found = ground_truth_of(scene).free_space, np.inf, None
     rng = np.random.default_rng(0)
     points = free.sample_positions(400, rng)
@@ -69,7 +69,7 @@ def place(scene, renderer, camera) -> np.ndarray:  # type: ignore[no-untyped-def
 
 
 def projected(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> np.ndarray:  # [n, 2] pixels
-    """Return the projected means inside the picture."""
+    """Return the pixel positions of the means of Gaussians that project into the image of a camera at ``pose``."""
     points = mapper.map.means @ invert_rigid(pose)[:3, :3].T + invert_rigid(pose)[:3, 3]
     points = points[points[:, 2] > 0.1]
     pixels = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
@@ -77,12 +77,12 @@ def projected(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> np.nda
 
 
 def dots_in(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> int:
-    """Return the number of means in the picture."""
+    """Return the number of Gaussians whose mean projects into the image."""
     return len(projected(mapper, camera, pose))
 
 
 def dots(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> Image.Image:
-    """Draw the means as dots."""
+    """Return an image in which the means of the Gaussians are dots."""
     picture = Image.new("RGB", SIZE, "white")
     pen = ImageDraw.Draw(picture)
     for x, y in projected(mapper, camera, pose):

@@ -1,15 +1,16 @@
 """Print the tables of benchmark.md from benchmark.csv, which has a line per run.
 
-    python docs/notebook/benchmark_table.py                          # the table; of a ladder also its rungs.
+    python docs/notebook/benchmark_table.py                          # the table, and differences if it has a ladder.
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # add these runs to benchmark.csv first.
-    python docs/notebook/benchmark_table.py --pairs A:B C:D          # only A minus B, and C minus D.
-    python docs/notebook/benchmark_table.py --file ladder.csv        # another file of this folder.
-    python docs/notebook/benchmark_table.py --ladders                # differences by every rung of every ladder.
-    python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv
-.
-References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of means
-over seeds, for the scenes and seeds that every policy played. Differences are from the first of ``BASELINES`` that
-played, in pairs of the same scene and seed. Their intervals are 95 % bootstraps over the seeds within the scenes
+    python docs/notebook/benchmark_table.py --pairs A:B C:D          # only the differences A minus B and C minus D.
+    python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
+    python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
+    python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv.
+
+A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
+rung. References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of
+means over seeds, for the scenes and seeds that all policies have played. Differences are to the first of ``BASELINES``
+with runs, in pairs of the same scene and seed. Their intervals are 95 % bootstraps over the seeds within the scenes
 (`paired_difference`).
 """
 
@@ -35,7 +36,7 @@ from activestructure_gym.policies.activestructure import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
 BASELINES = ("hole_area", "pixel_only")
-SHOWN = {  # key: heading, digits, best
+SHOWN = {  # columns by metric: heading, decimals, function that selects the best value
     "completion_ratio": ("C.R. (%) ↑", 1, max),
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1, max),
     "observed": ("observed (%) ↑", 1, max),
@@ -49,12 +50,12 @@ SHOWN = {  # key: heading, digits, best
     "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 HEADLINE_RUNS = "headline.csv"
-HEADLINE = {  # columns of its table
+HEADLINE = {  # columns of the table of headline.csv: heading by metric
     "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
     "accuracy_cm": "Acc (cm) ↓",
 }  # fmt: skip
-DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
+DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
     "observed_area": ("area (points)", 1),
     "completion_ratio": ("C.R. (points)", 1),
@@ -62,7 +63,7 @@ OF_PAIRS = {
     "psnr": ("PSNR (dB)", 2),
 }
 RUNGS = ("**B**, planes in sight", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
-LADDERS = {  # file: heading of its column, key in OF_PAIRS
+LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
     "ladder_300.csv": ("on `hole_area`, 300 frames: area (points)", "observed_area"),
     "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
     "ladder_pixels_300.csv": ("on pixels, 300 frames: area (points)", "observed_area"),
@@ -73,11 +74,11 @@ OTHERS = (
     "collisions",
 )  # fmt: skip
 KEPT = (*SHOWN, *OTHERS)
-Table = dict[str, dict[Cell, dict[str, float]]]  # numbers by policy, and by scene and seed
+Table = dict[str, dict[Cell, dict[str, float]]]  # metrics by policy, then by (scene, seed)
 
 
 def added(place: Path, directories: Sequence[Path]) -> None:
-    """Add the runs of comparisons to the file; replace runs that it has already."""
+    """Add the runs in comparison directories to the CSV file ``place``, or replace them if it has them already."""
     rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
     for run in gather(directories).runs:
         values = {key: value_of(run, key) for key in KEPT}
@@ -93,7 +94,7 @@ def added(place: Path, directories: Sequence[Path]) -> None:
 
 
 def read(place: Path) -> Table:
-    """Return the numbers of every run in a file."""
+    """Read the metrics of all runs in the CSV file ``place``."""
     table: Table = {}
     for row in _rows(place):
         numbers = {key: float(row[key]) for key in KEPT if row.get(key)}
@@ -102,7 +103,7 @@ def read(place: Path) -> Table:
 
 
 def markdown(table: Table) -> str:
-    """Return the table in Markdown, by decreasing C.R., with the columns that every run has."""
+    """Return the table as Markdown, with a row per policy by decreasing C.R., and the columns that all runs have."""
     shown = {
         key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
     }
@@ -139,7 +140,7 @@ def markdown(table: Table) -> str:
 
 
 def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
-    """Return a table of differences; ``wanted`` has a title, policy A and policy B for every row, A minus B."""
+    """Return a table of paired differences as Markdown; ``wanted`` has (title, policy A, policy B) per row A - B."""
     heads = ["pairs", *(name for name, _ in OF_PAIRS.values()), "better in PSNR", "depth error, ratio"]
     lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for words, ours, theirs in wanted:
@@ -155,7 +156,10 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
 
 
 def ladder(table: Table) -> list[tuple[str, str, str]]:
-    """Return (title, rung, rung below) for every rung, then (title, top, base); [] if the table has no ladder."""
+    """Return (title, policy, policy of the rung below) for every rung of a ladder, then (title, top, base).
+
+    Return [] if the table does not have all rungs of a ladder.
+    """
     for base in BASELINES:
         discovery = "" if base == "pixel_only" else f"?discovery={base}"
         top = f"{LADDER[-1]}?discovery={base.removesuffix('_only')}"
@@ -166,7 +170,10 @@ def ladder(table: Table) -> list[tuple[str, str, str]]:
 
 
 def ladders(folder: Path) -> str:
-    """Return a table of the differences of each rung from the rung below, on every ladder."""
+    """Return a table as Markdown with the difference between each rung and the rung below, with a column per ladder.
+
+    ``folder`` has the files of `LADDERS`.
+    """
     columns = []
     for name, (heading, key) in LADDERS.items():
         table = read(folder / name)
@@ -179,7 +186,7 @@ def ladders(folder: Path) -> str:
 
 
 def headline(table: Table) -> str:
-    """Return a row per policy: means over scenes of means over seeds, with their intervals."""
+    """Return a table as Markdown with a row per policy: means over scenes of means over seeds, with intervals."""
     lines = ["| policy | " + " | ".join(HEADLINE.values()) + " |", "|---|" + "---:|" * len(HEADLINE)]
     for policy, runs in table.items():
         cells = []
@@ -212,7 +219,7 @@ def _paired(table: Table, ours: str, theirs: str, key: str, of: Callable[[float]
 
 
 def _difference(table: Table, ours: str, theirs: str, key: str, digits: int) -> str:
-    """Return ours minus theirs as text; empty if both are the same policy."""
+    """Return the paired difference of a metric, ``ours`` minus ``theirs``, as text; empty for the same policy."""
     if ours == theirs:
         return ""
     return _formatted(_paired(table, ours, theirs, key).difference, digits)
@@ -226,7 +233,7 @@ def _formatted(found: Estimate, digits: int, *, sign: str = "+", of: Callable[[f
 
 
 def main() -> None:
-    """Add the given runs to the file, and print the tables."""
+    """Add the runs named on the command line to the file, and print the requested tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--file", default=PLACE.name)

@@ -3,10 +3,10 @@
     python docs/notebook/native_table.py                       # the tables
     python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
 
-There is one table per scene, of means over the seeds that all policies played, by decreasing observed share.
-Differences are from ``BASELINE`` in pairs of the same seed, with 95 % bootstrap intervals; for two seeds the interval
-is the two differences. "–" is a level that no run reached; a mean over some runs has their number. Below the tables are
-the native settings of each policy.
+There is one table per scene, with a row per policy by decreasing observed share. Numbers are means over the seeds that
+all policies have played. Differences are to ``BASELINE``, in pairs of the same seed, with 95 % bootstrap intervals; for
+two seeds, the interval is from one difference to the other. "–" means that no run reached a level. If only some runs
+reached it, their number is given. The native settings of the policies are printed below the tables.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from activestructure_gym.policies import POLICIES
 
 PLACE = Path(__file__).with_name("native.csv")
 BASELINE = "hole_area"
-SHOWN = {  # key: heading, digits
+SHOWN = {  # columns by metric: heading, decimals
     "observed": ("observed (%) ↑", 1),
     "observed_area": ("area (%) ↑", 1),
     "completion_ratio": ("C.R. (%) ↑", 1),
@@ -48,7 +48,7 @@ NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 
 
 def line_of(run: Run) -> dict[str, str]:
-    """Return the numbers of a run as a line of the file."""
+    """Return the metrics of a run as a line of native.csv, by column."""
     seconds, decisions = run.timing["seconds"], max(1, run.metrics["metrics"]["decisions"])
     values = {key: value_of(run, key) for key in SHOWN if key not in ("keyframes", "decision_s", "run_s")}
     values |= {
@@ -64,7 +64,7 @@ def line_of(run: Run) -> dict[str, str]:
 
 
 def rows() -> list[dict[str, str]]:
-    """Return all lines of the file."""
+    """Return all lines of native.csv, each by column; [] if the file does not exist."""
     if not PLACE.exists():
         return []
     with PLACE.open(newline="", encoding="utf-8") as file:
@@ -72,7 +72,7 @@ def rows() -> list[dict[str, str]]:
 
 
 def added(directories: Sequence[Path]) -> None:
-    """Add the runs of comparisons to the file; replace runs that it has already."""
+    """Add the runs in comparison directories to native.csv, or replace them if it has them already."""
     lines = {tuple(row[name] for name in NAMES[:3]): row for row in rows()}
     for run in gather(directories).runs:
         row = line_of(run)
@@ -84,7 +84,7 @@ def added(directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """Return the table of a scene in Markdown, by decreasing observed share, of the seeds that all policies played."""
+    """Return the table of one scene as Markdown, given the scene's lines of native.csv."""
     runs: dict[str, dict[str, dict[str, str]]] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["seed"]] = row
@@ -102,7 +102,7 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
 
 
 def tables() -> dict[str, str]:
-    """Return the table of every scene."""
+    """Return the table of every scene as Markdown, by scene."""
     found: dict[str, list[dict[str, str]]] = {}
     for row in rows():
         found.setdefault(row["scene"], []).append(row)
@@ -110,7 +110,10 @@ def tables() -> dict[str, str]:
 
 
 def native_settings() -> str:
-    """Return a list of native settings and budgets of the papers, with one line for policies with equal ones."""
+    """Return a Markdown list of the policies' native settings and their papers' budgets.
+
+    Policies with equal settings share one item.
+    """
     users: dict[str, list[str]] = {}
     for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
         users.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
@@ -144,7 +147,7 @@ def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, key: st
 
 
 def main(words: Sequence[str]) -> None:
-    """Add the given runs to the file, and print the tables."""
+    """Add the runs in the directories ``words`` to native.csv, and print the tables."""
     if words:
         added([Path(word) for word in words])
     for scene, table in tables().items():

@@ -3,8 +3,9 @@
     python docs/notebook/thresholds.py gs_planner
     python docs/notebook/thresholds.py hgs_planner
 
-Episodes have 150 frames, preset ``default``, two scenes and two seeds. The newly observed share is of the reward's
-points. One planner takes about six minutes on an idle machine with two cores.
+Every variant of a planner plays four episodes, on two scenes with two seeds, with 150 frames and the preset
+``default``. The result is the newly observed share of the surface, in percent. One planner takes about six minutes on
+an idle machine with two cores.
 """
 
 from __future__ import annotations
@@ -43,11 +44,11 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
     },
 }
 VARIANTS = {"hgs_planner": {"G_cov + lambda_o G_Q without units": "hgs_planner?sum=raw"}}
-Played = dict[tuple[str, int], tuple[float, list[int]]]  # observed surface in points, and the chosen rows
+Played = dict[tuple[str, int], tuple[float, list[int]]]  # by (scene, seed): newly observed share in %, chosen rows
 
 
 def played(name: str) -> Played:
-    """Play the four episodes of a planner with its current constants."""
+    """Play the four episodes of the planner ``name`` with the current values of its thresholds."""
     found: Played = {}
     for scene in SCENES:
         for seed in SEEDS:
@@ -66,7 +67,10 @@ def played(name: str) -> Played:
 
 
 def row_of(name: str, words: str, usual: Played) -> str:
-    """Return the table's row of one threshold, halved and doubled."""
+    """Return the table row of one threshold of a planner, with the effects of halving and doubling it.
+
+    ``words`` is its description in `GUESSES`, and ``usual`` are the episodes with the unchanged threshold.
+    """
     module, constant = GUESSES[name][words]
     value = getattr(module, constant)
     cells = [words, f"{value:.3g}"]
@@ -78,14 +82,14 @@ def row_of(name: str, words: str, usual: Played) -> str:
 
 
 def change(other: Played, usual: Played) -> list[str]:
-    """Return mean and range of the change, and the number of episodes without a changed decision."""
+    """Return the mean and range of the change in the observed share, and how many episodes have equal decisions."""
     moved = [other[key][0] - usual[key][0] for key in usual]
     same = sum(other[key][1] == usual[key][1] for key in usual)
     return [f"{sum(moved) / len(moved):+.1f} ({min(moved):+.1f} .. {max(moved):+.1f})", str(same)]
 
 
 def main(name: str) -> None:
-    """Play the episodes and print the table row by row."""
+    """Play the episodes of the planner ``name``, and print its table row by row."""
     usual = played(name)
     shares = [share for share, _ in usual.values()]
     print(f"{name}: {sum(shares) / len(shares):.1f} points newly observed ({min(shares):.1f} to {max(shares):.1f})\n")

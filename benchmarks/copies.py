@@ -81,7 +81,10 @@ def among_copies(
     count: int,
     where: Where,
 ) -> Mapper:
-    """Return a copy of the mapper ``place`` whose map has ``count`` Gaussians, by shifted copies of ``whole``."""
+    """Return a copy of the mapper ``place`` whose map has ``count`` Gaussians, by shifted copies of ``whole``.
+
+    ``where`` is the arrangement of the copies: "storeys" or "floor".
+    """
     grown, number = copy.deepcopy(place), 0
     extent = np.ptp(whole[MEAN], axis=1) + _APART
     while grown.map.count < count:

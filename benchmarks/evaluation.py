@@ -32,7 +32,8 @@ SCENES = ("room", "apartment?rooms=3&seed=5")
 def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) -> list[dict[str, Any]]:
     """Explore every scene once with the policy random, then time each stage of its evaluation.
 
-    The protocol is ``standard``. Return one row per scene and stage, with wall and processor time in seconds.
+    The protocol is ``standard``; ``quick`` has fewer frames, views and points. Return one row per scene and stage, with
+    wall and processor time in seconds.
     """
     from activestructure_gym.evaluation.protocols import StandardProtocol
 

@@ -62,7 +62,7 @@ def make_floor(*, seed: int = 0, apartments: int = 12, lit: bool = True) -> Scen
 
 
 def with_doorway(layout: Layout, side: Side) -> tuple[Layout, Space]:
-    """Put a doorway into the outer wall at low (-1) or high (1) x, and remove the windows of this wall.
+    """Put a doorway into the outer wall on a ``side``, low (-1) or high (1) x, and remove the windows of this wall.
 
     Return the new layout, and the doorway.
     """

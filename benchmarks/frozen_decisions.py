@@ -149,8 +149,8 @@ class _Judge:
     def _mapped_rows(self, taken: Sequence[PlannedPath | None], picks: Mapping[str, np.ndarray]) -> list[int]:
         """Return the candidate rows whose views are mapped in a copy of the map, usually `Settings.quality` of them.
 
-        These are the best row of every feature and the chosen row of every policy, all of them in any case, then rows
-        spread evenly over the table.
+        ``taken`` has the path to each candidate, and ``picks`` are as in `_picks`. The rows are the best row of every
+        feature and the chosen row of every policy, all of them in any case, then rows spread evenly over the table.
         """
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
@@ -180,9 +180,9 @@ def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
 def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a row per feature or policy: the true rate of its picks as a share of the best rate.
 
-    Shares are means over scenes of means over decisions. Decisions without a candidate above `_MIN_RATE` are left out.
-    Intervals are by bootstrap over the scenes; there are none for one scene. The first row is for a random candidate,
-    the last one for the best candidate.
+    ``records`` are those of `frozen_decisions`. Shares are means over scenes of means over decisions. Decisions without
+    a candidate above `_MIN_RATE` are left out. Intervals are by bootstrap over the scenes; there are none for one
+    scene. The first row is for a random candidate, the last one for the best candidate.
     """
     counted = [record for record in records if record["table"]["best"] > _MIN_RATE]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
@@ -205,11 +205,11 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return one row per feature or policy: the change of the held-out metrics when its picked view is mapped.
 
-    The metrics are the keys of `QUALITY`. ``<metric>_per_100`` is the change per 100 frames of path, as the mean over
-    scenes of means over decisions. ``<metric>_of_best`` is this change divided by the change of the best mapped view: 1
-    is as good as the best, and below 0 the view made the map worse. Both changes are summed over the decisions of a
-    scene before the division, and the shares are averaged over scenes. Scenes in which even the best view improves
-    nothing are left out of this average.
+    ``records`` are those of `frozen_decisions`. The metrics are the keys of `QUALITY`. ``<metric>_per_100`` is the
+    change per 100 frames of path, as the mean over scenes of means over decisions. ``<metric>_of_best`` is this change
+    divided by the change of the best mapped view: 1 is as good as the best, and below 0 the view made the map worse.
+    Both changes are summed over the decisions of a scene before the division, and the shares are averaged over scenes.
+    Scenes in which even the best view improves nothing are left out of this average.
 
     Two more rows are for the mean and for the best of all mapped views.
     """

@@ -65,9 +65,10 @@ def run_grid_benchmark(
     ``own_cpu_%`` is the processor time of the supervisor's process divided by that of its workers, which does not
     depend on the load of the machine.
 
-    There are two jobs per scene and seed, one per policy. Both methods run as many jobs at a time as there are cores,
-    with equal limits on threads. The supervisor's live display is on. The preparation and the report of `asg compare`
-    are not timed. The order of the two methods alternates.
+    There are two jobs of ``frames`` frames per scene and seed, one per policy; ``repeats`` is the number of
+    repetitions. Both methods run as many jobs at a time as there are cores, with equal limits on threads. The
+    supervisor's live display is on. The preparation and the report of `asg compare` are not timed. The order of the two
+    methods alternates.
     """
     if shutil.which("xargs") is None:
         raise InputError("this benchmark runs jobs by hand with xargs, which is not installed")
@@ -127,7 +128,7 @@ def _processor_seconds() -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Grid:
-    """Measure the cost of a comparison's supervisor: the same jobs by hand and through it."""
+    """Measure the overhead of `asg compare`: the same jobs started by xargs and by its supervisor."""
 
     scenes: tuple[str, ...] = ()
     """Use these scenes, separated by commas or spaces; by default room."""

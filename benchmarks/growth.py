@@ -111,7 +111,7 @@ def run_growth_benchmark(
 
 
 def growth_steps(checkpoints: Sequence[int]) -> int:
-    """Return how often `run_growth_benchmark` calls ``advance``."""
+    """Return how often `run_growth_benchmark` calls ``advance`` for these numbers of keyframes."""
     return 2 * max(checkpoints)
 
 
@@ -127,7 +127,8 @@ def places(
     """Walk through a scene place by place, and return the keyframes, the timed frames, and the scored views.
 
     Places are not shifted up yet. The timed frames and the scored views are of the first place. ``keyframes``,
-    ``scored`` and ``probes`` are the numbers of keyframes, scored views and timed frames.
+    ``scored`` and ``probes`` are the numbers of keyframes, scored views and timed frames, and ``size`` is (width,
+    height) of a frame in pixels.
     """
     starts = ground_truth_of(scene).free_space.start_poses
     volume = true_volume(scene)
@@ -190,9 +191,9 @@ def _measure(
 
 
 def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds: int = 3) -> GrowthPair:
-    """Time mapping events and decisions of both maps on the same frames, in direct succession.
+    """Time mapping events and decisions with a small and a large map on the same frames, in direct succession.
 
-    Every round begins with new copies of the maps.
+    Every round begins with new copies of the two mappers.
     """
     events, decisions = [], []
     for _ in range(rounds):

@@ -169,7 +169,7 @@ def run_quality_benchmark(
 
 
 def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
-    """Return how often `run_quality_benchmark` calls ``advance``; the arguments are numbers."""
+    """Return how often `run_quality_benchmark` calls ``advance``, for these numbers of scenes, recipes and so on."""
     return scenes * (keyframes + views + recipes * keyframes)
 
 

@@ -95,8 +95,8 @@ def true_planes(
     pose: np.ndarray,  # [4, 4] world_from_camera
     *,
     noise_scale: float,  # multiple of the Kinect noise that sigma(z) assumes, as in `PlaneDetectionConfig`
-    config: PlaneDetectionConfig | None = None,
-    matching: MatchingConfig | None = None,
+    config: PlaneDetectionConfig | None = None,  # limits of range and incidence
+    matching: MatchingConfig | None = None,  # limits within which the graph joins two planes
 ) -> TruePlanes:
     """Return the true planes of one view, joined from the triangles of the mesh as the module's docstring describes."""
     config, matching = config or PlaneDetectionConfig(), matching or MatchingConfig()
@@ -167,7 +167,7 @@ def score_segments(
     truth: TruePlanes,
     tally: Tally,
 ) -> None:
-    """Compare the S detected segments of one view with its true planes, and add the counts to ``tally``."""
+    """Compare the S segments ``labels`` of one view with its true planes, and add the counts to ``tally``."""
     count, total = len(normals), len(truth.planes)
     both = (labels >= 0) & (truth.labels >= 0)
     shared = np.bincount(truth.labels[both] * count + labels[both], minlength=total * count).reshape(total, count)
@@ -230,7 +230,8 @@ def detection_rows(
 ) -> list[dict[str, Any]]:
     """Return one row per image size and noise, with results of this package's detector and of OpenCV (``cv2_``).
 
-    A row has the number of planes, recall, precision, the median angle in degrees, and the median wall time in ms.
+    A row has the number of planes in all ``views``, recall, precision, the median angle in degrees, and the median wall
+    time in ms.
     """
     poses = benchmark_views(scene, views, np.random.default_rng(seed))
     rows = []

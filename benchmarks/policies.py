@@ -76,7 +76,11 @@ def run_policy_benchmark(
 
 
 def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
-    """Play a part of an episode with the policy pixel_only, and return the environment in this state."""
+    """Play an episode with the policy pixel_only until the state is reached, and return the environment.
+
+    The state is reached when the map has ``gaussians`` Gaussians and the candidate table is full, at the latest after
+    ``frames`` frames.
+    """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
 

@@ -59,7 +59,7 @@ def _page(task: str, kind: type, made: Path) -> str:
 
 
 def animation(task: str, folder: Path) -> str:
-    """Return the name of the file in ``folder`` with the animation of an environment.
+    """Return the name of the file in ``folder`` with the animation of the environment ``task``, such as "Room-v0".
 
     The animation is made if the file does not exist, or if the code has changed since.
     """

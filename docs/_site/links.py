@@ -21,7 +21,7 @@ _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def outside_links(app: Any, name: str, source: list[str]) -> None:
-    """Replace links to files outside docs/ by their text; Sphinx calls this when it reads the page ``name``."""
+    """Replace links to files outside docs/ by their text in ``source[0]``; Sphinx calls this for the page ``name``."""
     folder = (DOCS / name).parent
 
     def replaced(found: re.Match[str]) -> str:
@@ -38,7 +38,7 @@ def outside_links(app: Any, name: str, source: list[str]) -> None:
 
 
 def named_links(app: Any, name: str, source: list[str]) -> None:
-    """Turn arXiv numbers, and names of repositories after "Code:", into links on the page of references."""
+    """Turn arXiv numbers and names of repositories into links in ``source[0]``, if ``name`` is "references"."""
     if name == "references":
         text = _PAPER.sub(r"[arXiv \1](https://arxiv.org/abs/\1)", source[0])
         source[0] = _PROGRAM.sub(r"\1[`\2`](https://github.com/\2)", text)

@@ -59,7 +59,10 @@ def entries() -> dict[str, str]:
 
 
 def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
-    """Return a link for a name in a signature that Sphinx cannot resolve, by `entries`; None for other names."""
+    """Return a link for a name that Sphinx cannot resolve, if `entries` has it, else None.
+
+    Sphinx calls this with the unresolved reference ``node`` and the node ``content`` that the link shows.
+    """
     name = entries().get(node.get("reftarget", ""))
     if name is None:
         return None

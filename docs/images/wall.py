@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def place(scene, renderer, camera) -> np.ndarray:  # type: ignore[no-untyped-def]  # [4, 4]
-    """Return the best of 400 random poses (world_from_camera): it faces a flat wall at a distance closest to 5 m."""
+    """Return the random pose (world_from_camera), out of 400, that faces a flat wall at a distance closest to 5 m."""
     free, best, found = ground_truth_of(scene).free_space, np.inf, None
     rng = np.random.default_rng(0)
     points = free.sample_positions(400, rng)
@@ -77,12 +77,12 @@ def projected(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> np.nda
 
 
 def dots_in(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> int:
-    """Return the number of Gaussians whose mean projects into the image."""
+    """Return the number of Gaussians of a map whose mean projects into the image of a camera at ``pose``."""
     return len(projected(mapper, camera, pose))
 
 
 def dots(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> Image.Image:
-    """Return an image in which the means of the Gaussians are dots."""
+    """Return an image of a camera at ``pose`` in which the means of a map's Gaussians are dots."""
     picture = Image.new("RGB", SIZE, "white")
     pen = ImageDraw.Draw(picture)
     for x, y in projected(mapper, camera, pose):

@@ -219,7 +219,10 @@ def _paired(table: Table, ours: str, theirs: str, key: str, of: Callable[[float]
 
 
 def _difference(table: Table, ours: str, theirs: str, key: str, digits: int) -> str:
-    """Return the paired difference of a metric, ``ours`` minus ``theirs``, as text; empty for the same policy."""
+    """Return the paired difference of the metric ``key``, ``ours`` minus ``theirs``, as text with ``digits`` decimals.
+
+    The text is empty if both are the same policy.
+    """
     if ours == theirs:
         return ""
     return _formatted(_paired(table, ours, theirs, key).difference, digits)

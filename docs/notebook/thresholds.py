@@ -82,7 +82,11 @@ def row_of(name: str, words: str, usual: Played) -> str:
 
 
 def change(other: Played, usual: Played) -> list[str]:
-    """Return the mean and range of the change in the observed share, and how many episodes have equal decisions."""
+    """Compare the episodes ``other`` with the episodes ``usual``.
+
+    Return the mean and the range of the change in the newly observed share, and the number of episodes with equal
+    decisions, as texts.
+    """
     moved = [other[key][0] - usual[key][0] for key in usual]
     same = sum(other[key][1] == usual[key][1] for key in usual)
     return [f"{sum(moved) / len(moved):+.1f} ({min(moved):+.1f} .. {max(moved):+.1f})", str(same)]

@@ -50,8 +50,8 @@ def run_env_benchmark(
     """Measure the environment's speed, and return two lists: rows of speed, and rows of time by stage (`_profile`).
 
     One and two processes alternate for ``rounds`` rounds of ``seconds`` each; every process has one thread. The action
-    is the candidate view with the largest "hole_area", discounted by travel; every fourth action is random. A row of
-    speed holds, for a scene and a number of processes:
+    is the candidate view with the largest "hole_area", discounted by travel; every fourth action is random. ``preset``
+    and ``overrides`` configure the environment. A row of speed holds, for a scene and a number of processes:
 
     - ``steps_per_s``: median over the rounds, with ``range`` (minimum, maximum)
     - ``per_processor_s``: steps per second of processor time, which hardly depends on the load by other programs
@@ -92,10 +92,11 @@ def _per_second(parts: Sequence[Round]) -> float:
 
 
 def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
-    """Return one row per stage of a step with its share of the wall time and its processor time in ms.
+    """Return one row per stage of a step, with its share of the wall time and its processor time in ms.
 
-    The processor time of a stage is the processor time of a step times the stage's share of the wall time. The row
-    "reward, encoding" is the time in none of `STAGES`; the row "step" is the whole step.
+    ``parts`` are the rounds of one process. The processor time of a stage is the processor time of a step times the
+    stage's share of the wall time. The row "reward, encoding" is the time in none of `STAGES`; the row "step" is the
+    whole step.
     """
     steps = sum(len(part.wall) for part in parts)
     wall, processor = (float(sum(getattr(part, name).sum() for part in parts)) for name in ("wall", "processor"))

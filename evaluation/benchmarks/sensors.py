@@ -18,7 +18,7 @@ SIZES = ((160, 90), (320, 180), (640, 360))  # (width, height) in pixels
 
 
 def benchmark_views(scene: Scene, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
-    """Draw ``count`` camera poses (world_from_camera) in the free space of a scene.
+    """Draw ``count`` camera poses (world_from_camera) in the free space of a scene with the generator ``rng``.
 
     Positions are at least 0.3 m from surfaces; the heading is uniform, the pitch uniform from 30 deg down to 15 deg up.
     """

@@ -29,7 +29,7 @@ def rasterize_torch_tiles(
     camera_from_world: torch.Tensor,  # [4, 4]
     camera: PinholeCamera,
     *,
-    max_alpha: float = 0.999,
+    max_alpha: float = 0.999,  # upper limit of the alpha of a Gaussian at a pixel
     with_color: bool = True,
 ) -> torch.Tensor:  # [H, W, 5] colour, accumulated depth, alpha; [H, W, 2] without colour
     """Render N Gaussians from one camera; the result is differentiable by autograd."""
@@ -75,7 +75,8 @@ def _entries(position, inverse, depth, opacity, tiles_x, tiles_y):
     """Return the tile index and the Gaussian index of every pair (tile, Gaussian) in which the Gaussian's box overlaps.
 
     The pairs are ordered by tile, and within a tile by depth. ``position`` [N, 2] is in pixels, ``inverse`` [N, 3] has
-    the entries xx, xy, yy of the inverse image covariance, ``depth`` [N] is in metres, ``opacity`` [N] is in 0..1.
+    the entries xx, xy, yy of the inverse image covariance, ``depth`` [N] is in metres, ``opacity`` [N] is in 0..1. The
+    image has ``tiles_x`` x ``tiles_y`` tiles.
     """
     with torch.no_grad():
         extent = 2.0 * torch.log((opacity / MIN_ALPHA).clamp_min(1e-30))

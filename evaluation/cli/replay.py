@@ -80,7 +80,10 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
 
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
-    """Play one or two runs again, write the replay page to ``out``, and print its address."""
+    """Play one or two runs again, write the replay page to ``out``, and print its address.
+
+    With ``trusted``, plugins that the runs' files name are imported.
+    """
     from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.replay import play_again, write_replay
 

@@ -84,7 +84,7 @@ def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
 
 
 def _fitting(rows: Sequence[Row], title: str, first: Sequence[Column], more: Sequence[Column], width: int) -> Table:
-    """Return a table with the columns ``first``, and as many of the columns ``more`` as fit ``width`` characters."""
+    """Return a table of ``rows`` with the columns ``first``, and as many columns of ``more`` as fit into ``width``."""
     for count in range(len(more), -1, -1):
         table = _table(rows, title, [*first, *more[:count]])
         if fits(table, width):

@@ -166,7 +166,7 @@ def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
 
 
 def _region_table(rows: list[dict[str, Any]]) -> Table:
-    """Return a table of the regions that fits 80 columns."""
+    """Return a table of the regions, given as dictionaries of `_region`, that fits a terminal of 80 characters."""
     table = plain_table("Regions of free space (* is used; the scene's option inside=X,Y,Z uses another)")
     for column in ("", "volume m3", "floor z m", "ceiling m", "level m2", "seen", "inside="):
         table.add_column(column, justify="left" if column == "inside=" else "right", no_wrap=True)

@@ -65,7 +65,8 @@ def aligned(
 
     ``width`` is the width of the terminal in characters, None for no limit. The last entry of a row is shortened to
     fit. If fewer than `_MIN_COLUMNS` characters remain for it, it is left out and the other entries are folded.
-    ``most`` limits the width of each column; a wider entry moves the following entries to the right.
+    ``most`` limits the width of each column; a wider entry moves the following entries to the right. ``ellipsis`` marks
+    shortened entries.
     """
     wide = [max(map(cell_len, column)) for column in list(zip(*rows))[:-1]]
     wide = [min(size, *most[k : k + 1]) if k < len(most) else size for k, size in enumerate(wide)]

@@ -237,8 +237,8 @@ def _given_conditions(run: Run) -> dict[str, str]:
 def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
     """Read the runs in directories of comparisons and of single runs, in the given order.
 
-    If a job is in two directories, the first run is used. A damaged run is listed as missing, with the reason. Raise
-    `InputError` for other directories, and if there is no run.
+    ``baseline`` is as in `Results`. If a job is in two directories, the first run is used. A damaged run is listed as
+    missing, with the reason. Raise `InputError` for other directories, and if there is no run.
     """
     runs: dict[str, Run] = {}
     sources, reasons = list[Source](), list[str]()

@@ -53,7 +53,7 @@ class Demonstrations:
         return len(self.scores)
 
     def returns(self, gamma: float) -> np.ndarray:  # [N]
-        """Return, for every state, the discounted sum of the rewards from it to the end of its episode."""
+        """Return, for every state, the sum of rewards to the end of its episode, discounted by ``gamma`` per step."""
         result, following = np.zeros(len(self.rewards)), 0.0
         for n in range(len(self.rewards) - 1, -1, -1):
             following = self.rewards[n] + gamma * (0.0 if self.ends[n] else following)
@@ -128,7 +128,10 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
-    """Return the expected shapes and types of a file's arrays, for N states and K rows of candidates."""
+    """Return the expected shapes and types of the arrays in a file of demonstrations, by name.
+
+    N is the number of states, and K the number of rows of the candidate table.
+    """
     planes, features, columns = config.world.max_planes, len(config.network().features), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
         "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_COLUMNS)),

@@ -39,7 +39,10 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 
 
 def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
-    """Make a vector of environments, in this process or each in its own spawned process; both give equal results."""
+    """Make a vector of environments, one by each function in ``makers``.
+
+    With ``processes``, each environment is in its own spawned process, else in this one; both give equal results.
+    """
     # Spawned, not forked: a fork of a process that has used threads of numba or torch would hang.
     if processes:
         return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method="spawn")
@@ -63,7 +66,8 @@ def train_ppo(
 ) -> CandidateNetwork:
     """Train a network by PPO from the first unfinished iteration of ``run`` to the last, and return the network.
 
-    ``validate`` scores a network, and ``notify`` is called with the number of finished iterations and the log row.
+    ``envs`` is the result of `vector_env`. ``validate`` scores a network, and ``notify`` is called with the number of
+    finished iterations and the log row.
     """
     torch.manual_seed(config.seed)
     model = PPO(

@@ -156,12 +156,15 @@ class TrainingRun:
         self.timing.save()
 
     def begin_with(self, row: Mapping[str, float], network: CandidateNetwork) -> None:
-        """Log the network from which PPO starts as unit 0, and write it as the best checkpoint so far."""
+        """Log the scores ``row`` of the network from which PPO starts as unit 0, and write it as best checkpoint."""
         self.keep_if_best(row, network, 0)
         self._log(row)
 
     def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
-        """Write the network as the best checkpoint if ``row`` has a validation score above the best so far."""
+        """Write the network as the best checkpoint if ``row`` has a validation score above the best so far.
+
+        ``position`` is the number of the unit.
+        """
         score = row.get(SCORE)
         if score is not None and (self.best is None or score > self.best):
             self.best = score

@@ -60,7 +60,10 @@ def sees_colour(config: ReconstructionConfig) -> bool:
 def learning_layouts(
     world: WorldConfig, use: str, count: int, features: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """Return the names of ``count`` layouts for ``use``; they have no light and textures if `sees_colour` is false."""
+    """Return the names of ``count`` layouts for ``use`` (see `layout_specs`).
+
+    They have no light and no textures if nothing depends on colours (`sees_colour`).
+    """
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, features)))
 
 

@@ -47,8 +47,9 @@ def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
 def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
     """Begin or resume a training run in ``directory``, and return the exit code.
 
-    ``data`` is the directory of the demonstrations, by default a folder of the run. ``begun`` says whether the run is
-    resumed. The exit code is 0 if the run has a best checkpoint, 1 without one, and 130 if stopped.
+    ``data`` is the directory of the demonstrations, by default a folder of the run. ``workers`` is the number of
+    processes, and ``begun`` says whether the run is resumed. The exit code is 0 if the run has a best checkpoint, 1
+    without one, and 130 if stopped.
     """
     from activestructure_gym.evaluation.archive.directory_lock import hold
 

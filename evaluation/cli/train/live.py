@@ -78,7 +78,7 @@ class Live:
             self._progress.update(self._task, stage=escape(shortened(stage, self._room)))
 
     def files(self, done: int, total: int) -> None:
-        """Set the progress of a bar that counts files or episodes."""
+        """Show that ``done`` of ``total`` files or episodes are finished."""
         if self._task is not None:
             self._progress.update(self._task, completed=done, total=total)
         if not self._console.is_terminal and 10 * done // max(1, total) > self._tenth:
@@ -86,7 +86,7 @@ class Live:
             self._console.print(f"[dim]{done}/{total}", highlight=False)
 
     def unit(self, done: int, row: Mapping[str, float]) -> None:
-        """Set the progress of a bar that counts epochs or iterations, and show the numbers of ``row``."""
+        """Show that ``done`` epochs or iterations are finished, and show the numbers of the log row ``row``."""
         numbers = [f"{name.rpartition('/')[2]} {row[name]:.3g}" for name in _SHOWN if name in row]
         if self._steps and done > self._last[0]:
             seconds = time.monotonic() - self._last[1]

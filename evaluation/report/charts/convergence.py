@@ -90,10 +90,10 @@ def convergence(
 ) -> list[Line]:
     """Return one line per policy: ``statistic`` over its runs with the 95 % band, on ``scene`` or over all scenes.
 
-    ``cost`` and ``measure`` are keys. Curves are interpolated at common positions; a run that has ended keeps its last
-    value. A line begins where all runs of the policy have begun, and ends with its longest run or at the cost
-    ``until``. Policies without a curve on every scene are left out. Policies drawn in grey have a band only if
-    ``banded``.
+    ``cost`` and ``measure`` are keys of `COSTS` and `MEASURES`. Curves are interpolated at common positions; a run that
+    has ended keeps its last value. A line begins where all runs of the policy have begun, and ends with its longest run
+    or at the cost ``until``. Policies without a curve on every scene are left out. Policies drawn in grey have a band
+    only if ``banded``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
@@ -113,7 +113,10 @@ def convergence(
 
 @once
 def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
-    """Return the convergence charts: a row per measure and a column per cost, with one vertical axis per row."""
+    """Return the convergence charts: a row per measure and a column per cost, with one vertical axis per row.
+
+    They are of ``scene``, or of all scenes for None. ``statistic`` aggregates the runs of a policy.
+    """
     rows = []
     for measure in measures_of(results):
         curves = [_trimmed(results, cost, measure, scene, statistic) for cost in COSTS]
@@ -156,8 +159,9 @@ def _settled(line: Line, within: float) -> float:
 def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:
     """Return the areas under the curves of a policy's runs, one array per scene; None if a scene has no curve.
 
-    An area is divided by the budget, so it is a mean in the unit of ``measure``. The budget is the frame budget, or for
-    metres and seconds the lowest total of any run on the scene.
+    ``cost`` and ``measure`` are keys of `COSTS` and `MEASURES`. An area is divided by the budget, so it is a mean in
+    the unit of ``measure``. The budget is the frame budget, or for metres and seconds the lowest total of any run on
+    the scene.
     """
     strata = []
     for scene in results.scenes:

@@ -66,7 +66,7 @@ class Bar:
 def line_chart(
     lines: Sequence[Line], *, title: str, x_label: str, y_label: str, y_includes: Sequence[float] = ()
 ) -> Markup:
-    """Return a line chart with confidence bands as SVG.
+    """Return a chart of ``lines`` with their confidence bands as SVG, with labelled axes.
 
     The vertical axis includes all values in ``y_includes``. The horizontal axis begins at 0, or near the first point if
     more than a fifth of the axis would be empty.
@@ -189,7 +189,7 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
 
 
 def interval_chart(bars: Sequence[Bar], *, title: str, x_label: str) -> Markup:
-    """Return a chart with one row per policy: its value as a marker on its confidence interval, and a line at 0."""
+    """Return a chart of ``bars`` as SVG: per policy a row with its value and confidence interval, and a line at 0."""
     letters = max((len(shortened(bar.name, _LETTERS)) for bar in bars), default=0)
     width, row, name_width = _SIZE[0], 26, max(132, 18 + 7 * letters)
     height = _TOP + row * len(bars) + _BOTTOM
@@ -313,7 +313,10 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 
 
 def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> str:
-    """Format ``tick`` with the number of decimals that the step of the ticks ``among`` needs."""
+    """Format ``tick`` with the number of decimals that the step of the ticks ``among`` needs.
+
+    ``signed`` adds a plus sign to positive numbers.
+    """
     step = among[1] - among[0] if len(among) > 1 else abs(tick) or 1.0
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     text = f"{tick:+.{digits}f}" if signed and round(tick, digits) else f"{abs(tick) if not tick else tick:.{digits}f}"

@@ -89,7 +89,7 @@ def marker(index: int, x: float, y: float) -> Shape:
 
 
 def label(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> Text:
-    """Return a text at (x, y); the other arguments are as in `Text`."""
+    """Return a text at (x, y); ``anchor``, ``kind`` and ``transform`` are as in `Text`."""
     return Text(text, x, y, anchor, kind, transform)
 
 

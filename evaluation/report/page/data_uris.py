@@ -28,6 +28,6 @@ def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:
 
 
 def picture(image: Image.Image, alt: str, *, widest: int = WIDE) -> Markup:
-    """Return an ``img`` element with the embedded image and the alternative text ``alt``."""
+    """Return an ``img`` element with the embedded image, ``widest`` pixels wide at most; ``alt`` is its description."""
     source = data_uri(image, widest=widest)
     return render("picture.html.j2", source=source, alt=alt, width=image.width, height=image.height)

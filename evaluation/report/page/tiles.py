@@ -59,7 +59,7 @@ class Tiles:
 
 
 def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
-    """Return rows of the same held-out views: the true views, then the rendered views of each run with their PSNR."""
+    """Return rows of the same held-out views for the template: true views, then each run's rendered views with PSNR."""
     true = runs[0].pictures["true"]
     telling = detailed_views(true)
     views: list[dict[str, Any]] = [

@@ -49,7 +49,11 @@ def write(
     fill: tuple[int, int, int] = INK,
     anchor: str = "la",
 ) -> None:
-    """Draw one line of text at ``position`` (x, y) in pixels; ``anchor`` is Pillow's text anchor."""
+    """Draw one line of text at ``position`` (x, y) into ``image``.
+
+    ``position`` and the font's ``size`` are in pixels, ``fill`` is an RGB colour, and ``anchor`` is Pillow's text
+    anchor.
+    """
     ImageDraw.Draw(image).text(position, text, font=font(size, bold=bold), fill=fill, anchor=anchor)
 
 
@@ -75,7 +79,7 @@ def tile_grid(
     *,
     title: str,
     row_labels: Sequence[Sequence[str]] = (),  # lines of text left of each row; the first is bold
-    column_labels: Sequence[str] = (),
+    column_labels: Sequence[str] = (),  # text above each column
     frames: bool = True,  # thin lines around the tiles
 ) -> Image.Image:
     """Return a page with rows of tiles, which all have one size, and with a title, row labels and column labels."""

@@ -99,7 +99,10 @@ def _hidden(arrays: GraphArrays, view: Projection, places: np.ndarray, nearness:
 
 
 def _borders(owner: np.ndarray) -> np.ndarray:  # [H, W] bool
-    """Return the pixels at the borders of planes: another plane, or no plane, is less than a line width away."""
+    """Return the pixels at the borders of planes: another plane, or no plane, is less than a line width away.
+
+    ``owner`` [H, W] is the index of the plane at each pixel.
+    """
     border = np.zeros(owner.shape, bool)
     for step in range(1, SMOOTH):
         across, along = owner[:, step:] != owner[:, :-step], owner[step:] != owner[:-step]

@@ -37,7 +37,7 @@ _PALE = 0.65  # share of white that is blended into the plan outside the region 
 
 
 def scene_picture(known: GroundTruth) -> Image.Image:
-    """Return an image of a scene: its plan with the start poses, and up to four views from start poses."""
+    """Return an image of the scene ``known``: its plan with the start poses, and up to four views from start poses."""
     scene, space = known.scene, known.free_space
     poses = space.start_poses
     chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []

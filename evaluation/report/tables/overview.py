@@ -123,7 +123,8 @@ def as_rich_table(table: Table) -> RichTable:
 def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "overview") -> Table:
     """Return the overview as a table of the report, with the ranks 1 to 3 of each scene.
 
-    The column "scene" is left out for a single scene.
+    ``rows`` are those of `table_rows`, and ``name`` is the file name of the table. The column "scene" is left out for a
+    single scene.
     """
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []

@@ -32,7 +32,7 @@ LADDER = {
 def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
     """Return a table in the layout of Tables 1 and 2: a row per method and metric, and a column per scene.
 
-    ``average`` adds a column with the average over several scenes.
+    ``aspect`` has the metrics. ``average`` adds a column with the average over several scenes.
     """
     columns = aspect.columns
     scenes = [*results.scenes, None] if average and len(results.scenes) > 1 else results.scenes
@@ -62,7 +62,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
 def ablation_table(results: Results, aspect: Aspect) -> Table:
     """Return a table in the layout of Table 3: a row per policy, and a column per metric.
 
-    Values are means over the scenes with 95 % intervals.
+    ``aspect`` has the metrics. Values are means over the scenes with 95 % intervals.
     """
     columns = aspect.columns
     by_column = []

@@ -32,7 +32,7 @@ class Policy(ABC):
     travel_term: ClassVar[str] = "none"  # one line for lists: how the original paper includes the path to a view
     source: ClassVar[str] = ""  # one line for lists: the paper
     native_settings: ClassVar[NativeSettings] = NativeSettings()  # configuration in the native setup
-    # Features that the env evaluates for every candidate. An instance may override them, if they depend on its options.
+    # Features that the env evaluates for every candidate. An instance may have its own tuple if its options change it.
     required_features: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # names of the columns of ``candidate_features``; None before `bind`
     _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # names of the columns of ``candidates``
@@ -47,7 +47,7 @@ class Policy(ABC):
         self.rng = np.random.default_rng(0)
 
     def bind(self, source: Any) -> None:
-        """Store the names of the observation's columns.
+        """Store the names of the observation's columns, so that the policy can read features by name.
 
         ``source`` is an env, a vector env, an observation space, or the names of the feature columns. A policy without
         required features needs no binding. Raises `InputError` if a required feature is missing.
@@ -154,7 +154,7 @@ def canonical_policy(spec: str) -> Spec:
     Returns
     -------
     Spec
-        The canonical spec, a text; equal policies have equal ones.
+        The canonical spec, a text; equal policies have equal canonical specs.
 
     Raises
     ------

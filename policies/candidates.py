@@ -69,17 +69,17 @@ class Candidates:
 
     @property
     def xyz(self) -> np.ndarray:  # [K, 3]
-        """Return camera positions in metres, world."""
+        """Return the camera positions of the candidates in metres, world."""
         return self._table[:, _XYZ]
 
     @property
     def view_direction(self) -> np.ndarray:  # [K, 3]
-        """Return view directions as unit vectors, world; 0 in rows without a candidate."""
+        """Return the view directions of the candidates as unit vectors, world; 0 in rows without a candidate."""
         return self._table[:, _LOOK]
 
     @property
     def path_length(self) -> np.ndarray:  # [K]
-        """Return the length in metres of the shortest path through known free space."""
+        """Return the length in metres of the shortest path through known free space to each candidate."""
         return self._table[:, _LENGTH]
 
     @property
@@ -178,5 +178,5 @@ class Candidates:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Join names for a sentence; "none" if there are none."""
+    """Return the names joined by commas, for a message; "none" if there are none."""
     return ", ".join(names) or "none"

@@ -48,7 +48,10 @@ class Planner(Policy):
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
-        """Return scores from gain and travel term; from the travel term alone if no valid view has a gain above 0."""
+        """Return the score of every candidate from its gain and the travel term that the option ``travel`` selects.
+
+        If no valid view has a gain above 0, all gains count as 1.
+        """
         gain = np.maximum(gain, self.min_gain)
         if not gain[observation["action_mask"].astype(bool)].any():
             gain = np.ones_like(gain)
@@ -62,7 +65,7 @@ class Planner(Policy):
 
 
 class Greedy(Planner):
-    """Choose T* = argmax of the score; the gain is the first required feature, which must not be negative."""
+    """Choose T* = argmax of the score, where the gain is the first required feature; it must not be negative."""
 
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; the first of equal ones."""
@@ -80,7 +83,7 @@ class SharedGreedy(Greedy):
     """
 
     travel_term = "the shared one"
-    min_gain = 1e-6  # share of the image; below the share of one pixel
+    min_gain = 1e-6  # lower bound of a gain, less than one pixel's share of the image
 
     def __init__(self) -> None:
         super().__init__("shared")

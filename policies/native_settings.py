@@ -10,13 +10,13 @@ from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.specs import Spec
 
 Setup = Literal["shared", "native"]
-# Default preset of the native setup: the paper's frame budget, at an image size that a CPU maps in minutes.
+# Default preset of the native setup. It has the paper's frame budget, and an image size that a CPU maps in minutes.
 NATIVE_PRESET: Literal["full"] = "full"
 
 
 @dataclass(frozen=True)
 class NativeSettings:
-    """Define a planner's own candidate sources, mapper and schedule. A field that is None keeps the default."""
+    """Define the candidate sources, mapper and schedule of a planner's paper; None keeps the default of a field."""
 
     mapper: str | None = None  # name in `MAPPERS`, such as ``splatam``
     stages: tuple[tuple[str, ...], ...] | None = None  # candidate sources by stage, see ``views.stages``
@@ -82,7 +82,7 @@ def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
     return settings if setup == "native" else NativeSettings()
 
 
-# The ActiveStructure paper runs its own system and all others with SplaTAM's mapper and 15 iterations (Sec. 4.1).
+# Settings of the ActiveStructure paper, which runs all compared systems with SplaTAM's mapper and 15 iterations.
 SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
 
 # Settings of planners whose papers select views one by one from a given data set; the shared pool replaces the data

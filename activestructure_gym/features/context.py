@@ -28,7 +28,7 @@ class FeatureContext:
 
     mapper: KeyframeMapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # free, occupied and unknown voxels
-    planes: PlaneSceneGraph  # as of the last keyframe
+    planes: PlaneSceneGraph  # graph of the planes, updated with the last keyframe
     camera: PinholeCamera  # the sensor's camera, reduced by `ViewConfig.scoring_scale`
     bounds: np.ndarray  # [2, 3] metres, the workspace
     coverage_alpha: float  # a pixel is covered where alpha exceeds this

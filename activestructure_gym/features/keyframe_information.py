@@ -50,7 +50,8 @@ class KeyframeInformation:
     """Sum the first 24 columns of `ViewInformation.numbers` over the keyframes, one row per Gaussian.
 
     Keyframes are rendered with ``camera``, so that they have the same pixels as the candidates; None means the camera
-    of each keyframe. With ``of_depth``, the information is that about the rendered depth (`depth_information`).
+    of each keyframe. With ``of_depth``, the information is computed from the rendered depth (`depth_information`)
+    instead of the colours.
     """
 
     def __init__(

@@ -157,7 +157,7 @@ def column_names(asked: Iterable[str]) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        A name is neither that of a feature nor that of a column.
+        A name is neither the name of a feature nor the full name of a column.
     """
     return tuple(dict.fromkeys(name for each in asked for name in FEATURES.expanded(each)))
 

@@ -1,8 +1,8 @@
 """Estimate the uncertainty of the map's surface, and find connected uncertain regions: the view targets of ANM.
 
-ANM and ANM-S perturb the weights W of a signed distance network. The uncertainty of a surface point is
-u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)|. Here W are the parameters of the Gaussians and f is the rendered
-depth. Sources: [anm], [activeinr, code], [anm_s, code].
+ANM and ANM-S perturb the weights W of a network f of the signed distance. The uncertainty of a surface point is
+u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)|. In this module, W are the parameters of the Gaussians, and f is
+the rendered depth. Sources: [anm], [activeinr, code], [anm_s, code].
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ def by_perturbing_all(context: FeatureContext) -> Surface:
 def by_proxy(context: FeatureContext) -> Surface:
     """Return the surface with u = sqrt(sum o_k^2) / sum o_k over the Gaussians k of a voxel, without rendering.
 
-    This is the perturbation to first order. The depth is a mean of the Gaussians' depths, weighted approximately by
-    their opacities o_k. Independent offsets with one standard deviation change it by that deviation times u:
-    u = 1 / sqrt(n) for n equal Gaussians.
+    This is a first-order approximation of the perturbation. The rendered depth is a mean of the depths of the
+    Gaussians, weighted approximately by their opacities o_k. If each depth has an independent error with standard
+    deviation s, the mean has the standard deviation s u. For n equal Gaussians, u = 1 / sqrt(n).
     """
     gaussians, volume = context.mapper.map, context.volume
     inside = volume.contains(gaussians.means)

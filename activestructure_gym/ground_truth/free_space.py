@@ -66,7 +66,7 @@ class FreeSpace:
             limits = f"a clearance of {min_clearance} m" + (f" and a height of {heights} m" if heights else "")
             raise InputError(f"the scene has no free place with {limits}; lower the limits")
         positions = self.centers(voxels[rng.integers(len(voxels), size=count)])
-        # Move each position within its voxel if that keeps the clearance; the centre always does.
+        # Move each position randomly within its voxel if the clearance remains large enough, in up to four tries.
         jitter = (rng.random((4, count, 3)) - 0.5) * self.voxel_size
         moved = np.zeros(count, dtype=bool)
         for offset in jitter:

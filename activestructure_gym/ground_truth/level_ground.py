@@ -82,7 +82,7 @@ def ground_of(
 ) -> Ground:
     """Find the surfaces below and above the vertical runs of ``voxels``, by one ray down and one ray up per run."""
     steps = np.diff(np.pad(voxels, ((0, 0), (0, 0), (1, 1))).astype(np.int8), axis=2)
-    # Both have the same order, since runs do not overlap.
+    # Entry k of both arrays belongs to the same run, since runs do not overlap.
     first, last = np.argwhere(steps == 1) + corner, np.argwhere(steps == -1) + corner - [0, 0, 1]
     lowest, highest = grid.centers(first), grid.centers(last)
     down, down_z = _cast(grid, lowest, -1.0)
@@ -120,7 +120,10 @@ def front_share(grid: VoxelizedScene, places: np.ndarray) -> float:  # [N, 3] vo
 
 
 def _cast(grid: VoxelizedScene, points: np.ndarray, way: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance to the surface below (way -1) or above (1) each point, and its normal's z (0 for a miss)."""
+    """Return the distance [N] from each point to the surface below (``way`` -1) or above (1), and the z of its normal.
+
+    A miss has an infinite distance and z = 0.
+    """
     hits = grid.scene.raycaster.cast(points, np.broadcast_to([0.0, 0.0, way], points.shape))
     met = hits.face >= 0
     normal_z = np.zeros(len(points))

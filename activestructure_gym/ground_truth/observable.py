@@ -26,7 +26,7 @@ SIGHT_MARGIN = 2e-3
 
 @dataclass(frozen=True)
 class ObservableSurface:
-    """Hold samples, uniform by area, of the surface visible from at least one free viewpoint."""
+    """Hold S samples, uniform by area, of the surface that is visible from at least one viewpoint in free space."""
 
     points: np.ndarray  # [S, 3] float32 metres
     normals: np.ndarray  # [S, 3] float32 unit, towards a viewpoint that sees the point
@@ -91,7 +91,7 @@ def first_in_sight(
     points: np.ndarray,  # [S, 3] on the surface
     eyes: np.ndarray,  # [E, 3] metres
     in_view: Callable[[int, np.ndarray], np.ndarray],  # index of an eye, points [M, 3] float32 -> [M] bool
-    margin: float,  # metres before a point that the occlusion test ignores
+    margin: float,  # metres; the occlusion test ignores surfaces this close in front of a point
 ) -> np.ndarray:  # [S] index of the first eye that has the point in view without occlusion, -1 = none
     """Return the first of the positions ``eyes`` that sees each point; a point is not tested again once it is seen."""
     seen_by = np.full(len(points), -1, dtype=np.int64)

@@ -30,7 +30,7 @@ MIN_VOLUME = 0.5  # m^3, minimum free space of a room
 ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide scans without ceiling in which the first finds no region
 LISTED_GROUND = 1.0  # m^2 of level ground; regions with less (closed furniture) are listed only if used
 ROOM_GROUND = 4.0  # m^2 of level ground; regions with less are ignored if open or inside a body
-_FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # front fractions below / above which a region is / is not the inside of a body
+_FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # `front_share` below which a region can be inside a body, above which it is not
 _MORE_GROUND = 1.1  # factor of level ground by which another enclosed region must exceed the largest to be used instead
 _BELOW_GROUND = 0.8  # minimum fraction of the ceiling that is the back of a ground, for a region below ground
 _OPEN_EDGE = 0.4  # fraction of open ground beyond the edge of a region above which it is part of a larger place
@@ -61,7 +61,7 @@ class Region:
 
     @property
     def volume(self) -> float:
-        """Return the volume in cubic metres."""
+        """Return the volume of the region in cubic metres."""
         return float(np.count_nonzero(self.inside)) * self.grid.voxel_size**3
 
     @cached_property
@@ -71,7 +71,7 @@ class Region:
 
     @cached_property
     def front_share(self) -> float:
-        """Return the fraction of surface hits from inside the region that are front faces, 0..1."""
+        """Return the fraction, 0..1, of rays from inside the region that hit a surface from its front."""
         return front_share(self.grid, np.argwhere(self.inside) + [side.start for side in self.box])
 
     def holds(self, point: np.ndarray, near: int = 0) -> bool:  # [3] metres
@@ -144,7 +144,7 @@ class Regions:
 
     @cached_property
     def open_air(self) -> list[Region]:
-        """Return the open-air regions that have level ground not shared with enclosed regions."""
+        """Return the open-air regions with at least 4 m^2 of level ground that enclosed regions do not share."""
         grid = self.grid
         free = ~grid.occupied & _within(grid) & _above_ground(grid)
         for region in self.enclosed:
@@ -195,7 +195,7 @@ class Regions:
         return known[id(region)]
 
     def level_area(self, region: Region) -> float:
-        """Return the square metres of level ground that belong to this region alone."""
+        """Return the area in m^2 of level ground that belongs to this region alone."""
         return self.ground(region).level_area
 
     def name_of(self, region: Region) -> np.ndarray:  # [3] metres
@@ -211,7 +211,7 @@ class Regions:
         return self.grid.centers(np.array(np.unravel_index(int(best.argmax()), best.shape)))
 
     def reason(self, point: np.ndarray) -> str:  # [3] metres
-        """Return why a point is in no region, as the end of a sentence."""
+        """Return where a point that is in no region is, as the end of a sentence."""
         grid, at = self.grid, self.grid.voxel_of(point)
         if ((at < 0) | (at >= grid.share.shape)).any() or grid.share[tuple(at)] < self.threshold:
             return "outside of the rooms, where no level ground is below or no body fits"
@@ -254,7 +254,7 @@ class Regions:
         )
 
     def _lies_below(self, region: Region, other: Region) -> bool:
-        """Return whether a region is a void below the ground of another."""
+        """Return whether ``region`` is a void below the ground of ``other``."""
         two_empty_storeys = self.ground(other).is_bare and region.ground.ceiling_behind_share < _BELOW_GROUND
         return self._may_be_below(region) and not two_empty_storeys and self._is_over(other, region)
 
@@ -312,7 +312,7 @@ def _covers(region: Region, part: Region) -> bool:
 
 
 def in_text(point: np.ndarray | tuple[float, ...]) -> str:
-    """Format a point as the option ``inside`` takes it: ``1.25,0,-3.5``."""
+    """Return a point (metres) as text in the form of the option ``inside``: ``1.25,0,-3.5``."""
     return ",".join(f"{round(float(value), 2) + 0.0:g}" for value in point)
 
 
@@ -336,7 +336,7 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
     """
     from scipy import ndimage
 
-    # Voxels on both sides of a wall cannot both be this far from it, however thin it is.
+    # Two neighbouring voxels on both sides of a thin wall cannot both be this far from it, so cores end at walls.
     core = candidates & (clearance >= max(BODY_CLEARANCE, 0.6 * grid.voxel_size))
     labels, count = ndimage.label(core)
     if not count:

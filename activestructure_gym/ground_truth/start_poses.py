@@ -65,11 +65,11 @@ def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
         return usable
     level = np.zeros(below.shape, dtype=np.int64)
     level[usable] = np.round((below[usable] - below[usable].min()) / 0.1).astype(np.int64)
-    # One vote per column and level; otherwise tall rooms would outvote low ones.
+    # Each column counts once per level; otherwise tall rooms would have more weight than low ones.
     columns = np.argwhere(usable)[:, :2]
     votes = np.unique(np.column_stack([columns, level[usable]]), axis=0)[:, 2]
     counts = np.bincount(votes, minlength=level.max() + 1)
-    # A floor may fall into two bins.
+    # The height of a floor can be at the border of two bins, so neighbouring bins are added.
     spread = counts + np.concatenate([counts[1:], [0]]) + np.concatenate([[0], counts[:-1]])
     return usable & (spread >= 0.25 * spread.max())[level]
 
@@ -78,7 +78,7 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
     """Return the level unit direction with the largest mean distance to surfaces, averaged over 60 degrees."""
     angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
-    # A ray without a hit leaves through a window or hole: nothing to map there.
+    # A ray without a hit leaves the scene through a window or hole, where there is nothing to map.
     distance = scene.raycaster.cast(position, directions).distance
     view = np.where(np.isfinite(distance), np.minimum(distance, _VIEW_RANGE), 0.0)
     half = _HEADINGS // 12

@@ -51,7 +51,7 @@ def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _ramp(counts: np.ndarray) -> np.ndarray:
-    """Return 0 .. count - 1 for each count, concatenated."""
+    """Return the numbers 0 to count - 1 for each entry of ``counts``, concatenated."""
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 

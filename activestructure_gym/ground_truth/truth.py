@@ -18,7 +18,7 @@ from activestructure_gym.ground_truth.start_poses import choose_start_poses
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
-HARDLY_SEEN = 0.3  # fraction of the surface; below it, the region in use may be the wrong one
+HARDLY_SEEN = 0.3  # minimum visible fraction of the surface; with less, the region in use may be the wrong one
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,8 +50,8 @@ class VoxelizedScene:
 def voxelized(scene: Scene) -> VoxelizedScene:
     """Voxelise a scene; the voxel size is 0.1 m, or larger if `MAX_VOXELS` or `MAX_SAMPLES` would be exceeded."""
     origin, voxel_size, shape = _grid(scene.bounds, surface_area(scene.mesh.vertices, scene.mesh.faces))
-    # Every surface point has a sample within half a voxel: a voxel that a surface properly crosses is never empty. At
-    # the body's clearance the nearest sample is at most 6 mm farther than the surface.
+    # Every surface point has a sample within half a voxel, so a voxel that a surface clearly crosses is never empty. At
+    # a distance of 0.2 m from the surface, the nearest sample is at most 6 mm farther than the surface.
     surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, _SPACING * voxel_size)
     occupied = np.zeros(shape, dtype=bool)
     occupied[tuple(np.floor((surface - origin) / voxel_size).astype(np.int64).T)] = True
@@ -84,7 +84,7 @@ def enclosed_share(occupied: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [X,
     seen = np.zeros(occupied.shape, dtype=np.uint8)
     for direction in fibonacci_directions(_DIRECTIONS):
         axis = int(np.abs(direction).argmax())
-        # Views with the sweep axis first, ascending along the direction; writing to them writes to `seen`.
+        # Array views with the sweep axis first, ascending along the direction. Writing to `counts` changes `seen`.
         layers, counts = np.moveaxis(occupied, axis, 0), np.moveaxis(seen, axis, 0)
         if direction[axis] < 0:
             layers, counts = layers[::-1], counts[::-1]

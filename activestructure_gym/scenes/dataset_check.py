@@ -22,7 +22,7 @@ State = Literal["there", "missing", "damaged"]
 class FileState:
     """Hold the state of one file of a scene."""
 
-    name: str  # relative to the scene's folder
+    name: str  # path of the file relative to the scene's folder
     state: State
     needed: bool  # whether the scene cannot be loaded without the file
     why: str = ""  # what is wrong with the file, or what is unavailable without it
@@ -44,7 +44,7 @@ class SceneState:
 
 
 def check_dataset(dataset: Dataset, root: Path) -> list[SceneState]:
-    """Return the state of each scene in the papers' tables.
+    """Return the state of each scene of ``dataset`` below the folder ``root``.
 
     Raises `InputError` if ``root`` is not a folder.
     """

@@ -24,7 +24,7 @@ class Dataset:
 
     kind: str  # prefix of its reader, as in ``replica:...``
     title: str
-    variable: str  # environment variable naming the folder of the scenes
+    variable: str  # environment variable that contains the path of the folder with the scenes
     source: str  # where to get it, and under which terms
     scenes: Mapping[str, str]  # folder of each scene, by its column title in the papers' tables
     # Start poses by folder: x, y, z in metres and yaw in degrees, in the dataset's axes. For other scenes papers start
@@ -46,14 +46,14 @@ class Dataset:
         return [root / inner / name for inner in ("", "mp3d", "scans", "replica_v1", "Replica") for name in names]
 
     def meshes_beside(self, place: Path) -> list[Path]:
-        """Return the scene's existing mesh files next to its folder."""
+        """Return the existing mesh files of a scene next to its folder ``place``."""
         meshes = [place.parent / f"{place.name}{ending}" for ending in self.endings]
         return [mesh for mesh in meshes if mesh.is_file()]
 
     def place_in(self, root: Path, folder: str) -> Path | None:
-        """Return the folder of a scene below the dataset's, or None.
+        """Return the path of a scene's folder below the dataset's folder ``root``; None if it is not found.
 
-        If only the scene's mesh exists, return the place where its folder would be.
+        If only the scene's mesh exists, return the path that its folder would have.
         """
         places = self.places(root, folder)
         return next((p for p in places if p.exists()), None) or next((p for p in places if self.meshes_beside(p)), None)
@@ -88,7 +88,8 @@ MATTERPORT3D = Dataset(
         "pLe4": "pLe4wQe7qrG",
         "YmJk": "YmJkqBEsHnH",
     },
-    # `start_c2w` of configs/MP3D/*/ActiveGAMER.py in [activegamer, code]: level, along +y; the last one along -x.
+    # Poses `start_c2w` of configs/MP3D/*/ActiveGAMER.py in [activegamer, code]. They are level; the view direction is
+    # +y, and -x in the last scene.
     starts={
         "GdvgFV5R1Z5": (-4.0, 1.0, 1.5, 90.0),
         "gZ6f7yhEvPG": (0.0, 0.0, 2.0, 90.0),
@@ -128,8 +129,8 @@ def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
 def published_start(scene: Scene) -> tuple[float, float, float, float]:  # x, y, z metres, yaw degrees
     """Return the start pose of [activegamer, code] in a scene: position in metres and yaw in degrees.
 
-    Matterport3D: its configured pose. Replica: position and heading of the recorded sequence's first pose (episodes
-    start level). Raises `InputError` for a scene without one.
+    For Matterport3D, it is the pose in the code's configuration. For Replica, it is position and heading of the first
+    pose of the recorded sequence; episodes start level. Raises `InputError` for a scene without a published start pose.
     """
     for dataset in DATASETS.values():
         folder = dataset.folder_of(scene.name)

@@ -1,4 +1,4 @@
-"""Load scenes by name or from files: the function behind every ``scene=`` of environments and commands."""
+"""Load scenes by name or from files, for the option ``scene`` of environments and commands."""
 
 from __future__ import annotations
 
@@ -69,9 +69,9 @@ _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
 
 
 def _shared(make: Callable[..., Scene]) -> Callable[..., Scene]:
-    """Cache the two latest scenes of a factory, since they take seconds to build and never change.
+    """Return a factory that caches the two latest scenes of ``make``, which take seconds to build and never change.
 
-    All environments of a process share them, including the ray caster.
+    All environments of a process share these scenes and their ray casters.
     """
     kept = lru_cache(maxsize=2)(make)
 
@@ -83,7 +83,10 @@ def _shared(make: Callable[..., Scene]) -> Callable[..., Scene]:
 
 
 def _hashable(key: str, value: Any) -> Any:
-    """Return the option with lists and arrays converted to tuples."""
+    """Return the value of the option ``key`` with lists and arrays converted to tuples, so that it can be hashed.
+
+    Raises `InputError` for a value that cannot be hashed.
+    """
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):

@@ -86,9 +86,9 @@ class PartLabels:
 
 @dataclass(frozen=True)
 class Scene:
-    """Hold an immutable mesh; derived data are computed once and cached by content."""
+    """Hold an immutable mesh with a name and a source; data derived from it are computed once."""
 
-    name: str  # display name
+    name: str  # name in messages and results
     mesh: SceneMesh  # metres, z up
     source: str  # origin: a file, or a generator and its arguments
     labels: PartLabels | None = None  # part of each face, for tests; None if unknown

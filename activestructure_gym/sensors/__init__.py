@@ -1,6 +1,6 @@
 """Simulate RGB-D cameras: renderers (ray casting, pyrender) behind one protocol, noise models, frames.
 
-Renderers are loaded when a sensor is made; importing this room loads neither numba nor OpenGL.
+Renderers are loaded when a sensor is made; importing this package loads neither numba nor OpenGL.
 """
 
 from activestructure_gym.geometry.frame import Frame

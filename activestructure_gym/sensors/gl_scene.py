@@ -155,7 +155,7 @@ def _release(platform: _Platform, renderer: _Renderer, process: int) -> None:
 
 
 class GLScene:
-    """Hold geometry, textures and shaders of one scene in its own OpenGL context; draw one image at a time."""
+    """Hold geometry, textures and shaders of one scene in an OpenGL context of its own, and draw images of it."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene

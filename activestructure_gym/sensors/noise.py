@@ -21,7 +21,8 @@ _DISPARITY_METRES = 35.130  # px m, focal length times baseline: the disparity i
 _DISPARITY_STEP = 1.0 / 8.0  # px, step to which disparities are rounded
 _DISPARITY_SIGMA = 0.027778  # px, standard deviation of the disparity (Redwood)
 _REDWOOD_RANGE = 10.0  # m; the Redwood model returns nothing beyond
-# Nguyen's terms diverge towards grazing incidence and were fitted up to 60 deg; they are clamped at this angle.
+# The terms of [nguyen2012] grow without limit towards 90 degrees. They were fitted up to 60 degrees, and incidence is
+# limited to this angle (radians).
 _MAX_INCIDENCE = np.radians(80.0)
 _DROPOUT_JUMP = 0.05  # relative depth difference above which neighbouring pixels show two surfaces
 _DROPOUT_RADIUS = 2.0  # px of the source camera; pixels this near to a depth jump are at risk
@@ -45,9 +46,10 @@ def _slope(values: np.ndarray, valid: np.ndarray, axis: int) -> np.ndarray:
 
 
 def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  # [H, W] -> [H, W]
-    """Return the angle in radians between each pixel's ray and the surface normal; 0 where there is no return.
+    """Return the angle in radians between the ray of each pixel and the surface normal; 0 where there is no return.
 
-    On a plane n . p = d the inverse depth n . ray / d is linear in the pixel, so its slopes give n exactly.
+    The normal is computed from the slopes of the inverse depth. This is exact on a plane n . p = d, where the inverse
+    depth n . ray / d is linear in the pixel coordinates.
     """
     valid = depth > 0
     inverse = np.where(valid, 1.0 / np.where(valid, depth, 1.0), 0.0)
@@ -155,7 +157,7 @@ def drop_edges(
         edge = np.abs(first - second) > _DROPOUT_JUMP * np.minimum(first, second)
         marks[1:] |= edge
         marks[:-1] |= edge
-    # The two pixels of a jump are already the first ring around it.
+    # Both pixels of a jump are marked already, which is a radius of 1.
     radius = max(1, round(_DROPOUT_RADIUS * camera.fx / _SOURCE_FOCAL)) - 1
     if radius:
         jump = cv2.dilate(jump.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0

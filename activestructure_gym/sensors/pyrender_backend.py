@@ -1,6 +1,6 @@
-"""Render with OpenGL through pyrender, the second renderer.
+"""Render with OpenGL through pyrender, the alternative to ray casting.
 
-It is imported only on request and needs the system's EGL and GL libraries.
+The module is imported only on request and needs the system libraries EGL and GL.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class PyrenderRenderer:
         return cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA), depth
 
     def close(self) -> None:
-        """Release the OpenGL context; it is freed when the last renderer of the scene releases it."""
+        """Release the OpenGL context, which is freed when the last renderer of the scene has released it."""
         self._context = None
 
 

@@ -12,7 +12,8 @@ first::
             return Proposals(np.tile(context.agent.pose, (8, 1, 1)))
 
 A stage is a group of sources that are offered together; ``views.stages`` of the configuration lists the stages, for
-example ``(("pool", "mine"),)``. With several stages, a policy switches to another one by choosing a row of the table.
+example ``(("pool", "mine"),)``. With several stages, a policy switches to another stage by choosing a row of the
+candidate table that belongs to it.
 
 This package holds the sources that at least two planners use; `SOURCES` also finds those in the planners' folders.
 """

@@ -31,11 +31,11 @@ class SourceContext:
 
     mapper: KeyframeMapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # free, occupied and unknown voxels
-    planes: PlaneSceneGraph  # as of the last keyframe
+    planes: PlaneSceneGraph  # graph of the planes, updated with the last keyframe
     camera: PinholeCamera  # the sensor's camera, reduced by `ViewConfig.scoring_scale`
     bounds: np.ndarray  # [2, 3] metres, the workspace
     max_range: float  # metres, range of the sensor
-    agent: Agent  # its pose, path lengths, and the final pose of each decision
+    agent: Agent  # with its pose, path lengths, and the poses where earlier decisions ended
     start: np.ndarray  # [3] metres, world: start position of the episode
     clearance_m: float  # metres, smallest distance of a view to space not known to be free
     decision: int  # number of previous decisions
@@ -47,7 +47,7 @@ class SourceContext:
 
 @dataclass(frozen=True)
 class Proposals:
-    """Hold the views that a source proposes, best first; the table takes the first reachable ones."""
+    """Hold the views that a source proposes, best first; the candidate table takes the first reachable views."""
 
     world_from_camera: np.ndarray  # [n, 4, 4]
     look_at: np.ndarray | None = None  # [n, 3] metres, world: point that the camera looks at along the path

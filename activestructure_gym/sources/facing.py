@@ -108,7 +108,7 @@ class UnsureFacing(Facing):
     """
 
     def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return centres and normals of voxels with an error above the mean of the positive errors, largest first."""
+        """Return centres and normals of voxels with an error above the mean positive error, the largest error first."""
         volume, errors = context.volume, voxel_colour_errors(context.mapper, context.volume)
         voxels = np.argwhere(errors > errors[errors > 0].mean() if errors.any() else errors > 0)
         voxels = voxels[np.argsort(-errors[tuple(voxels.T)], kind="stable")]

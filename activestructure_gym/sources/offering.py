@@ -70,7 +70,7 @@ def random_of(seed: int, decision: int, name: str) -> np.random.Generator:
 def offer(
     stage: Sequence[str],
     made: dict[str, Source],
-    context: Callable[[str, int], SourceContext],  # name, room
+    context: Callable[[str, int], SourceContext],  # name of a source, its number of rows -> context
     *,
     rows: int,
     asks: Iterable[int] = (),  # indices of stages
@@ -124,8 +124,8 @@ def _checked(
 ) -> Proposals:
     """Return the proposals of the source ``name``; raise `InputError` for other objects and for invalid poses.
 
-    Poses must be level, with two exceptions that can have roll after a given trajectory: the present pose, and keyframe
-    poses that the pool offers again.
+    Poses must be level (without roll), with two exceptions: ``present``, and keyframe poses that the pool offers again.
+    Both can have roll if the agent followed a given trajectory.
     """
     if not isinstance(proposed, Proposals):
         raise InputError(f"propose() of the source '{name}' must return Proposals, got {type(proposed).__name__}")

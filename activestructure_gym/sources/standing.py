@@ -23,7 +23,7 @@ class Stay(Source):
         check_ranges(self, {"rounds": "[1, 1000]", "rows": "[1, 1]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return the pose of the agent."""
+        """Return the pose of the agent, with the rounds of optimisation."""
         return Proposals(context.agent.pose[None], stay=self.rounds)
 
 
@@ -42,6 +42,6 @@ class Finish(Source):
         check_ranges(self, {"rows": "[1, 1]"})
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return the pose of the agent; nothing in the first frame."""
+        """Return the pose of the agent as a proposal that ends the episode; no proposal in the first frame."""
         begun = int(context.agent.frames > 1)
         return Proposals(context.agent.pose[None][:begun], ends=True)

@@ -66,7 +66,7 @@ class Floor(OnWheels):
         check_ranges(self, {"spacing_m": "[0.05, 100]"})
 
     def places(self, context: SourceContext) -> np.ndarray:
-        """Return the lattice positions inside the workspace."""
+        """Return the positions [P, 2] (metres) of the lattice inside the workspace."""
         low, high = (np.trunc((end - context.start)[:2] / self.spacing_m) for end in context.bounds)
         steps = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij"), axis=-1)
         return np.asarray(context.start[:2] + self.spacing_m * steps.reshape(-1, 2))

@@ -17,8 +17,9 @@ from activestructure_gym.sources.facing import SIDE, Facing, frontier_cells
 class RegionsOfInterest(Facing):
     """Propose views that face the frontier, or surface with low confidence ([active_gs, code]).
 
-    Surface has low confidence in cells with more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The
-    normal of a region is the mean direction to its free neighbours. Unlike the original, a view must see its region.
+    A cell has low confidence if it contains more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The
+    normal of a region is the mean direction to its free neighbours. A view must see its region; the original does not
+    test this.
     """
 
     def regions(self, context: SourceContext) -> np.ndarray:

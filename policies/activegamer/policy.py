@@ -12,8 +12,8 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
 
 STAGES = ("coarse", "fine", "post-refinement")
-COARSE_STEP = 1.0  # m between the positions of the coarse lattice
-COARSE_DIRECTIONS = 5  # directions of the coarse lattice, on the Fibonacci sphere
+COARSE_STEP = 1.0  # metres between the positions of the coarse lattice
+COARSE_DIRECTIONS = 5  # number of view directions of the coarse lattice, on the Fibonacci sphere
 POOL_SHARE = 0.005  # share of the pixels: a view with fewer uncovered pixels leaves the pool of its stage permanently
 GOOD_PSNR = 34.0  # dB; post-refinement ends when 90 % of the keyframes exceed it
 
@@ -24,7 +24,7 @@ SOURCES = (
     "stay",
 )
 
-# Limits that the original does not have.
+# Limits that the original does not have: a stage ends early, and a view is not chosen again and again.
 PATIENCE = 3  # successive decisions without a view above POOL_SHARE that end a stage; tables are random parts of a pool
 MAX_VISITS = 2  # maximum number of choices of one view in one stage
 STAGNATION = 30  # decisions without a decrease of the pool's largest share of uncovered pixels that end a stage
@@ -63,9 +63,10 @@ def coarse_views(
 class ActiveGAMER(Planner):
     """Choose argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
-    IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views with IG_c below 0.005
-    leave the pool after the choice. A stage ends when its pool is empty. In the native setup, the pools are the
-    lattices themselves, and post-refinement optimises in place. Source: [activegamer, code].
+    IG_c is the share of uncovered pixels of candidate c (feature `uncovered`), and d_c the distance from the agent in
+    metres. Views with IG_c below 0.005 leave the pool after the choice. A stage ends when its pool is empty. In the
+    native setup, the pools are the lattices themselves, and post-refinement optimises the map without motion. Source:
+    [activegamer, code].
     """
 
     criterion = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
@@ -77,7 +78,7 @@ class ActiveGAMER(Planner):
         iterations=15,
         stages=tuple((source,) for source in SOURCES),
         candidates=1026,
-        clearance_m=0.3,  # its value for Matterport3D's furnished houses; 0.5 m for Replica's rooms
+        clearance_m=0.3,  # the original's value for Matterport3D's furnished houses; it has 0.5 m for Replica's rooms
         budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)",
     )
 

@@ -49,7 +49,10 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
 
 
 def preferred(*conditions: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
-    """Return which entries satisfy the conditions; a condition that no remaining entry satisfies is skipped."""
+    """Return which of C entries satisfy the conditions, applied one after the other.
+
+    A condition that no remaining entry satisfies is skipped.
+    """
     keep = np.ones(len(conditions[0]), dtype=bool)
     for condition in conditions:
         if (keep & condition).any():
@@ -69,9 +72,9 @@ _COLUMNS: dict[str, Any] = {
 def activeinr(context: FeatureContext) -> np.ndarray:  # [K, 4]
     """Compute the share of the surface in the candidate's uncertain cluster, and the cluster's target (m, world).
 
-    A cluster is a connected part of the most uncertain 80 % of the surface. Each is assigned one candidate near its
-    target, so most candidates have none (share 0, own position). The uncertainty comes from 20 renderings of the map
-    with perturbed parameters. Source: [anm], [activeinr, code].
+    A cluster is a connected part of the most uncertain 80 % of the surface. Each cluster is assigned one candidate near
+    its target. Most candidates have no cluster: their share is 0, and their target is their own position. The
+    uncertainty comes from 20 renderings of the map with perturbed parameters. Source: [anm], [activeinr, code].
     """
     return assigned(context, by_perturbing_all)
 

@@ -73,7 +73,7 @@ class ActiveINR(Planner):
         elif self._target is not None and usable.any():
             gap_of = np.linalg.norm(candidates.xyz - self._target, axis=1)
             choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
-        else:  # no surface is known yet
+        else:  # the map has no surface yet
             choice, stage = nearest_new(observation), "no target"
         self._trace = {
             "stage": stage,
@@ -83,7 +83,7 @@ class ActiveINR(Planner):
         return choice
 
     def _level(self, candidates: Candidates) -> None:
-        """Move the target to the height of all views if they have only one (`agent_Y` in the original)."""
+        """Move the target to the height of the views if all valid views have one height (`agent_Y` in the original)."""
         heights = candidates.xyz[candidates.valid, 2]
         if self._target is not None and len(heights) and np.ptp(heights) < ONE_HEIGHT_M:
             self._target[2] = float(heights[0])

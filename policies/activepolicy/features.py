@@ -17,7 +17,7 @@ from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 
 # Only a summary of the paper was available. It names these constants without values; all but the first are our choice.
 THRESHOLD = 0.25  # tau_u: pixels with a higher U count
-SENSITIVITY = 1.0 / 0.05**2  # eta: a term is tanh(1 / 2) if the depths vary by 5 %
+SENSITIVITY = 1.0 / 0.05**2  # eta: a term of U is tanh(1 / 2) if the standard deviation of the depths is 5 %
 LOG_WEIGHT = 10.0  # gamma: the confidence k is 0.5 alpha if the two depths differ by 10 %
 SHARE = 0.5  # omega_s: weight of the depths; the Laplacians have the rest
 

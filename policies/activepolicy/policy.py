@@ -9,8 +9,8 @@ from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner
 
 BEST = 16  # m: number of views with the largest gain that become nodes
-RELATION = 1.0  # lambda_r: weight of the edges between views; lambda_g is 1 for gains over their mean
-DECAY = 1.0  # gamma_d: decay of an edge per mean distance
+RELATION = 1.0  # lambda_r: weight of the edges between views; the edges to the map have weight 1 (lambda_g)
+DECAY = 1.0  # gamma_d: an edge decays by exp(-gamma_d) at the mean distance between views
 EPSILON = 1e-3  # added to |v_i| in the denominator of the score
 SAME = 1e-9  # relative difference up to which two centralities are equal except for rounding
 

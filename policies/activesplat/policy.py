@@ -47,15 +47,15 @@ class ActiveSplat(Planner):
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Begin with local views at the start, which replace the original's turn on the spot."""
+        """Begin an episode with local views at the start, which replace the original's turn on the spot."""
         super().reset(seed)
         self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen view
         self._failed = np.zeros((0, 3))  # metres, goals that were not reached
         self._stop = np.zeros(0)  # [3] metres, current stop: the last goal that was not a local view
         self._stops = np.zeros((0, 3))  # metres, earlier stops with local views
         self._spent = np.zeros((0, 3))  # metres, all earlier stops
-        self._local_views = 0  # at this stop
-        self._idle = 0  # successive node choices without a node that is neither arrived at nor failed
+        self._local_views = 0  # number of local views at this stop
+        self._idle = 0  # number of successive choices among nodes that are all arrived at or failed
         self._late = False  # whether the late weights apply
 
     def act(self, observation: Observation) -> int:
@@ -113,7 +113,7 @@ class ActiveSplat(Planner):
         return choice
 
     def _leave(self, place: np.ndarray, *, even_if_near: bool = False) -> None:
-        """Make ``place`` the new stop and record the old one as spent.
+        """Make ``place`` [3] (metres) the new stop, and record the current stop as visited.
 
         A place within LOCAL_M of the current stop is not a new stop unless ``even_if_near``.
         """

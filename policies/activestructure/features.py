@@ -14,15 +14,15 @@ from activestructure_gym.views.visibility import visible_cosines
 
 @FEATURES.register("deficiency", unit="as hole_area", low=0.0, high=1.0)
 def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """Compute the area of the deficiency centres C_def that a view would repair, in the unit of `hole_area`.
+    """Compute IG_def: the area of the deficiency centres C_def that a view would repair, in the unit of `hole_area`.
 
-    A centre represents a patch of known area: a hole, or a patch that the map covers too coarsely. It counts if it is
-    visible and near enough. The limit is the reach of `hole_area` for a hole. For a coarse patch it is the distance at
-    which finer Gaussians would replace its own. A hole does not count if an image showed something else in it, such as
-    a window, since no view can fill it.
+    A centre represents a patch of known area: a hole in a plane, or a patch that the map covers too coarsely. It counts
+    if it is visible and near enough. The limit is 4 m for a hole. For a coarse patch it is the distance from which a
+    frame would replace its Gaussians by finer ones. A hole does not count if an image showed something else in it, such
+    as a window, since no view can fill it.
 
-    Repeated views of a centre count less. The area is multiplied by the view's share of the pixels spent on the centre,
-    its own and those of earlier keyframes that saw it (`pixel_share`). A repeated view from the same distance thus
+    Repeated views of a centre count less. The area is multiplied by the share of this view in the pixels that all views
+    of the centre have: this view and the earlier keyframes (`pixel_share`). A repeated view from the same distance thus
     counts one half, then one third, then one quarter. A view from much nearer counts almost fully.
     """
     holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
@@ -41,10 +41,10 @@ def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def pixels_per_area(
-    cosines: np.ndarray,  # [V, D] between normal and line of sight, 0 if not visible
+    cosines: np.ndarray,  # [V, D] cosine between normal and line of sight, 0 if not visible
     views: np.ndarray,  # [V, 4, 4] world_from_camera
     centres: np.ndarray,  # [D, 3]
-) -> np.ndarray:  # [V, D] 1 / m^2, times the squared focal length pixels per square metre
+) -> np.ndarray:  # [V, D] 1 / m^2; times the squared focal length, it is pixels per square metre
     """Return the sampling density cos(angle) / distance^2 of each of D surface patches in each of V views."""
     squared = np.zeros(cosines.shape)
     seen = np.nonzero(cosines)
@@ -85,7 +85,7 @@ def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:
 def structure(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute the sum of the information deficits gamma_i (Eq. 10) of the visible planes: Eq. 13 with alpha_i = 1.
 
-    ActiveStructure does not use this feature. It needs the sum by type and phase, which it computes from the visibility
-    and the deficits in the observation.
+    The policy ActiveStructure does not use this feature. Its sum has weights by type of plane and by phase, and is
+    computed from the visibility and the deficits in the observation.
     """
     return context.visible @ context.planes.state.deficit

@@ -15,7 +15,7 @@ from activestructure_gym.policies.candidates import Observation, check_observati
 
 @dataclass(frozen=True)
 class PlaneView:
-    """Hold the planes of an observation."""
+    """Hold the P planes of an observation, and which of them each of K candidates sees."""
 
     visible: np.ndarray  # [K, P] bool, V_c^vis
     quality: np.ndarray  # [P] q_i, Eq. 7
@@ -43,7 +43,7 @@ def plane_view(observation: Observation) -> PlaneView:
 
 @dataclass(frozen=True)
 class Weights:
-    """Define the weights of the terms in a phase or in a variant of Table 3."""
+    """Define the weights of the terms of the information gain, for a phase or for a variant of Table 3."""
 
     structural: float = 1.0  # alpha_i of planes in V_S, Eq. 13
     objects: float = 1.0  # alpha_i of planes in V_O, Eq. 13
@@ -57,11 +57,11 @@ class Weights:
 
 @dataclass(frozen=True)
 class GainTerms:
-    """Hold the terms of Eqs. 12 to 14, [K] each."""
+    """Hold the terms of the information gain (Eqs. 12 to 14) of K candidates, [K] each."""
 
-    pixel: np.ndarray  # IG_px, or the gain used instead
+    pixel: np.ndarray  # IG_px, or another discovery gain
     discount: np.ndarray  # rho_c in [0, rho_max]
-    structure: np.ndarray  # sum of alpha_i gamma_i over the visible planes, scaled
+    structure: np.ndarray  # sum of alpha_i gamma_i over the visible planes, divided by the sum of gamma over all planes
     deficiency: np.ndarray  # IG_def
     floor: np.ndarray  # `VISIBILITY_FLOOR` for views that see a plane, else 0
     suppressed: np.ndarray  # factor on the whole gain in [0, 1], see `suppression`; 1 outside phase II

@@ -1,6 +1,6 @@
-"""Define the phases of informational polarity reversal (Sec. 3.4): their weights, and the conditions that end them.
+"""Define the three phases of informational polarity reversal (Sec. 3.4): their weights, and when they end.
 
-No transition depends on the number of frames.
+No transition between phases depends on the number of frames.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class Phase:
 
 
 PHASES = (
-    # Deficits of structural planes attract. The phase ends when no view would show much unknown space.
+    # Structural planes with a deficit raise the gain. The phase ends when no view would show much unknown space.
     Phase(
         "I scaffold",
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1, sides=0.0),
         pool_share=0.05,
     ),
-    # Structural planes suppress, objects attract (with discovery=unseen also their unseen sides). The cap of the
-    # discount is higher, and the pool includes views of smaller gaps.
+    # Structural planes lower the gain, and objects raise it (with discovery=unseen also their unseen sides). The cap of
+    # the discount is higher, and the pool includes views of smaller gaps.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),
@@ -85,14 +85,14 @@ _SAME_VIEW = 0.01  # metres, and components of a unit vector; revisit rows repea
 class RevisitedViews:
     """Record the keyframes that phase III has revisited, since a second revisit rarely raises their PSNR.
 
-    A view is a position and a view direction.
+    A keyframe is identified by its position and view direction.
     """
 
     def __init__(self) -> None:
         self._views: list[np.ndarray] = []
 
     def add(self, view: np.ndarray) -> None:  # [6] metres, unit vector
-        """Add the chosen view."""
+        """Record a revisited keyframe by its position (metres) and view direction."""
         self._views.append(np.array(view, dtype=np.float64))
 
     def includes(self, views: np.ndarray) -> np.ndarray:  # [K, 6] -> [K] bool
@@ -114,7 +114,7 @@ class RevisitProgress:
         self._before, self._over = -np.inf, False
 
     def continues(self, lowest: float, revisits: int) -> bool:
-        """Return whether to revisit again; False is final.
+        """Return whether phase III continues with another revisit; once False, the result stays False.
 
         ``lowest`` is the 10 % quantile of the keyframes' PSNR in dB, ``revisits`` the number of revisits so far.
         """

@@ -61,15 +61,14 @@ class StructurePolicy(Policy):
     ----------
     discovery
         The gain of unknown space, used as IG_px: ``"pixel"`` (the paper's uncovered pixels), ``"hole_area"``,
-        ``"unknown_volume"`` or ``"unseen"``. With a gain other than ``"pixel"``, variant B adds only the plane term to
-        the policy of that name, and each later variant adds one term. The weights are those of phase I of the full
-        model, which adds the phases.
+        ``"unknown_volume"`` or ``"unseen"``. The gains other than ``"pixel"`` are the gains of the policies of the same
+        name. With them, each of the variants B, C and D adds one term, with the weights of phase I of the full model.
     """
 
     travel_term = "the shared one"
     native_settings = SPLATAM
-    weights: ClassVar[Weights] = Weights()  # with discovery="pixel"
-    on_base: ClassVar[Weights] = _ON_BASE  # with another discovery gain
+    weights: ClassVar[Weights] = Weights()  # weights with discovery="pixel"
+    on_base: ClassVar[Weights] = _ON_BASE  # weights with another discovery gain
     deficiencies: ClassVar[bool] = False  # whether the gain includes IG_def
 
     def __init__(self, discovery: Discovery = "pixel") -> None:
@@ -88,7 +87,7 @@ class StructurePolicy(Policy):
         return self._choose(without_revisit_gain(terms.total, observation), terms, observation, {})
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> GainTerms:
-        """Return the terms of Eqs. 12 to 14; the deficiency is 0 in variants without it."""
+        """Return the terms of Eqs. 12 to 14 for all candidates; the deficiency IG_def is 0 in variants A to C."""
         candidates = self.candidates(observation)
         shares = {name: candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()}
         if _SIDES in shares:
@@ -103,7 +102,7 @@ class StructurePolicy(Policy):
         The trace records ``more``, and the ``terms`` of the chosen and of the second best view.
         """
         travel = travel_discount(observation)
-        # If no view has a gain, the lower bound makes the travel discount decide.
+        # The lower bound leaves the choice to the travel discount if no view has a gain.
         scores = np.maximum(gain, 1e-6) * travel
         choice = best_valid(scores, observation)
         others = observation["action_mask"].astype(bool)
@@ -122,7 +121,7 @@ class StructurePolicy(Policy):
 
 @POLICIES.register("activestructure-a")
 class ActiveStructureA(PixelOnly):
-    """Choose argmax IG_px g: variant A of Table 3, uncovered pixels only."""
+    """Choose argmax IG_px g: variant A of Table 3, uncovered pixels IG_px times travel discount g only."""
 
     criterion = "uncovered pixels"
     source = "ActiveStructure, variant A of Table 3"
@@ -131,7 +130,7 @@ class ActiveStructureA(PixelOnly):
 
 @POLICIES.register("activestructure-b")
 class ActiveStructureB(StructurePolicy):
-    """Choose argmax (IG_px + omega sum alpha_i (1 - q_i)) g: variant B, which adds the visible planes' low quality."""
+    """Choose argmax (IG_px + omega sum alpha_i (1 - q_i)) g: variant B, which adds the low quality q_i of planes."""
 
     criterion = "uncovered pixels and visible planes of low quality"
     source = "ActiveStructure, variant B of Table 3"

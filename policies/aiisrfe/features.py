@@ -15,7 +15,7 @@ from activestructure_gym.volume import FREE
 
 CLUSTER = 2.0  # metres, side of the cubes into which frontiers are cut (own choice)
 MIN_FRONTIER_VOXELS = 5  # minimum number of voxels of a frontier (own choice)
-NEAR = 3.0  # metres from the agent to a near frontier (own choice)
+NEAR = 3.0  # metres, largest distance from the agent to a near frontier (own choice)
 
 
 @FEATURES.register(
@@ -35,9 +35,10 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
     - the mean over pixels of the uncertainty (mean squared colour error) of the visible surface.
 
     A frontier is a connected cluster of free voxels next to space that no keyframe has seen. The candidate that sees
-    most of its voxels serves it; a frontier that no candidate sees is ignored. It is near if its centre is within 3 m
-    of the agent. The uncertainty of a place is the mean squared error of its rendered colours, to which a learned
-    variance of colour converges. Source: [aiisrfe], by its abstract and a summary.
+    most voxels of a frontier serves it; a frontier that no candidate sees is ignored. A frontier is near if its centre
+    is within 3 m of the agent. The uncertainty of a place is the mean squared error of its rendered colours. The
+    learned variance of colour in the original converges to this error. Source: [aiisrfe], by its abstract and a
+    summary.
     """
     poses, keyframes = context.world_from_camera, context.mapper.keyframes
     table = np.zeros((len(poses), 4))

@@ -33,7 +33,7 @@ class Aiisrfe(Planner):
     travel_term = "shortest tour of tasks"
     source = "by a digest of Zeng et al., ICRA 2024"
     required_features = ("aiisrfe",)
-    # The original also draws views for tasks. Their numbers and distances are our choice.
+    # As in the original, views are drawn for the tasks. Their numbers and distances are our choice.
     native_settings = NativeSettings(
         stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),
         candidates=208,
@@ -98,9 +98,9 @@ class Aiisrfe(Planner):
 
 
 def most_uncertain(candidates: Candidates, uncertain: np.ndarray) -> list[int]:  # [K] -> rows
-    """Return up to `RECONSTRUCTIONS` candidate rows in order of decreasing uncertainty.
+    """Return up to three candidate rows with the largest values of ``uncertain``, in decreasing order.
 
-    A row is skipped if it is closer than `APART_M` metres to a chosen one. Rows without uncertainty are never chosen.
+    A row is skipped if it is closer than 1 m to a chosen one. Rows without uncertainty are never chosen.
     """
     chosen: list[int] = []
     for row in np.argsort(-uncertain, kind="stable"):

@@ -49,7 +49,8 @@ def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
 def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
     """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
 
-    The columns are those of ``anm_s``. The uncertainty is a first-order approximation that needs no rendering.
+    The columns are those of ``anm_s``, which explains them. The uncertainty is a first-order approximation that needs
+    no rendering.
     """
     return views_at_node(context, by_proxy)
 

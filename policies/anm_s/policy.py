@@ -72,7 +72,7 @@ class AnmS(Planner):
         super().reset(seed)
         self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen candidate
         self._stop = np.zeros(0)  # [3] metres, position of the last chosen node; empty before the first decision
-        self._idle = 0  # successive node choices without a node that is neither arrived at nor failed
+        self._idle = 0  # number of successive choices among nodes that are all arrived at or failed
         self._left = 0  # remaining views at this node
         self._viewed = np.zeros((0, 3))  # directions already viewed at this node
         self._failed = np.zeros((0, 2))  # metres, goals that were not reached
@@ -106,7 +106,7 @@ class AnmS(Planner):
         return choice
 
     def node_score(self, candidates: Candidates) -> np.ndarray:  # [K], whole numbers
-        """Return the integer score of each candidate's node; 0 without a node."""
+        """Return the integer score of the Voronoi node of each candidate; 0 without a node."""
         score = (
             UNARRIVED * (candidates["visited_distance"] > ARRIVED_M)
             + IN_HORIZON * (candidates["in_horizon"] > 0)
@@ -116,7 +116,7 @@ class AnmS(Planner):
         return np.where(candidates["voronoi_node"] >= 0, score, 0.0)
 
     def _has_failed(self, candidates: Candidates) -> np.ndarray:  # [K] bool
-        """Return which candidates are within `AT_NODE` of a goal that was not reached."""
+        """Return which candidates are within 0.5 m, in the floor plane, of a goal that was not reached."""
         places = candidates.xyz[:, None, :2].astype(np.float64)
         return (np.linalg.norm(places - self._failed, axis=2) <= AT_NODE).any(axis=1)
 

@@ -21,5 +21,5 @@ class Nodes(OnWheels):
         return planar_graph(context.volume, context.start).nodes
 
     def spent(self, context: SourceContext) -> np.ndarray:
-        """Return the views that are not proposed again: only the agent's current pose."""
+        """Return the poses near which no view is proposed: only the agent's current pose."""
         return context.agent.pose[None]

@@ -1,4 +1,4 @@
-"""Compute closed-loop FisherRF: the information of a view and of the path to it, each part counted once."""
+"""Compute closed-loop FisherRF: the Fisher information of a view and of the path to it, without counting any twice."""
 
 from __future__ import annotations
 

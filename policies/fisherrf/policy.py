@@ -35,10 +35,10 @@ class FisherRFCov(Greedy):
 
 @POLICIES.register("fisherrf_path")
 class FisherRFPath(Greedy):
-    """Choose argmax of the information along the path and at its end (feature `fisherrf_path`).
+    """Choose argmax of the Fisher information along the path and at its end (feature `fisherrf_path`).
 
-    This is the closed loop of the published active mapping. The 20 most informative views are found first, then the
-    information along their paths.
+    This is the rule of FisherRF's published active mapping. The 20 views with the most information of their own are
+    selected first, and then scored with the information along their paths.
     """
 
     criterion = "Fisher information of a view and of the path to it, each part counted once"

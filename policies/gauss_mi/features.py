@@ -69,9 +69,10 @@ def revisit_discount(
     world_from_camera: np.ndarray,  # [K, 4, 4]
     chosen: np.ndarray,  # [T, 4, 4] chosen views, the newest one last
 ) -> np.ndarray:  # [K] in 0..1
-    """Return 1 - 0.95^k for a view that repeats the k-th view chosen before the newest one (k = 1, 2, ...).
+    """Return a factor on the gain: 1 - 0.95^k for a view that repeats the k-th view chosen before the newest one.
 
-    It is 1 for a view that repeats none, and until more than `FEW` views were chosen. The newest one does not count.
+    A view repeats another one within 0.3 m and 10 degrees. The factor is 1 for a view that repeats none of the last
+    100, and until more than five views were chosen. The newest chosen view does not count.
     """
     discount = np.ones(len(world_from_camera))
     if len(chosen) <= FEW:

@@ -33,7 +33,7 @@ VOTE_FACTOR = 10.0
 CLEAR = 0.8  # a pixel counts if the transmittance in front of the Gaussian exceeds this
 MIN_PIXELS = 5  # minimum number of pixels for a vote, in an image of OF_PIXELS
 OF_PIXELS = 640 * 480
-LIMIT = 10.0  # bound of votes and log-odds
+LIMIT = 10.0  # largest absolute value of votes and log-odds
 
 
 class DirectionalReliability:

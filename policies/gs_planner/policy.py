@@ -16,9 +16,9 @@ MIN_GAIN = 0.02  # g_lb: views with a lower gain are dropped
 STORED_GAIN = 0.05  # g_thres: views with a higher gain that are not chosen are stored in the library
 MIN_OVERLAP = 0.5  # epsilon: views with at least this `overlap` count as the same view in the library
 OVERLAP_M = 2.0  # metres; views at this distance have no overlap
-OVERLAP_RAD = np.pi / 2.0  # views with this angle between them have no overlap; it is the width of the image
+OVERLAP_RAD = np.pi / 2.0  # radians; views with this angle between them have no overlap (width of the image)
 
-VIEWPOINTS = 4  # viewpoints that one growth of the tree adds; more would cover a whole room
+VIEWPOINTS = 4  # number of places that are considered; more would cover a whole room
 SPACING_M = 1.5  # metres between viewpoints (HGS-Planner's spacing), so that they are not all at the agent
 
 
@@ -56,10 +56,10 @@ class GSPlanner(Planner):
     """Choose argmax G = G_completeness + w G_quality among near views, then from a library ([gs_planner]).
 
     The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
-    four nearest places is considered; they replace one growth of the original's tree. The best one is chosen, and
-    others with G above 0.05 are stored in the view library. If none has at least 0.02, the best view of the library is
-    chosen. If the library is empty, the best of all views is; the original then ends. Revisits are not candidates.
-    Source: [gs_planner], by its text.
+    four nearest places is considered; the places replace one growth of the original's tree. The view with the largest G
+    is chosen, and others with G above 0.05 are stored in a view library. If no G is at least 0.02, the best view of the
+    library is chosen. If the library is empty, the best of all views is chosen; the original then ends the episode.
+    Revisits are not candidates. Source: [gs_planner], by its text.
     """
 
     criterion = "unobserved volume behind transmittance, badly rendered surface"
@@ -78,7 +78,7 @@ class GSPlanner(Planner):
         self._library = np.zeros((0, 6))  # position in metres and view direction of each view
 
     def act(self, observation: Observation) -> int:
-        """Return the best near view, or one from the library."""
+        """Return the view with the largest G at a near place, or one from the view library."""
         volume, loss = self.candidates(observation).feature("gs_planner").astype(np.float64).T
         gain = volume + QUALITY_WEIGHT * loss
         observation = without_revisits(observation)

@@ -25,8 +25,9 @@ Sum = Literal["ranked", "raw"]
 class HGSPlanner(Greedy):
     """Choose argmax G = G_cov + lambda_o G_Q in the local window, else in the next region of a tour.
 
-    A view is useful if its G_cov is above 0.05. Without useful views in the window, the regions that contain
-    useful views are visited in the order of the shortest tour. Without any, all views are scored by G. Revisits are not
+    G_cov is the unseen space that a view would show, and G_Q its Fisher information (feature `hgs_planner`). A view is
+    useful if its G_cov is above 0.05. Without useful views in the window, the regions that contain useful views are
+    visited in the order of the shortest tour. Without any useful view, all views are scored by G. Revisits are not
     candidates. With ``travel=shared`` there are no stages: all views are scored by G times the shared factor.
 
     Parameters

@@ -91,7 +91,7 @@ def check_size(file: Path, most: int = MAX_WEIGHT_BYTES) -> None:
 def read_network_config(weights: Path) -> NetworkConfig:
     """Return the network's configuration from the description next to the weights.
 
-    Raises `InputError` for an invalid description, and for features that name Python code (`registry.refuse_code`).
+    Raises `InputError` for an invalid description, and for feature names that would import Python code.
     """
     file = weights.with_suffix(".json")
     content = _described(weights)["network"]

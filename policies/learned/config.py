@@ -22,7 +22,7 @@ USED_KEYS = (
     "candidate_planes",
 )
 
-# Entries of the Plane Scene Graph.
+# Entries of the observation that describe the Plane Scene Graph.
 PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
 
 # Minimum and maximum of every size, so that a checkpoint from an unknown source cannot exhaust the memory.
@@ -35,9 +35,9 @@ class NetworkConfig:
     """Define the sizes of the candidate-set network, which accepts any number of candidates and planes."""
 
     features: tuple[str, ...] = ("pixel", "hole_area")  # columns of ``candidate_features``, in this order
-    planes: int = 32  # channels per plane
-    candidates: int = 48  # channels per candidate
-    rounds: int = 2  # rounds of message passing between neighbouring planes
+    planes: int = 32  # number of channels per plane
+    candidates: int = 48  # number of channels per candidate
+    rounds: int = 2  # number of rounds of message passing between neighbouring planes
     use_planes: bool = True  # False: the network gets an empty Plane Scene Graph, for an ablation
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class NetworkConfig:
             raise InputError(f"use_planes of the network must be true or false, got {short_repr(self.use_planes)}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain values for JSON."""
+        """Return the fields by name, as values that JSON can store."""
         return {**dataclasses.asdict(self), "features": list(self.features)}
 
     @classmethod

@@ -1,7 +1,9 @@
 """Compute the network's inputs from observations, scaled by physical ranges.
 
-Shapes: B observations, K candidates, P planes, G feature columns. There are no running statistics such as those of
-stable-baselines3's VecNormalize: they would be per row, which breaks equivariance, and empty rows would distort them.
+Shapes: B observations, K candidates, P planes, G feature columns. Inputs are not normalised by running statistics, as
+stable-baselines3's VecNormalize does. Such statistics would differ from row to row, which breaks equivariance, and
+empty rows would distort them.
+
 Positions and directions are in the camera's heading frame: origin at the camera, x along its horizontal view direction,
 z up. The inputs therefore do not change if the world is rotated about z or shifted.
 """
@@ -89,8 +91,8 @@ def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
 def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS + INPUTS_PER_FEATURE G]
     """Return pose, travel cost, visible planes and features of every candidate; 0 in padded rows.
 
-    A feature g has three inputs: log(1 + g / 0.001) / 7, and g over the largest valid one, without and with the travel
-    discount. Greedy planners are simple functions of these inputs.
+    A feature g has three inputs: log(1 + g / 0.001) / 7; g divided by the largest g of the valid candidates; and the
+    same with g times the travel discount. Greedy planners are simple functions of these inputs.
     """
     table, valid = observation["candidates"], observation["action_mask"][..., None]
     position, yaw = heading(observation["pose"])
@@ -130,7 +132,11 @@ def _shares(features: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] 
 
 
 def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
-    """Return remaining budget, log counts of candidates and planes, and the largest valid value of each feature."""
+    """Return the inputs of the whole state.
+
+    They are the remaining budget, the logarithms of the numbers of candidates and planes, and the largest value of each
+    feature among the valid candidates.
+    """
     valid = observation["action_mask"]
     counts = [valid.sum(-1, keepdim=True).log1p() / 6, observation["plane_mask"].sum(-1, keepdim=True).log1p() / 4]
     most = (feature_sizes(observation["candidate_features"]) * valid[..., None]).amax(dim=1)

@@ -49,7 +49,8 @@ class CandidateExtractor(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Dict, network: Mapping[str, Any] | None = None) -> None:
         """Create the network; ``network`` is a `NetworkConfig` as a dictionary.
 
-        Its default has the features of the observation space. Raises `InputError` if the space does not match.
+        Without it, the network has default sizes and the features of the observation space. Raises `InputError` if the
+        space does not match.
         """
         _refuse_others(observation_space)
         table = observation_space["candidate_features"]

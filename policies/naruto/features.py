@@ -1,4 +1,4 @@
-"""Compute NARUTO's goal score and look-at list ([naruto]) with the uncertainty to which its loss converges."""
+"""Compute NARUTO's goal score and look-at list ([naruto]), with the limit of its learned uncertainty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from activestructure_gym.volume import FREE, VoxelVolume
 
 INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # 3.06 m^2, sigma of a place that no ray has measured
 FLOOR = 0.01  # m^2, minimum sigma
-POOL = 4000  # maximum number of most uncertain voxels, from which targets are chosen
+POOL = 4000  # maximum number of voxels from which targets are chosen, the most uncertain ones
 TARGETS = 300  # maximum number of targets
 POOL_SHARE = 0.035  # maximum size of the pool as a share of all voxels: 4000 of the 80 x 48 x 30 voxels of room0
 TARGET_SHARE = 0.075  # maximum number of targets as a share of the pool
@@ -47,7 +47,8 @@ def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
 def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
     """Compute the look-at list of a goal at the candidate's position: x, y, z (m, world) of 10 targets.
 
-    The list contains the most uncertain targets seen from there. It is filled up with the candidate's own position.
+    The list contains the 10 most uncertain targets seen from this position. Missing targets are replaced by the
+    position itself.
     """
     targets = context.once(find_targets)
     listed = np.repeat(context.world_from_camera[:, None, :3, 3], LISTED, axis=1)

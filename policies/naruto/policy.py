@@ -48,7 +48,7 @@ class Naruto(Planner):
         self._left = np.zeros((0, 3))  # metres, remaining targets of the look-at list
 
     def act(self, observation: Observation) -> int:
-        """Return the next view at the goal; a new goal if no target is left or the goal was not reached."""
+        """Return the next view at the goal, or a view at a new goal if no target is left or the goal was missed."""
         candidates = self.candidates(observation)
         here = observation["pose"][:3]
         if np.linalg.norm(here - self._goal) > AT_GOAL:

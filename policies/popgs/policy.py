@@ -34,7 +34,10 @@ class LogDet(Greedy):
 
 @POLICIES.register("popgs_logdet_cov")
 class LogDetCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log(1 + d / h): D-optimality and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log(1 + d / h): D-optimality and unseen space.
+
+    G_cov is `hole_area`, h and d are those of `LogDet`, and lambda_o is the share of observed space near the agent.
+    """
 
     criterion = "the volume of the map's uncertainty, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -56,7 +59,10 @@ class CovTrace(Greedy):
 
 @POLICIES.register("popgs_cov_trace_cov")
 class CovTraceCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum 1 / h - 1 / (h + d): covariance and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum 1 / h - 1 / (h + d): covariance and unseen space.
+
+    G_cov is `hole_area`, h and d are those of `CovTrace`, and lambda_o is the share of observed space near the agent.
+    """
 
     criterion = "the sum of the map's variances, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -75,7 +81,11 @@ class InfoTrace(Greedy):
 
 @POLICIES.register("popgs_info_trace_cov")
 class InfoTraceCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum d: trace of the information and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum d: trace of the information and unseen space.
+
+    G_cov is `hole_area`, d is the information of the candidate about a parameter, and lambda_o is the share of observed
+    space near the agent.
+    """
 
     criterion = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -97,7 +107,10 @@ class MinEig(Greedy):
 
 @POLICIES.register("popgs_min_eig_cov")
 class MinEigCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = min (h + d) - min h: E-optimality and unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = min (h + d) - min h: E-optimality and unseen space.
+
+    G_cov is `hole_area`, h and d are those of `MinEig`, and lambda_o is the share of observed space near the agent.
+    """
 
     criterion = "the least known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -119,7 +132,11 @@ class LogDetBlock(Greedy):
 
 @POLICIES.register("popgs_logdet_block_cov")
 class LogDetBlockCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log det(H + B) - log det H, with unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum log det(H + B) - log det H, with unseen space.
+
+    G_cov is `hole_area`, H and B are those of `LogDetBlock`, and lambda_o is the share of observed space near the
+    agent.
+    """
 
     criterion = "the volume of the map's uncertainty, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -141,7 +158,11 @@ class CovTraceBlock(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block_cov")
 class CovTraceBlockCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum tr H^-1 - tr (H + B)^-1, with unseen space."""
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum tr H^-1 - tr (H + B)^-1, with unseen space.
+
+    G_cov is `hole_area`, H and B are those of `CovTraceBlock`, and lambda_o is the share of observed space near the
+    agent.
+    """
 
     criterion = "the sum of the map's variances, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"

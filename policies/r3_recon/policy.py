@@ -14,7 +14,7 @@ class R3Recon(ActiveGS):
     criterion = "visible unexplored voxels, surface that cannot be rendered well from this side"
     source = "Jin et al., R3-RECON, arXiv 2601.07484"
     required_features = ("r3_recon",)
-    # Its regions of interest are frontier voxels only (`use_confidence: false`, [r3_recon, code]).
+    # The views face frontier voxels only, unlike ActiveGS's (`use_confidence: false` in [r3_recon, code]).
     native_settings = NativeSettings(
         stages=(("frontier_facing?rows=30", "around?rows=70"),),
         candidates=100,

@@ -1,8 +1,9 @@
 """Record which colours and directions the keyframes saw of every surface voxel of 5 cm, without the Gaussian map.
 
-A keyframe observes each voxel that contains one of its pixels once. It sees the mean colour of these pixels, from the
-direction and the distance of the voxel's centre. The record holds the number of views, the mean and spread of the
-colours, the directions in 64 bins, and the smallest distance. Source: [r3_recon, code].
+A keyframe observes each voxel once if the surface point of any of its pixels is in the voxel. Its observation is the
+mean colour of these pixels, and the direction and distance from the voxel's centre to the camera. The record holds the
+number of views, the mean and spread of the colours, the directions in 64 bins, and the smallest distance. Source:
+[r3_recon, code].
 """
 
 from __future__ import annotations
@@ -38,7 +39,10 @@ class SurfaceViews:
         return self.deviation / np.maximum(self.views - 1.0, 1.0)
 
     def update(self, keyframes: Sequence[Frame]) -> SurfaceViews:
-        """Add the keyframes that are new since the last call; return this object."""
+        """Add the keyframes that are new since the last call to the record; return this object.
+
+        ``keyframes`` are all keyframes, those of the last call first.
+        """
         if len(keyframes) < self._known:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
         for frame in keyframes[self._known :]:

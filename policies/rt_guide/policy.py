@@ -25,7 +25,7 @@ class RTGuide(Planner):
     travel_term = "region by uncertainty / e^metres"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_features = ("rt_guide",)
-    # Goals and views of a wheeled robot; the lattice replaces its motion primitives (own choice).
+    # Views for a wheeled robot, as in the original; the lattice replaces motion primitives (own choice).
     native_settings = NativeSettings(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
 
     def act(self, observation: Observation) -> int:

@@ -10,7 +10,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 class UnknownVolume(SharedGreedy):
     """Choose argmax V / (1 + frames / 5), where V is the unknown volume in m^3 that the path to a view would reveal.
 
-    It equals phase I of `activestructure` without planes.
+    The policy equals phase I of `activestructure` without planes.
     """
 
     criterion = "unknown space revealed along the path"

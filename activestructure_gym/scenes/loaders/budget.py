@@ -48,7 +48,7 @@ LIMITS = {
 
 
 class LimitError(UnreadableMesh):
-    """Report that a scene exceeds a limit; the message completes a sentence that begins with the file."""
+    """Report that a scene exceeds a limit; the message completes a sentence that begins with the name of the file."""
 
 
 @dataclass
@@ -60,7 +60,7 @@ class SceneBudget:
     _files: set[tuple[int, int]] = field(default_factory=set)  # device and inode: each file counts once
 
     def read(self, path: Path) -> bytes:
-        """Return the content of a regular file; devices and pipes are refused."""
+        """Return the content of a regular file, and count its size; raise `LimitError` for devices and pipes."""
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
             raise LimitError(f"'{path.name}' is a device or a pipe and no file")

@@ -38,7 +38,7 @@ _POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 @dataclass(frozen=True)
 class ColladaFile:
-    """Hold the parts in file units, with the declared unit and up axis."""
+    """Hold the parts of a COLLADA file in its own units, with the declared unit and up axis."""
 
     parts: list[MeshPart]
     metres_per_unit: float
@@ -78,7 +78,7 @@ class _Document:
     root: Element
     textures: TextureStore
     by_id: dict[str, Element] = field(default_factory=dict)
-    # Results by element: many instances can share long arrays.
+    # Results of `_once` by function and element, since many instances can share long arrays.
     _made: dict[tuple[str, Any], Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class _Document:
         return self.by_id.get((url or "").removeprefix("#"))
 
     def _once(self, make: Callable[..., Any], of: Element | str, *more: Any) -> Any:
-        """Return ``make(of, *more)``, cached by ``of`` alone."""
+        """Return ``make(of, *more)``, computed once for each element ``of``, whatever ``more`` is."""
         key = (make.__name__, of)
         if key not in self._made:
             self._made[key] = make(of, *more)
@@ -207,7 +207,7 @@ class _Document:
             )
 
     def _opacity(self, bound: _Binding, sets: dict[int, Input], corners: np.ndarray) -> Opacity | None:
-        """Return the opacity of the corners; None if the material does not define it."""
+        """Return the opacity of a part with ``corners`` and the material ``bound``; None if it is not defined."""
         said, picture = self._once(self._transparency, bound.material)
         if said is None:
             return None
@@ -346,7 +346,7 @@ class _Binding:
 
 
 def _bindings(instance: Element) -> dict[str, _Binding]:
-    """Return the bindings of an instance by material symbol."""
+    """Return the materials that an instance of a geometry uses, by the symbol in the geometry."""
     return {
         bound.get("symbol", ""): _Binding(
             bound.get("target", "").removeprefix("#"),

@@ -69,7 +69,10 @@ def _input(holder: Element | None, semantic: str) -> Element:
 
 
 def _array(holder: Element | None, semantic: str, target: Target) -> Element:
-    """Return the array of an input: numbers or names."""
+    """Return the element with the numbers or names of the input ``semantic`` of ``holder``.
+
+    Raises `UnreadableMesh` if there is none.
+    """
     source = target(_input(holder, semantic).get("source"))
     found = next((child for child in source if child.tag.endswith("_array")), None) if source is not None else None
     if found is None:
@@ -138,7 +141,10 @@ def _joints(
 def _weights(
     holder: Element | None, vertices: int, joints: int, target: Target
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return vertex, joint and weight of every influence; joint -1 keeps the bind shape's position."""
+    """Return vertex index, joint index and weight of every influence of a joint on a vertex.
+
+    The joint -1 means the position in the bind shape.
+    """
     values = floats(_array(holder, "WEIGHT", target).text)
     if holder is None:
         raise UnreadableMesh("a skin has no weights")

@@ -1,4 +1,4 @@
-"""Compute transforms of COLLADA nodes."""
+"""Compute the matrix of a COLLADA node from its transform elements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 
 
 def node_matrix(node: ElementTree.Element) -> np.ndarray:  # [4, 4] parent_from_node
-    """Return the product of the node's transforms, the first one outermost."""
+    """Return the product of the matrices of the node's transform elements, in their order."""
     matrix = np.eye(4)
     for element in node:
         step = np.eye(4)
@@ -52,7 +52,7 @@ def _skew(numbers: np.ndarray) -> np.ndarray:  # [7] -> [3, 3]
 
 
 def _lookat(rows: np.ndarray) -> np.ndarray:  # [3, 3] eye, point looked at, up -> [4, 4]
-    """Return the transform of a node at the eye, with -z towards the point and y up."""
+    """Return the matrix of a node at the eye, with its -z axis towards the point and its y axis up."""
     eye, point, up = rows
     back = _unit(eye - point, "lookat")
     right = _unit(np.cross(up, back), "lookat")

@@ -16,7 +16,7 @@ Element = ElementTree.Element
 
 @dataclass(frozen=True)
 class Input:
-    """Hold one property of the corners: the column of its index in <p>, and its values."""
+    """Hold one property of corners, such as the position: its values, and the column of its index in <p>."""
 
     semantic: str
     column: int
@@ -36,9 +36,9 @@ class Input:
 
 
 def corners_and_triangles(primitives: Element, width: int, positions: Input) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners [C, width] (rows of <p>) and triangles [F, 3] over them.
+    """Return the corners [C, width] of a polygon element, which are the rows of <p>, and triangles [F, 3] over them.
 
-    Concave outlines and holes of polygons are preserved.
+    ``positions`` are needed to split polygons. Concave outlines and holes of polygons are preserved.
     """
     rows = [_rows(p, width) for p in primitives.findall("p")]
     corners = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
@@ -72,7 +72,10 @@ def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
 
 
 def _strips(sizes: np.ndarray, *, fans: bool) -> np.ndarray:  # [F, 3]
-    """Return the triangles of concatenated strips; the triangles of a fan share its first corner."""
+    """Return the triangles of concatenated strips with ``sizes`` corners each, or of fans.
+
+    The triangles of a fan share its first corner.
+    """
     counts = np.maximum(sizes - 2, 0)
     starts = np.repeat(np.cumsum(sizes) - sizes, counts)
     k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -31,7 +31,7 @@ _TRUE, _FALSE = ("true", "1"), ("false", "0")
 
 @dataclass(frozen=True)
 class ColladaTexture:
-    """Hold a <texture> of an effect."""
+    """Hold a texture of a COLLADA effect: its image and the placement of the image."""
 
     image: str  # id of its image, or the name in the last parameter
     texcoord: str = ""  # name of its coordinate set in <bind_vertex_input>
@@ -58,7 +58,7 @@ class ColladaTexture:
 
 
 def texture_of(texture: Element, parameters: Mapping[str, Element]) -> ColladaTexture:
-    """Read a <texture> element; ``parameters`` are the <newparam> and <setparam> elements by name."""
+    """Return the content of a <texture> element; ``parameters`` are the <newparam> and <setparam> elements by name."""
     name, wraps, extras = texture.get("texture", ""), ["WRAP", "WRAP"], []
     for _ in range(3):
         parameter = parameters.get(name)
@@ -137,7 +137,8 @@ def leaves_picture(uv: np.ndarray) -> bool:
 def chosen_set(sets: Mapping[int, object], texcoord: str, bound: Mapping[str, int]) -> tuple[int, bool]:
     """Return the coordinate set that a texture uses, and whether it is certain.
 
-    ``bound`` maps names to sets, from <bind_vertex_input>; without an entry the number at the end of the name is used.
+    ``texcoord`` is the name of the set in the texture. ``bound`` maps names to numbers of sets, from
+    <bind_vertex_input>; without an entry, the number at the end of the name is used.
     """
     digits = texcoord[len(texcoord.rstrip("0123456789")) :]
     wanted = bound.get(texcoord, int(digits[:9]) if digits else -1)

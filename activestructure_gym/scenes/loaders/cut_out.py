@@ -150,7 +150,7 @@ class _View:
         )
 
     def interpolated(self, values: np.ndarray, face: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Interpolate vertex values [V, K] or [V] at the corners of pieces: [P, 3, K] or [P, 3]."""
+        """Return vertex values [V, K] or [V] interpolated at the corners of P pieces: [P, 3, K] or [P, 3]."""
         if values.ndim == 1:
             return np.einsum("pij,pj->pi", corners, values[self.faces[face]])
         return np.einsum("pij,pjk->pik", corners, np.asarray(values[self.faces[face]], dtype=np.float64))
@@ -199,9 +199,10 @@ class _View:
         return face[has_area], corners[has_area]
 
     def _edges(self, face: np.ndarray, corners: np.ndarray, finest: float) -> np.ndarray:
-        """Return each edge's length relative to the minimum, in metres or pixels, whichever is smaller: [P, 3].
+        """Return the length [P, 3] of each edge relative to the minimum length of an edge that is split.
 
-        Edge k runs from corner k to the next one.
+        Lengths are compared in metres and in pixels of the image, and the smaller ratio counts. Edge k is from corner k
+        to the next one.
         """
         if self.picture is None:  # linear opacity: one cut is exact
             return np.zeros((len(face), 3))

@@ -18,7 +18,7 @@ _NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched 
 
 
 def in_words(error: Exception) -> str:
-    """Return the cause of a reader's exception as a message about the file."""
+    """Return the cause of an exception in a reader, as the end of a sentence about the file, with a remedy."""
     if isinstance(error, UnreadableMesh):
         reason = str(error)
     elif isinstance(error, json.JSONDecodeError):

@@ -33,7 +33,7 @@ _PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # grey in linear light; th
 
 @dataclass(frozen=True)
 class GltfFile:
-    """Hold the parts in file axes, and the declared up axis."""
+    """Hold the parts of a glTF file in its own axes, and the declared up axis."""
 
     parts: list[MeshPart]
     up: str | None  # text of "up" in the extras of the asset or default scene, None if absent
@@ -56,13 +56,13 @@ def read_gltf(path: Path, textures: TextureStore) -> GltfFile:
 
 
 def _declared_up(header: dict[str, Any]) -> str | None:
-    """Return the file's own up axis from extras, or None.
+    """Return the up axis that the file declares under "up" in the extras of its asset or scene; None without it.
 
-    This marker is ours: glTF has one up axis, +y (glTF 2.0, section 3.4), and no field for another.
+    This entry is specific to this project: glTF has one up axis, +y (glTF 2.0, section 3.4), and no field for another.
     """
     scenes = header.get("scenes") or [{}]
     for holder in (header.get("asset", {}), scenes[header.get("scene", 0)]):
-        extras = holder.get("extras")  # of any type, written by any program
+        extras = holder.get("extras")  # any program may write any type of value here
         if isinstance(extras, dict) and isinstance(extras.get("up"), str):
             return extras["up"].strip().lower()
     return None
@@ -163,10 +163,10 @@ class _Document:
                 raise UnreadableMesh(f"its {name} is {str(accessor['type'])[:20]} instead of {' or '.join(wanted)}")
 
     def _material(self, index: int | None) -> dict[str, Any]:
-        """Return the properties of a material; empty without a material.
+        """Return the properties of a material by name; {} without a material.
 
-        "factor" (linear) and "texture" are the visible colour, "base" and "base_texture" the base colour with its
-        alpha.
+        "factor" (linear light) and "texture" are the visible colour; "base" and "base_texture" are the base colour with
+        its alpha.
         """
         if index is None:
             return {}
@@ -195,7 +195,10 @@ class _Document:
     def _texture(
         self, info: dict[str, Any] | None, primitive: dict[str, Any], placement: Placement, used: Rows
     ) -> tuple[int | None, np.ndarray | None, tuple[int, int]]:
-        """Return the number of the image in the file, its coordinates [V, 2], and wrap modes across and down."""
+        """Return the index of a texture's image in the file, coordinates [V, 2], and wrap modes across and down.
+
+        ``info`` is the reference to the texture in the material. Index and coordinates are None without a texture.
+        """
         nothing = None, None, (REPEAT, REPEAT)
         if info is None:
             return nothing
@@ -246,7 +249,7 @@ class _Document:
 
 
 def _transmission(extension: Any) -> float:
-    """Return the fraction of transmitted light; 0 without such an extension."""
+    """Return the fraction of transmitted light in an extension for glass; 0 without the extension."""
     given: dict[str, Any] = extension if isinstance(extension, dict) else {}
     return float(given.get("transmissionFactor", given.get("diffuseTransmissionFactor", 0.0)))
 

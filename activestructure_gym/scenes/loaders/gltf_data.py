@@ -49,7 +49,7 @@ _OLD = "it is glTF {}, and only glTF 2.0 is read; convert it with gltf-pipeline 
 
 
 def _checked(header: Any) -> dict[str, Any]:
-    """Return the header if it is glTF 2.0; in glTF 1.0 the lists were dictionaries."""
+    """Return the header if it is glTF 2.0, else raise `UnreadableMesh`; glTF 1.0 has dictionaries instead of lists."""
     if not isinstance(header, dict):
         raise UnreadableMesh("its JSON is no object with 'asset' and 'meshes', as glTF has it")
     asset = header.get("asset")
@@ -83,7 +83,7 @@ class GltfData:
         return entries[index]
 
     def view_bytes(self, index: int) -> bytes:
-        """Return the bytes of a buffer view."""
+        """Return the bytes of the buffer view number ``index``."""
         view = self.entry("bufferViews", index)
         start = _size(view.get("byteOffset", 0), "byteOffset")
         return self._buffer(view["buffer"])[start : start + _size(view["byteLength"], "byteLength")]
@@ -114,7 +114,7 @@ class GltfData:
             dtype = np.dtype(_known(_COMPONENTS, accessor, "componentType"))
             normalised = accessor.get("normalized") and dtype.kind in "iu"
             if "bufferView" not in accessor or "sparse" in accessor or normalised:
-                self.budget.take("numbers in arrays", count * columns)  # these are copied, others are not
+                self.budget.take("numbers in arrays", count * columns)  # these values are copied, others are not
             if "bufferView" in accessor:
                 values = self._values(accessor["bufferView"], accessor.get("byteOffset", 0), count, columns, dtype)
             else:
@@ -168,5 +168,5 @@ def _known(table: dict[Any, Any], holder: dict[str, Any], key: str) -> Any:
 
 
 def data_uri(uri: str) -> bytes:
-    """Return the bytes in a ``data:`` address."""
+    """Return the bytes that are encoded in a ``data:`` URI (base 64)."""
     return base64.b64decode(uri.partition(",")[2])

@@ -26,7 +26,7 @@ _READ = (
     "KHR_node_visibility",
     "KHR_texture_transform",
 )
-# Glass: treated as solid; a note gives the number of faces.
+# Extensions of glass, which is treated as solid; a note gives the number of faces.
 TRANSMITTING = ("KHR_materials_transmission", "KHR_materials_diffuse_transmission")
 # Extensions that change neither position nor presence of surfaces. They are listed by full name, since a new extension
 # of the same family may change them.

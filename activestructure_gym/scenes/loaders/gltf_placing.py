@@ -1,7 +1,7 @@
 """Place the meshes of a glTF file: visible nodes, instances, skins and morph targets.
 
 Specification: [gltf], sections 3.5 and 3.7; KHR_node_visibility, EXT_mesh_gpu_instancing, MSFT_lod. Animations are not
-played. A skin has its joints' stored pose, a morph target the weight of its node or mesh.
+played. A skin is in the stored pose of its joints, and a morph target has the weight stored in its node or mesh.
 """
 
 from __future__ import annotations
@@ -97,7 +97,10 @@ def placed_positions(data: GltfData, primitive: dict[str, Any], placement: Place
 
 
 def _influences(data: GltfData, attributes: dict[str, int], rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Return joints [V, 4 n] and their weights [V, 4 n], which sum to 1, over all n sets of the primitive."""
+    """Return, for each vertex, the indices of its joints [V, 4 n] and their weights [V, 4 n], which sum to 1.
+
+    n is the number of sets JOINTS_k and WEIGHTS_k of the primitive.
+    """
     sets = [name.removeprefix("JOINTS_") for name in attributes if name.startswith("JOINTS_")]
     if missing := [k for k in sets if f"WEIGHTS_{k}" not in attributes]:
         raise UnreadableMesh(f"it has JOINTS_{missing[0]} without WEIGHTS_{missing[0]}; export it again")
@@ -119,7 +122,7 @@ class _Joints:
         self._skins: dict[int, np.ndarray] = {}
 
     def of(self, skin_index: int) -> np.ndarray:  # [J, 4, 4] world_from_bind
-        """Return the world matrix times the inverse bind matrix of every joint."""
+        """Return world_from_node times inverse bind matrix of each of the J joints of a skin."""
         if skin_index not in self._skins:
             skin = self._data.entry("skins", skin_index)
             world = np.stack([self._world_from(joint) for joint in skin["joints"]])

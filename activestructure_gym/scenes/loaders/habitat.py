@@ -118,9 +118,9 @@ class _Dataset:
         return cls(path, _table(path, "a dataset's configuration (JSON with stages)"))
 
     def files(self, kind: str) -> dict[str, Path]:
-        """Return configurations and meshes of a kind by handle.
+        """Return the configurations and meshes of the section ``kind`` by handle.
 
-        A handle is the path from the dataset's folder without the ending.
+        A handle is the path of a file relative to the dataset's folder, without the ending.
         """
         if kind not in self.known:
             root = self.path.parent
@@ -133,9 +133,10 @@ class _Dataset:
         return self.known[kind]
 
     def placed(self, kind: str, file: Path, textures: TextureStore) -> tuple[list[MeshPart], np.ndarray]:
-        """Return the parts of a stage or object in Habitat's axes, and their centre of mass [3]. Reads each file once.
+        """Return the parts of a stage or object in Habitat's axes, and their centre of mass [3]; read each file once.
 
-        Axes: y up, -z front, metres. The centre is the configuration's, else that of the bounding box.
+        Habitat's axes are y up and -z front, in metres. The centre of mass is from the configuration, else the centre
+        of the bounding box.
         """
         if file not in self.assets:
             default = self._section(kind).get("default_attributes")
@@ -172,7 +173,10 @@ class _Dataset:
 
 
 def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]:
-    """Yield the files that a section's ``paths`` refer to, none outside the dataset's folder."""
+    """Yield the files in the dataset's folder ``root`` that the ``paths`` of a section refer to.
+
+    Files outside of the folder are left out.
+    """
     paths = section.get("paths", {})
     for suffix in (".json", ".glb"):
         patterns = paths.get(suffix, []) if isinstance(paths, Mapping) else []
@@ -259,7 +263,7 @@ def _moved(part: MeshPart, motion: np.ndarray, by: np.ndarray) -> MeshPart:
 
 
 def _turn(told: Mapping[str, Any], where: Path) -> np.ndarray:  # [3, 3]
-    """Return the rotation from an asset's axes to Habitat's (y up, -z front)."""
+    """Return the rotation from the axes of an asset to Habitat's axes (y up, -z front)."""
     up, front = _vector(told, "up", where, (0.0, 1.0, 0.0)), _vector(told, "front", where, (0.0, 0.0, -1.0))
     right = np.cross(front, up)
     lengths = [float(np.linalg.norm(axis)) for axis in (right, up, front)]

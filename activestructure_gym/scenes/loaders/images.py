@@ -1,4 +1,4 @@
-"""Decode images from untrusted files: known formats only, size checked before decoding."""
+"""Decode images from untrusted files: only known formats, with a check of the size before decoding."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels
     from PIL import Image as images
 
     with warnings.catch_warnings():
-        # warnings on metadata, and on sizes above a limit that is higher than the one here
+        # Pillow warns of metadata, and of sizes above a limit that is higher than `most_pixels`.
         warnings.simplefilter("ignore")
         try:
             image = images.open(io.BytesIO(data), formats=formats)

@@ -1,4 +1,4 @@
-"""Read JSON files of scenes."""
+"""Read JSON files of scenes, and report faults as `InputError`."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from activestructure_gym.scenes.datasets import MATTERPORT3D, find_scene
 from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.scene import Scene
 
-# Specific to this dataset: other scenes have navmeshes too, and any file may be named house/house.glb.
+# Endings of files that only this dataset has. Other scenes have navmeshes too, and any file may be house/house.glb.
 _OWN_FILES = (".house", "_semantic.ply")
 
 
@@ -44,7 +44,10 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
 
 
 def is_matterport3d(path: Path) -> bool:
-    """Return whether the path is a Matterport3D scene, by the dataset's files (identifies paths without prefix)."""
+    """Return whether the path is a Matterport3D scene; it identifies paths without a loader prefix.
+
+    The files ``.house`` or ``_semantic.ply`` next to the mesh identify the dataset.
+    """
     path = Path(os.path.abspath(path))
     mesh_file = path / f"{path.name}.glb" if path.is_dir() else path
     if mesh_file.suffix.lower() != ".glb" or not mesh_file.is_file():

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
 METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
-# World x, y, z as axes of the file with signs; proper rotations, so nothing is mirrored.
+# For each up axis: the axes of the file that become world x, y and z, and their signs. All are rotations, not
+# mirrorings.
 _WORLD_FROM_FILE = {
     "z": ((0, 1, 2), (1, 1, 1)),
     "-z": ((0, 1, 2), (1, -1, -1)),
@@ -178,9 +179,10 @@ def finished_scene(
     scale: float = 1.0,  # metres per file unit, already applied; messages need it to suggest other units
     labels: PartLabels | None = None,
 ) -> Scene:
-    """Return a checked scene: zero-area faces removed, size checked, scale noted.
+    """Return the scene of a mesh without faces of zero area, after checks of its size and scale.
 
-    Doubts about orientation, textures or scale are stored in its notes and reported as one `InputWarning`.
+    ``doubts`` about orientation and textures, and doubts about the scale, are stored in the scene's notes and reported
+    as one `InputWarning`. Raises `InputError` for an unusable mesh.
     """
     keep = _has_area(mesh)
     dropped = int((~keep).sum())
@@ -213,7 +215,7 @@ def finished_scene(
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
-    """Return messages on missing or unreadable textures, and the readers' notes."""
+    """Return the notes of the readers, and messages on missing or unreadable textures."""
     notes = list(dict.fromkeys(textures.notes))
     missing, bare, ignored = (
         list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv, textures.ignored)
@@ -241,7 +243,10 @@ def _some(names: list[str]) -> str:
 
 
 def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, DeclaredUp]:
-    """Return the parts in file units, metres per unit, and the up axis declared by the file or its format."""
+    """Return the parts of a file in its own units, metres per unit, and the up axis declared by the file or its format.
+
+    Raises `InputError` for an unreadable file.
+    """
     suffix = path.suffix.lower()
     try:
         if suffix in (".glb", ".gltf"):
@@ -354,7 +359,7 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
 
 
 def _check_overlap(path: Path, mesh: SceneMesh) -> None:
-    """Raise `InputError` if too many triangles overlap: a ray would test all of their boxes."""
+    """Raise `InputError` if too many triangles overlap, since a ray would have to test all of them."""
     total = 0.0
     for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
         corners = mesh.vertices[mesh.faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
@@ -374,9 +379,10 @@ def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the s
 
 
 def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> str:
-    """Suggest the units for which a length is between ``low`` and ``high`` metres, most plausible first.
+    """Return a text that suggests the units in which a length is between ``low`` and ``high`` metres.
 
-    The extent [3] and the length are in file units. A scene's shortest side is usually its height.
+    The most plausible unit comes first. The extent [3] and the length are in file units. A unit is plausible if the
+    shortest side, which is usually the height of a room, is near 2.6 m.
     """
     fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= length * metres <= high]
     if not fitting:
@@ -425,5 +431,5 @@ def ceiling_height(scene: Scene) -> float | None:
     indoors = np.isfinite(down) & (walls >= 6)
     if len(total) <= 0.1 * len(starts) or np.isfinite(up[indoors]).sum() < 0.5 * indoors.sum():
         return None
-    # Furniture shortens lines and nothing lengthens them, so the room's height is among the longest.
+    # Furniture shortens lines and nothing lengthens them, so the height of the room is among the longest lines.
     return float(np.percentile(total, 75))

@@ -14,7 +14,8 @@ import numpy as np
 
 from activestructure_gym.scenes.scene import CLAMP, REPEAT
 
-_NUMBERS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}  # maximum number of values
+# Options with numbers, and the maximum number of their values.
+_NUMBERS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}
 _SWITCH = ("on", "off")
 _WORDS = {
     **dict.fromkeys(("-clamp", "-blendu", "-blendv", "-cc"), _SWITCH),
@@ -53,9 +54,9 @@ class TextureMap:
 
 
 def texture_map(statement: str) -> TextureMap:
-    """Parse the text after `map_Kd`, `map_d` and the like.
+    """Return the texture and its options from the text after a keyword such as `map_Kd` or `map_d`.
 
-    Of a repeated option the last values count. Omitted numbers are 1 for `-s` and 0 for `-o`.
+    If an option is repeated, the last values count. Omitted numbers are 1 for `-s` and 0 for `-o`.
     """
     values: dict[str, tuple[float, ...] | str] = {}
     place = 0
@@ -102,7 +103,7 @@ def _last_number(words: Sequence[str] | None) -> float | None:
 
 
 def _numbers(statement: str, place: int, most: int) -> tuple[tuple[float, ...], int]:
-    """Return up to ``most`` numbers starting at ``place``, and the position after them."""
+    """Return up to ``most`` numbers of a statement starting at the position ``place``, and the position after them."""
     numbers: list[float] = []
     while len(numbers) < most and (word := _WORD.match(statement, place)) and _NUMBER.fullmatch(word[1]):
         numbers.append(float(word[1]))
@@ -116,7 +117,7 @@ def _pair(numbers: tuple[float, ...] | str | None, default: float) -> tuple[floa
 
 
 def _matters(option: str, value: tuple[float, ...] | str) -> bool:
-    """Return whether an unsupported or empty option changes the appearance."""
+    """Return whether an option with this value is unsupported and changes the appearance; True for an empty value."""
     if not value:
         return True
     if option in _READ or option in _OF_FILTERS:

@@ -1,4 +1,4 @@
-"""Compute the opacity of a mesh part's points, whatever the file format.
+"""Compute the opacity of the points of a mesh part, in the same way for all file formats.
 
 A part has a factor, values at its vertices and an image; the opacity of a point is their product. Points below the
 cutoff are removed, all others are solid: see `cut_out`.
@@ -52,7 +52,7 @@ class Opacity:
 
 
 class OpacityPicture:
-    """Look up an opacity image: bilinear values, as in the renderers, and bounds over rectangles."""
+    """Look up the opacity in an image: bilinear values, as in the renderers, and bounds over rectangles."""
 
     def __init__(self, picture: np.ndarray, wrap: tuple[int, int]) -> None:
         self.size = np.array(picture.shape[::-1])  # pixels across and down, in the order of coordinates
@@ -126,7 +126,8 @@ class OpacityPicture:
 def opacity_picture(image: Image, channel: str) -> np.ndarray | None:  # [h, w] uint8
     """Return one channel of an image as opacity; None if the image lacks it.
 
-    ``channel`` is "alpha", "luminance", "r", "g", "b", or "either": alpha if some of it is below 1, else luminance.
+    ``channel`` is "alpha", "luminance", "r", "g", "b" or "either". The last means alpha if any alpha is below 1, else
+    luminance.
     """
     alpha = _alpha(image) if channel in ("alpha", "either") else None
     if channel == "either":

@@ -32,9 +32,9 @@ from activestructure_gym.scenes.scene import Scene
 
 SUFFIXES = (".json", ".jsonl", ".json.gz", ".jsonl.gz")
 _MAX_OBJECTS, _MAX_WALLS = 5000, 5000
-_MAX_HOUSE_BYTES = 64 << 20  # bytes of one house
+_MAX_HOUSE_BYTES = 64 << 20  # maximum size of one house, bytes
 
-# Default width, depth and height in metres, by the first listed word in an asset's name.
+# Default width, depth and height in metres. The first of these words that is in an asset's name selects the size.
 SIZES = {
     "bed": (1.6, 2.0, 0.6), "sofa": (2.0, 0.9, 0.8), "arm chair": (0.9, 0.9, 0.9), "chair": (0.5, 0.5, 0.9),
     "stool": (0.4, 0.4, 0.6), "dining table": (1.6, 0.9, 0.75), "coffee table": (1.1, 0.6, 0.45),
@@ -151,7 +151,7 @@ class _Wall:
             raise UnreadableMesh(f"the wall {short_repr(wall['id'])} has no width or no height")
         self.along = np.array([along[0], along[1], 0.0]) / self.width
         self.tint = _tint(_material(wall.get("material")), "wall")
-        self.empty = bool(wall.get("empty"))  # a boundary within one space, without a wall
+        self.empty = bool(wall.get("empty"))  # True for a boundary inside one space, where there is no wall
         self.holes: list[tuple[float, float, float, float]] = []  # left, right, bottom, top in metres
 
     def at(self, x: float, y: float) -> np.ndarray:  # metres along and up -> [3]
@@ -175,7 +175,10 @@ class _Wall:
 
 
 def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door: bool) -> list[MeshPart]:
-    """Cut a doorway or window out of both walls that contain it; return the panel that closes it, if any."""
+    """Cut a doorway or window out of the walls on both sides of it; return the panel that closes it, or [].
+
+    ``hole`` is its entry in the file; ``rooms`` are the names of the rooms. A door between two rooms is open.
+    """
     first = walls[str(hole["wall0"])]
     corners = _points(hole["holePolygon"])  # relative to the first wall: along it and up
     (left, bottom), (right, top) = corners[:, [0, 2]].min(axis=0), corners[:, [0, 2]].max(axis=0)

@@ -85,9 +85,10 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
 
 
 def is_replica(path: Path) -> bool:
-    """Return whether the path looks like part of a Replica scene (identifies paths without prefix).
+    """Return whether the path is probably part of a Replica scene; it identifies paths without a loader prefix.
 
-    Many tools name their mesh mesh.ply: without other files of the dataset, only one of quads counts as Replica's.
+    Many tools name their mesh mesh.ply. Without other files of the dataset, it counts as Replica's only if it has
+    quads.
     """
     if not path.is_dir():
         return path.name == "mesh_semantic.ply" or path.name.endswith(".stage_config.json")
@@ -111,7 +112,7 @@ def _has_quads(mesh_file: Path) -> bool:
 
 
 def _mesh_file(path: Path) -> tuple[Path, Path]:
-    """Return the mesh to read, and the scene's folder (which names the scene)."""
+    """Return the path of the mesh to read, and the path of the scene's folder, whose name is the name of the scene."""
     if path.name.endswith(".json"):
         return _from_stage_config(path)
     if not path.exists() and not REPLICA.meshes_beside(path):

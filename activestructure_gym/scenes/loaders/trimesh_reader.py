@@ -107,7 +107,7 @@ def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] 
 
 
 def _decoded(data: bytes) -> str:
-    """Decode text as UTF-8, marked UTF-16, or Latin-1, which older exporters use for names."""
+    """Return ``data`` decoded as UTF-8, as UTF-16 if it has a byte order mark, or as Latin-1 of older exporters."""
     try:
         return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig")
     except UnicodeDecodeError:
@@ -236,7 +236,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray,
         material = visual.material
         name = str(getattr(material, "name", "texture"))
         statement = (getattr(material, "kwargs", None) or {}).get(_TEXTURE)
-        image = getattr(material, "image", None)  # of a PLY file
+        image = getattr(material, "image", None)  # only materials of a PLY file have one
         lies = texture_map(unquote(statement[0]) if statement else "")
         fits = visual.uv is not None and len(visual.uv) == len(vertices)
         if not fits and (statement or image is not None):
@@ -248,7 +248,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray,
             texture = textures.add(id(image), lambda: image, name)
         if texture >= 0:
             uv = _downward(lies.placed(np.asarray(visual.uv, dtype=np.float64)))
-            # Exporters leave Kd at 0, 0.8 or 1 with a map; the author saw the map.
+            # The colour Kd is not used with a texture, since exporters leave it at 0, 0.8 or 1.
             colors = np.ones(3)
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
             colors = _srgb(np.asarray(material.diffuse))

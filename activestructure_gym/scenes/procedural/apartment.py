@@ -57,7 +57,7 @@ def build_apartment(plan: ApartmentPlan, *, name: str, source: str, seed: int, l
 
 
 def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> Scene:
-    """Return an empty box of width x depth x height metres with one corner at the origin: six planes.
+    """Return an empty box-shaped room of width x depth x height metres with one corner at the origin.
 
     It has fewer than 2000 triangles. Raises `InputError` for sizes outside 0.5 to 50 m.
     """
@@ -131,7 +131,7 @@ def _describe_side(
 def _wall_role(space: Space, axis: int, sign: int) -> str:
     if space.kind == "bath":
         return "wall bath"
-    # In living and sleeping rooms one wall has another colour: the long one farther from the origin.
+    # In living and sleeping rooms, the long wall farther from the origin has another colour.
     extent = np.array(space.upper) - space.lower
     accent = int(extent[0] <= extent[1]) != axis and sign > 0
     if space.kind in ("living", "bedroom", "child") and accent:

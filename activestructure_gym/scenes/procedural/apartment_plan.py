@@ -21,7 +21,7 @@ _FROM_PIECES = 0.04
 
 @dataclass(frozen=True)
 class ApartmentPlan:
-    """Hold a floor plan with furniture."""
+    """Hold the floor plan of an apartment and its pieces of furniture."""
 
     layout: Layout
     pieces: tuple[Piece, ...]

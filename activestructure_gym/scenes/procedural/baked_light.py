@@ -1,8 +1,8 @@
 """Bake light per vertex: lamps and windows with soft shadows, three bounces, and an exposure.
 
 Lamps and windows are sampled directly, since random rays would rarely hit them. Light from other surfaces is gathered
-along a fixed set of directions per vertex, equal in the frame of the normal. Neighbouring vertices thus have the same
-error, and walls show no noise.
+along a fixed set of directions per vertex, which is the same relative to the normal. Neighbouring vertices thus have
+similar errors, and walls show no noise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CHUNK = 8192  # number of vertices per batch: half a million rays, 30 MB
 _OFFSET = 0.008  # metres between a sample and its surface: above float32 noise, below a door's thickness
 _GAMMA = 1 / 2.2  # exponent from linear light to display values
 _KEY = 0.5  # linear display value of a white surface in average light
-_WHITE = 1.08  # display factor that the brightest light approaches
+_WHITE = 1.08  # upper limit of the display factor, which very bright light approaches
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class WindowLight:
     upper: np.ndarray  # [3]
     inward: np.ndarray  # [3] unit
     room: np.ndarray  # [2, 3] metres, box of the room
-    emission: tuple[float, float, float] = (8.0, 8.7, 9.6)  # linear RGB exitance; a lamp gives 2 at 1 m
+    emission: tuple[float, float, float] = (8.0, 8.7, 9.6)  # linear RGB exitance; lamps give 0.2 to 2 at 1 m
 
 
 @dataclass(frozen=True)
 class _Point:
-    """Hold a point light: one sample of a lamp or a pane."""
+    """Hold a point light, which is one sample of a lamp or of a window pane."""
 
     position: np.ndarray  # [3] metres
     power: np.ndarray  # [3] linear RGB irradiance at 1 m, facing the light
@@ -171,7 +171,7 @@ def _directions(strata: int) -> np.ndarray:  # [strata^2, 3] float32
     cell = (np.arange(strata) + 0.5) / strata
     share, turn = np.meshgrid(cell, cell, indexing="ij")
     radius = np.sqrt(share).reshape(-1)
-    # Rows are rotated against each other, so that directions do not align.
+    # Rows of directions are rotated against each other, so that directions do not line up.
     angle = (2 * np.pi * (turn + 0.382 * np.arange(strata)[:, None])).reshape(-1)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1).astype(np.float32)
 
@@ -202,7 +202,7 @@ def _bounce(
         axes = (tangent, np.cross(n, tangent), n)
         rays = sum(directions[:, k, None, None] * axis[None] for k, axis in enumerate(axes))  # [D, n, 3]
         face = caster.cast(np.broadcast_to(samples.points[part], rays.shape).reshape(-1, 3), rays.reshape(-1, 3)).face
-        # Back faces are seen only from inside furniture, where it is dark: index F.
+        # Back faces are seen only from inside furniture, where it is dark. They get the index F, whose light is 0.
         away = np.einsum("ij,ij->i", normal[face], rays.reshape(-1, 3))
         face[(face < 0) | (away > 0)] = len(mesh.faces)
         seen[:, part] = face.reshape(len(directions), -1)

@@ -52,7 +52,7 @@ BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
     "washing machine": fixtures.washing_machine,
     "window frame": decor.window_frame,
 }
-# Parts of the building, not objects in it.
+# Kinds of pieces that are parts of the building, not objects in it.
 STRUCTURAL_KINDS = frozenset({"front door", "window frame"})
 # Metres by which vases, pots and books extend above the piece of furniture that they are on.
 _ON_TOP = {"bathtub": 0.13, "coffee table": 0.08, "dining table": 0.27, "dresser": 0.31, "kitchen run": 0.26}
@@ -86,7 +86,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Light:
-    """Hold a small lamp that the light baker samples."""
+    """Hold a small lamp, which `bake_light` samples by point lights."""
 
     position: tuple[float, float, float]  # metres
     radius: float  # metres, horizontal extent, which softens shadows

@@ -97,7 +97,7 @@ def toilet(pen: Pen, size: Size) -> None:
 
 
 def vanity(pen: Pen, size: Size) -> None:
-    """Draw a wash basin on a cupboard with a mirror above; ``size``'s height is the mirror's top."""
+    """Draw a wash basin on a cupboard with a mirror above; the height in ``size`` is the top of the mirror."""
     width, depth, top = size
     x, y, height = width / 2, depth / 2, 0.84
     pen.box((-x, -y, 0.2), (x, y - 0.02, height - 0.04), "light wood")

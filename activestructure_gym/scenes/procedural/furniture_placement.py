@@ -21,7 +21,7 @@ _GRID = 0.1  # metres: resolution of the passage test
 
 @dataclass(frozen=True)
 class Wall:
-    """Describe one wall of a room. ``along`` runs counter-clockwise, so the inside is on its left."""
+    """Describe one wall of a room. ``along`` runs counter-clockwise around the room, with the room on its left."""
 
     index: int  # 0: low y, 1: high x, 2: high y, 3: low x
     start: np.ndarray  # [2] metres, the corner at along = 0
@@ -71,7 +71,7 @@ def overlap(a: Rect, b: Rect, gap: float = 0.0) -> bool:
 
 
 def walls_of(layout: Layout, room: int) -> list[Wall]:
-    """Return the four walls of a room, counterclockwise from the lower one, with their doors and windows."""
+    """Return the four walls of a room, counter-clockwise from the wall at low y, with their doors and windows."""
     (x0, y0, _), (x1, y1, _) = layout.spaces[room].box
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     walls = []
@@ -116,7 +116,7 @@ class RoomPlanner:
 
     @property
     def area(self) -> float:
-        """Return the floor area in m^2."""
+        """Return the floor area of the room in m^2."""
         return (self.room[2] - self.room[0]) * (self.room[3] - self.room[1])
 
     def piece(self, kind: str, x: float, y: float, yaw: float, size: Size, *, base: float = 0.0) -> Piece:
@@ -161,7 +161,10 @@ class RoomPlanner:
         self.clear.extend(clear)
 
     def passable(self, extra: Iterable[Rect] = (), *, fronts: Iterable[Rect] = ()) -> bool:
-        """Return whether all doors and fronts remain reachable around ``extra`` furniture, by 0.6 m wide passages."""
+        """Return whether all doors, clear floor and ``fronts`` remain connected by passages of at least 0.6 m.
+
+        ``extra`` are footprints of additional furniture.
+        """
         from scipy.ndimage import label
 
         targets = [*self.clear, *fronts]
@@ -177,7 +180,7 @@ class RoomPlanner:
             free[np.ix_((x > r[0] - half) & (x < r[2] + half), (y > r[1] - half) & (y < r[3] + half))] = False
         labels, _ = label(free)
         common: set[int] | None = None
-        reach = 0.15  # metres from which a person can use a target
+        reach = 0.15  # metres; a target counts as reached from this distance
         for r in targets:
             inside = labels[np.ix_((x > r[0] - reach) & (x < r[2] + reach), (y > r[1] - reach) & (y < r[3] + reach))]
             found = set(np.unique(inside)) - {0}
@@ -241,7 +244,7 @@ class RoomPlanner:
             distance = np.minimum(distance, _distance(rect, r))
         for r in self.clear:
             distance = np.where(_distance(rect, r) < 0, -np.inf, distance)
-        # Rounded, so that ties are resolved by order and not by the last bit.
+        # Distances are rounded, so that the first of equal ones is chosen and rounding errors do not matter.
         best = np.unravel_index(np.argmax(distance.round(6)), distance.shape)
         if distance[best] < margin - 1e-6:
             return None

@@ -20,7 +20,7 @@ NICHE = 2  # lattice steps: 0.2 m from the inner face of an outer wall to the pa
 _WALL = 1  # lattice steps between a room and its cell's border: inner walls are 0.2 m thick
 
 RoomKind = Literal["living", "bedroom", "kitchen", "bath", "study", "child", "dining"]
-# Typical floor areas in m^2, walls included.
+# Typical floor areas of rooms in m^2, with their walls.
 _AREAS: dict[RoomKind, float] = {
     "living": 21.0, "bedroom": 15.0, "kitchen": 12.5, "bath": 7.0, "study": 11.5, "child": 12.0, "dining": 13.0
 }  # fmt: skip
@@ -46,7 +46,7 @@ class Space:
     kind: RoomKind | Literal["door", "window"]
     lower: tuple[int, int, int]  # lattice steps
     upper: tuple[int, int, int]
-    room: int  # index of the room itself, or of the opening's room (for a door: the first of two)
+    room: int  # index of the room itself, or of the room of a door or window (for a door, the first of two rooms)
     outward: tuple[int, int] = (0, 0)  # doors and windows: direction through the wall, out of the room
 
     @property

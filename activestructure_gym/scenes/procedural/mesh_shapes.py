@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-# Longest edge of a face; light is baked per vertex, so this bounds the resolution of shadows on furniture.
+# Longest edge of a face. Light is baked per vertex, so this limits the resolution of shadows on furniture.
 MAX_EDGE = 0.25  # metres
 
 
@@ -120,7 +120,7 @@ def rounded_box(
     half, centre = (upper - lower) / 2, (upper + lower) / 2
     radius = min(radius, 0.999 * float(half.min()))
     inner = half - radius
-    # Corners get two segments; the flat middle as many as the light needs.
+    # Round corners get two segments, and the flat middle as many as `max_edge` requires.
     axis_lines = [
         np.concatenate([[-h, -h + 0.42 * radius], lines(-i, i, max_edge), [h - 0.42 * radius, h]])
         for h, i in zip(half, inner)
@@ -172,7 +172,7 @@ def lathe(profile: np.ndarray, *, segments: int = 16) -> Shape:
 
 
 def _without_slivers(shape: Shape) -> Shape:
-    """Remove triangles without area (poles and sharp edges of a lathe) and their unused vertices."""
+    """Return a shape without triangles of zero area (at poles and sharp edges of a `lathe`) and unused vertices."""
     corner = shape.vertices[shape.faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     faces = shape.faces[area > 1e-10]

@@ -16,7 +16,7 @@ RUG = 0.006
 
 
 def furnish_room(planner: RoomPlanner, kind: str) -> list[Piece]:
-    """Furnish a room with its window dressing and pictures; return all pieces."""
+    """Furnish a room of the given kind, with curtains, radiators, a lamp and pictures; return all pieces."""
     if kind not in ("bath", "kitchen"):
         hang_curtains(planner)
     _PROGRAMS[kind](planner)
@@ -80,10 +80,10 @@ def _media_corner(planner: RoomPlanner) -> None:
 
 
 def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
-    """Place a table with chairs in the most open position, else at a wall."""
+    """Place a table with ``seats`` chairs (2 or 4) at the most open position, else with one side at a wall."""
     rng = planner.rng
     sizes = [(1.4, 0.8), (1.2, 0.75)] if seats > 2 else [(0.8, 0.75), (0.75, 0.7)]
-    # First with space to walk around the table, then with the chairs of one side at a wall.
+    # Try positions with space to walk around the table first, then positions with the chairs of one side at a wall.
     for margin, (width, depth) in [(margin, size) for margin in (0.24, 0.0) for size in sizes]:
         for turned in rng.permutation([0, 1]):
             # The footprint includes chairs, which extend up to 0.32 m on both long sides.

@@ -57,7 +57,8 @@ def _side(
     )
     points, corner = np.unique(corner, return_inverse=True)
     corner = corner.reshape(-1, 4)
-    # first x second points along +axis for axes 0 and 2, along -axis for axis 1; the normal must point to -sign.
+    # The cross product of the directions `first` and `second` points along +axis for the axes 0 and 2, along -axis for
+    # axis 1. The normal must point into the air, which is against `sign`.
     if (sign > 0) == (axis != 1):
         corner = corner[:, ::-1]
     vertices = np.empty((len(points), 3))

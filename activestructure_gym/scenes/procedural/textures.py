@@ -1,7 +1,7 @@
 """Paint tileable textures from noise: plaster, wood, tiles, cloth, rugs, stone.
 
-Noise is generated in the frequency domain (random phases under a power law), which tiles and costs one FFT. Every
-function takes its own generator, so a texture is independent of those painted before.
+Noise is generated in the frequency domain, with random phases and amplitudes by a power law. It tiles and costs one
+FFT. Every function takes its own random generator, so a texture does not depend on textures painted earlier.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def pixel_grid(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plaster(rng: np.random.Generator, *, color: Color, stains: float = 0.011, size: int = 256) -> np.ndarray:
-    """Paint a painted wall: soft stains, roller marks and a little grain."""
+    """Paint the texture of a painted wall: soft stains, roller marks and a little grain."""
     shape = (size, size)
     value = stains * noise(rng, shape, falloff=1.8) + 0.012 * noise(rng, shape, falloff=0.6, smallest=3)
     return finish(np.array(color) * (1.0 + value[..., None]))

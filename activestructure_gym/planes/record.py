@@ -14,17 +14,17 @@ GraphArrays = Mapping[str, np.ndarray]
 
 
 def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
-    """Return the content of ``graph.npz``, for N planes, E edges and D deficiency centres. Metres, world frame.
+    """Return the content of ``graph.npz``: N planes, E edges, D deficiency centres, in metres and the world frame.
 
     Planes: ``ids`` [N], ``normals`` [N, 3] and ``offsets`` [N] with normal . x + offset = 0, ``centroids`` [N, 3],
     ``areas`` [N] m^2, ``observations`` [N] keyframes, ``structural`` [N] bool. Then ``modes`` [N, 8] in the order of
     ``mode_names`` [8], ``quality`` [N], ``surprise`` [N] and its three factors ``surprise_factors`` [N, 3]
     (connectivity, neighbourhood, geometric), ``deficit`` [N], ``betweenness`` [N].
 
-    Edges: ``edges`` [E, 2] rows of the planes' arrays, ``edge_weights`` [E], ``edge_in_tree`` [E] bool.
+    Edges: ``edges`` [E, 2] plane rows, ``edge_weights`` [E], ``edge_in_tree`` [E] bool.
 
     Deficiency centres: ``deficiency_centres`` [D, 3], ``deficiency_normals`` [D, 3], ``deficiency_areas`` [D] m^2,
-    ``deficiency_planes`` [D] rows of the planes' arrays.
+    ``deficiency_planes`` [D] plane rows.
 
     Seen surface: plane k is a grid of ``patch_shapes[k]`` = (R, C) square cells of edge ``cell``. The corner of cell
     (r, c) is ``patch_corners[k] + cell * (r * patch_axes[k, 0] + c * patch_axes[k, 1])``. The mask of seen cells is
@@ -81,14 +81,14 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
 
 
 def seen_cells(arrays: GraphArrays, plane: int) -> np.ndarray:  # [R, C] uint8, 1 = seen
-    """Return the seen cells of one plane's grid; its world position is described in `graph_arrays`."""
+    """Return the mask of seen cells of the plane with index ``plane``; `graph_arrays` describes its world position."""
     rows, columns = (int(side) for side in arrays["patch_shapes"][plane])
     start, end = arrays["patch_starts"][plane : plane + 2]
     return np.unpackbits(arrays["patch_bits"][start:end])[: rows * columns].reshape(rows, columns)
 
 
 def graph_summary(graph: PlaneSceneGraph) -> dict[str, Any]:
-    """Return a summary of the graph for a decision's record; a mean over no planes is None."""
+    """Return numbers and means over the planes for the record of a decision; a mean over no planes is None."""
     structural = np.asarray(graph.state.structural, dtype=bool)
     summary: dict[str, Any] = {}
     for kind, own in (("structural", structural), ("objects", ~structural)):

@@ -1,4 +1,4 @@
-"""Provide one differentiable function over three implementations."""
+"""Provide `rasterize`, one differentiable function with three implementations: CPU kernels, gsplat, plain torch."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ __all__ = ["Rasterization", "camera_twist_gradient", "parameter_rows", "rasteriz
 
 @dataclass(frozen=True)
 class Rasterization:
-    """Hold the images of one camera, or of C cameras with a leading axis."""
+    """Hold the rendered images of one camera, or of C cameras with a leading axis C."""
 
-    color: torch.Tensor  # [..., H, W, 3]
-    depth: torch.Tensor  # [..., H, W] accumulated: sum of weight times depth, metres
-    alpha: torch.Tensor  # [..., H, W]
-    channels: torch.Tensor | None = None  # [..., H, W, D] sum of weight times channel, if any were given
-    median_depth: torch.Tensor | None = None  # [..., H, W] metres, if requested; see `rasterize`
+    color: torch.Tensor  # [..., H, W, 3] RGB
+    depth: torch.Tensor  # [..., H, W] accumulated depth: sum of weight times depth, metres
+    alpha: torch.Tensor  # [..., H, W] 0..1
+    channels: torch.Tensor | None = None  # [..., H, W, D] sum of weight times channel; None without channels
+    median_depth: torch.Tensor | None = None  # [..., H, W] metres, see `rasterize`; None if not requested
 
     @property
     def expected_depth(self) -> torch.Tensor:  # [..., H, W]
-        """Return accumulated depth over alpha in metres; 0 where nothing is rendered."""
+        """Return accumulated depth divided by alpha, in metres; 0 where nothing is rendered."""
         return self.depth / self.alpha.clamp_min(1e-10)
 
 
 @dataclass(frozen=True)
 class _Request:
-    """Hold the arguments of every implementation; exactly one of ``colors`` and ``sh`` is given."""
+    """Hold the arguments of `rasterize`; exactly one of ``colors`` and ``sh`` is given."""
 
     means: torch.Tensor
     quaternions: torch.Tensor
@@ -84,29 +84,29 @@ def rasterize(
     quaternions
         [N, 4] wxyz, of any length above 0.
     log_scales
-        [N, 3] logarithms of the standard deviations in metres.
+        [N, 3] natural logarithms of the standard deviations in metres.
     opacity_logits
-        [N].
+        [N] logits of the opacities at the centres.
     colors
-        [N, 3], used unchanged; either these or ``sh``.
+        [N, 3] RGB, used unchanged; either these or ``sh``.
     camera_from_world
         [4, 4], or [C, 4, 4] for several cameras at once: the same as one call each.
     camera
-        Pixels and focal lengths.
+        Image size and intrinsics.
     sh
-        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting. Colour =
-        max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
+        [N, K, 3] coefficients of spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting.
+        Colour = max(0, 0.5 + sum of coefficient times harmonic), for the direction from the camera centre.
     channels
         [N, D] further values to blend.
     centre_depth
         Whether to use the depth of each Gaussian's centre, as 3D Gaussian splatting does. Otherwise a pixel uses the
-        depth where its ray meets the Gaussian (see Notes); for an oblique disc this is on the disc.
+        depth where its ray meets the Gaussian (see Notes); for an oblique disk this is on the disk.
     blur_variance
         px^2 added to a Gaussian's covariance in the image. 3D Gaussian splatting and gsplat use 0.3, which blurs small
         images noticeably.
     median_depth
         Whether to also return the depth of the Gaussian at which the transmittance, front to back, first falls to 0.5
-        or below. It is 0 where alpha stays below 0.5, and has no gradient.
+        or below. It is 0 where alpha remains below 0.5, and has no gradient.
     backend
         ``"cpu"`` (compiled kernels), ``"gsplat"``, ``"reference"`` (plain torch), or ``"auto"``: gsplat for CUDA
         tensors, the kernels for float32 on the CPU, the reference otherwise.
@@ -157,9 +157,9 @@ def rasterize(
 
 def camera_twist_gradient(
     camera_from_world: torch.Tensor,  # [..., 4, 4]
-    gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as returned by `rasterize`
+    gradient: torch.Tensor,  # [..., 4, 4] gradient by its entries, as given by `rasterize`
 ) -> torch.Tensor:  # [..., 6]
-    """Return the derivative by a twist (rho metres, phi radians) at 0.
+    """Return the gradient with respect to a twist (rho in metres, phi in radians) at 0.
 
     The twist changes camera_from_world to Exp(rho, phi) camera_from_world (`activestructure_gym.geometry.se3_exp`).
     Source: [sola2018].
@@ -170,7 +170,7 @@ def camera_twist_gradient(
 
 
 def _check(request: _Request) -> None:
-    """Raise `InputError` if the parts of a request do not fit together."""
+    """Raise `InputError` if types, shapes or values of the arguments of `rasterize` do not fit together."""
     count = len(request.means) if isinstance(request.means, torch.Tensor) and request.means.dim() else 0
     shapes = {
         "means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "opacity_logits": (count,),

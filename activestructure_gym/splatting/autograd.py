@@ -1,6 +1,7 @@
-"""Make the CPU kernels one node of torch's graph.
+"""Make the CPU kernels one node of torch's autograd graph.
 
-Parameters go through `packing` in both directions, without a copy if their memory layout is the kernels'.
+Parameters are converted by `packing` in both directions, without a copy if the tensors have the memory layout of the
+kernels.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _TO_GRADIENT[layout.MODE], _TO_POSE[layout.MODE] = layout.TO_GRADIENT, layout.PO
 
 @dataclass(frozen=True)
 class CpuOptions:
-    """Hold the options of a rendering that are not tensors."""
+    """Hold the arguments of a rendering that are not tensors; see `api.rasterize`."""
 
     camera: PinholeCamera
     max_alpha: float
@@ -35,7 +36,10 @@ class CpuOptions:
 
 
 class _Given(NamedTuple):
-    """Hold the tensors of a rendering, see `api.rasterize`; torch tracks them only as separate arguments."""
+    """Hold the tensors of a rendering; see `api.rasterize`.
+
+    They are separate arguments of the autograd function, because torch tracks only these.
+    """
 
     means: torch.Tensor  # [N, 3]
     quaternions: torch.Tensor  # [N, 4]
@@ -48,11 +52,14 @@ class _Given(NamedTuple):
 
 
 class CpuRasterization(torch.autograd.Function):
-    """Compute colour, depth, alpha, channels and median depth (None if not requested) of one or several cameras."""
+    """Compute colour, depth, alpha, channels and median depth of one or several cameras.
+
+    Images that were not requested are None.
+    """
 
     @staticmethod
     def forward(ctx: Any, options: CpuOptions, *tensors: Any) -> Any:
-        """Render; ``tensors`` are those of `_Given`, in order."""
+        """Render the images; ``tensors`` are the fields of `_Given`, in order."""
         ctx.save_for_backward(*tensors)
         ctx.set_materialize_grads(False)
         given = _Given(*tensors)
@@ -99,15 +106,18 @@ class CpuRasterization(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, by_color, by_depth, by_alpha, by_extra, _):
-        """Return the gradients of the inputs of `forward` from those of its images; the median depth has none."""
-        given = _Given(*ctx.saved_tensors)  # torch raises if one was changed in place
+        """Return the gradients of the inputs of `forward`, given the gradients of its images.
+
+        The median depth has none.
+        """
+        given = _Given(*ctx.saved_tensors)  # torch raises an error if a tensor was changed in place
         sh, channels, camera_from_world = given.sh, given.channels, given.camera_from_world
         cameras, batched = len(ctx.rendered), camera_from_world.dim() == 3
         poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
-        still = sh is None and channels is None and not any(ctx.needs_input_grad[1:6])  # only the pose is optimised
-        total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory; numpy would allocate anew
+        still = sh is None and channels is None and not any(ctx.needs_input_grad[1:6])  # only the pose needs a gradient
+        total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory, and numpy would allocate new memory
         by_sh = torch.zeros(sh.shape if sh is not None else 0)
         by_channels = torch.zeros(channels.shape if channels is not None else 0)
         by_pose = np.zeros((cameras, 4, 4), np.float32)
@@ -142,11 +152,11 @@ class CpuRasterization(torch.autograd.Function):
 
 
 def _detached(given: _Given) -> tuple[torch.Tensor | None, ...]:
-    """Return means, quaternions, log-scales, opacity logits and colours, detached."""
+    """Return means, quaternions, log-scales, opacity logits and colours without their autograd history."""
     return tuple(None if tensor is None else tensor.detach() for tensor in given[:5])
 
 
 def _filled(images: list[np.ndarray | None], camera: PinholeCamera) -> list[np.ndarray]:
-    """Return the gradient images of colour, depth and alpha, zeros for those the loss does not use."""
+    """Return the gradient images of colour, depth and alpha, with zeros for images that the loss does not use."""
     shapes = ((camera.height, camera.width, 3), (camera.height, camera.width), (camera.height, camera.width))
     return [np.zeros(shape, np.float32) if image is None else image for image, shape in zip(images, shapes)]

@@ -1,4 +1,4 @@
-"""Render with gsplat on a CUDA device (extra ``gpu``)."""
+"""Render with gsplat on a CUDA device (installation extra ``gpu``)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, camera_centre, depth_slopes, project_means
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
-_ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # version from which the second limit applies, and both limits
+_ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # gsplat version that changed its alpha limit, limit before it, limit since it
 
 
 @functools.cache
 def gsplat_max_alpha() -> float:
-    """Return the alpha limit compiled into the installed gsplat."""
+    """Return the upper limit of alpha that is compiled into the installed version of gsplat."""
     version = tuple(int("".join(filter(str.isdigit, part)) or 0) for part in
                     importlib.metadata.version("gsplat").split(".")[:2])  # fmt: skip
     since, before, after = _ALPHA_LIMITS
@@ -26,9 +26,9 @@ def gsplat_max_alpha() -> float:
 
 @functools.cache
 def gsplat_status() -> str:
-    """Return ``"works"`` or what is missing, found by rendering one Gaussian.
+    """Return ``"works"``, or one sentence on what is missing, found by rendering one Gaussian.
 
-    Importing gsplat succeeds without a compiler or CUDA device.
+    Importing gsplat succeeds even without a compiler or CUDA device, so the import alone is no test.
     """
     if importlib.util.find_spec("gsplat") is None:
         return "package gsplat is missing: pip install 'activestructure-gym[gpu]'"
@@ -64,10 +64,10 @@ def rasterize_gsplat(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
-    """Return colour ``[C, H, W, 3]``, accumulated depth and alpha ``[C, H, W]``, and channels ``[C, H, W, D]``.
+    """Return colour ``[C, H, W, 3]``, accumulated depth and alpha ``[C, H, W]``, and channels ``[C, H, W, D]`` or None.
 
-    gsplat blends any number of channels per Gaussian, and centre depths. Depth at ray intersections is blended as three
-    channels per camera: the linear functions of the pixel given by `depth_planes`.
+    gsplat itself blends any number of channels per Gaussian, and depths of centres. Depths at ray intersections are
+    blended as three channels per camera: the linear functions of the pixel from `depth_planes`.
     """
     from gsplat import rasterization
 
@@ -80,7 +80,7 @@ def rasterize_gsplat(
     parts = [own] if channels is None else [own, channels.expand(cameras, -1, -1)]
     if not centre_depth:
         parts.append(depth_planes(means, quaternions, log_scales, camera_from_world, camera))
-    features = torch.cat(parts, dim=-1)  # [C, N, F]
+    features = torch.cat(parts, dim=-1)  # [C, N, F], all channels
     intrinsics = torch.tensor(camera.matrix, dtype=torch.float32, device=means.device)
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,
@@ -99,7 +99,7 @@ def depth_planes(
     camera_from_world: torch.Tensor,  # [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [C, N, 3]
-    """Return the depth at which a pixel's ray meets a Gaussian as coefficients of a + b x + c y.
+    """Return coefficients a, b, c of the depth a + b x + c y at which a pixel's ray meets each Gaussian.
 
     The pixel coordinates x and y are relative to the image centre.
     """
@@ -110,7 +110,7 @@ def depth_planes(
 
 
 def depth_of_planes(blended: torch.Tensor) -> torch.Tensor:  # [C, H, W, 3] -> [C, H, W] metres
-    """Return the accumulated depth from the blended `depth_planes`."""
+    """Return the accumulated depth from an image of blended coefficients of `depth_planes`."""
     height, width = blended.shape[-3:-1]
     x = torch.arange(width, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * width)
     y = torch.arange(height, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * height)

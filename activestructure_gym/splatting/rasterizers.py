@@ -1,8 +1,8 @@
-"""Define the common protocol for rendering and optimising a map, with implementations by name.
+"""Define the protocol of a rasteriser, with which the mapper and the features render and optimise a map.
 
-The mapper and the features use it. The map is always in numpy arrays on the host. Functions that read single Gaussians
-back from an image (`fisher`, `passes`) exist only as compiled CPU kernels; they take the same arrays, so they work with
-every implementation.
+Implementations have names. The map is always in numpy arrays on the host. Functions that compute results per Gaussian
+(`fisher`, `passes`) exist only as compiled CPU kernels. They use the same arrays, so they work with every
+implementation.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from activestructure_gym.splatting.backends import BACKENDS, WORKS
 
 
 class Rasterizer(Protocol):
-    """Render a map and run optimiser steps; rows and units of the arrays are those of `splatting.cpu`.
+    """Render a map and take optimiser steps; rows and units of the arrays are described at `splatting.cpu`.
 
-    No state is kept between calls. ``unseen`` is a hint, the chunks of 1024 Gaussians known to be outside the view;
-    images are the same without it.
+    No state is kept between calls. ``unseen`` marks chunks of 1024 Gaussians that are known to be outside the view. It
+    only saves time: images are the same without it.
     """
 
     def render(
         self,
         parameters: np.ndarray,  # [14, capacity] float32
-        count: int,
+        count: int,  # number of Gaussians
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [4, 4]
         *,
@@ -40,11 +40,11 @@ class Rasterizer(Protocol):
     def render_depth_alpha(
         self,
         parameters: np.ndarray,  # [14, capacity] float32
-        count: int,
+        count: int,  # number of Gaussians
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-        """Render accumulated depth and alpha of many cameras."""
+        """Render accumulated depth (metres) and alpha of C cameras."""
         ...
 
     def mapping_step(
@@ -52,7 +52,7 @@ class Rasterizer(Protocol):
         parameters: np.ndarray,  # [14, capacity] float32, changed in place
         first_moment: np.ndarray,  # [14, capacity] float32, changed in place
         second_moment: np.ndarray,  # [14, capacity] float32, changed in place
-        count: int,
+        count: int,  # number of Gaussians
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [4, 4]
         target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
@@ -66,18 +66,18 @@ class Rasterizer(Protocol):
         isotropic: bool = False,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> cpu.StepLosses:
-        """Render, compare, differentiate, and update the Gaussians that contribute to some pixel.
+        """Take one optimiser step on the loss of one image; only Gaussians that contribute to some pixel change.
 
-        The update is Adam without bias correction; other Gaussians keep their moments.
+        The step is Adam without bias correction; other Gaussians keep their moments.
         """
         ...
 
 
 @functools.cache
 def rasterizer(name: str) -> Rasterizer:
-    """Return the rasteriser called ``name``.
+    """Return the rasteriser registered as ``name``.
 
-    Raises `InputError` for an unknown name, or with what is missing for one that cannot run here.
+    Raises `InputError` for an unknown name, and for a rasteriser that cannot run here, with what is missing.
     """
     backend = BACKENDS.get(name)
     if (status := backend.status()) != WORKS:

@@ -1,8 +1,8 @@
-"""Rasterise in plain torch, every pixel against every Gaussian: slow, for any dtype, the oracle of the tests.
+"""Rasterise in plain torch, with every pixel against every Gaussian.
 
-Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, a blur added to the projected covariance (there
-0.3 px^2), contributions below 1/255 skipped. A pixel stops *before* the Gaussian that would reduce its transmittance to
-1e-4 or below.
+The implementation is slow, works for any floating-point type, and is the reference for the tests. Formulas and numerics
+follow [gsplat, code] 1.5.3: near plane 0.01 m, a blur added to the projected covariance (there 0.3 px^2), contributions
+below 1/255 skipped. A pixel stops before the Gaussian that would reduce its transmittance to 1e-4 or below.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import torch
 from activestructure_gym.geometry import PinholeCamera
 
 NEAR_PLANE = 0.01  # metres
-BLUR_VARIANCE = 0.02  # px^2, low-pass filter of EWA splatting
-SLANT_VARIANCE = 0.03  # px^2, added for the depth at a pixel
-MIN_ALPHA = 1.0 / 255.0
-MIN_TRANSMITTANCE = 1e-4
-CLAMP_MARGIN = 0.3  # fraction of half the image: margin in which the projection's Jacobian still follows the mean
-_PAIRS_AT_ONCE = 4_000_000
+BLUR_VARIANCE = 0.02  # px^2, variance of the low-pass filter of EWA splatting
+SLANT_VARIANCE = 0.03  # px^2, added to the covariance for depth slopes only
+MIN_ALPHA = 1.0 / 255.0  # smaller alphas are skipped
+MIN_TRANSMITTANCE = 1e-4  # a pixel stops before its transmittance falls to this
+# Fraction of half the image: the projection's Jacobian follows the mean up to this margin outside the image.
+CLAMP_MARGIN = 0.3
+_PAIRS_AT_ONCE = 4_000_000  # pixel-Gaussian pairs computed at once, which limits the memory
 
 
 def rasterize_reference(
@@ -25,7 +26,7 @@ def rasterize_reference(
     quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
     log_scales: torch.Tensor,  # [N, 3] log of metres
     opacity_logits: torch.Tensor,  # [N]
-    colors: torch.Tensor,  # [N, 3] used as they are
+    colors: torch.Tensor,  # [N, 3] RGB, used unchanged
     camera_from_world: torch.Tensor,  # [4, 4]
     camera: PinholeCamera,
     *,
@@ -33,7 +34,7 @@ def rasterize_reference(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
-    """Render one camera; all gradients by autograd."""
+    """Render colour, accumulated depth and alpha of one camera, with gradients by autograd."""
     color, depth, alpha, _ = blend_reference(
         means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera,
         max_alpha=max_alpha, centre_depth=centre_depth, blur_variance=blur_variance,
@@ -46,7 +47,7 @@ def blend_reference(
     quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
     log_scales: torch.Tensor,  # [N, 3] log of metres
     opacity_logits: torch.Tensor,  # [N]
-    features: torch.Tensor,  # [N, F] colours and any other channels
+    features: torch.Tensor,  # [N, F] colours and further channels
     camera_from_world: torch.Tensor,  # [4, 4]
     camera: PinholeCamera,
     *,
@@ -54,10 +55,10 @@ def blend_reference(
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Render features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``) of one camera.
+    """Return features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``) of one camera.
 
-    The median depth is that of the Gaussian at which the transmittance first falls to 0.5 or below, 0 if there is none;
-    it has no gradient.
+    The median depth is the depth of the Gaussian at which the transmittance first falls to 0.5 or below, and 0 if there
+    is none. It has no gradient.
     """
     position, inverse_covariance, depth = project_gaussians(
         means, quaternions, log_scales, camera_from_world, camera, blur_variance
@@ -88,13 +89,14 @@ def blend_reference(
         alpha = torch.where(alpha.detach() < MIN_ALPHA, torch.zeros_like(alpha), alpha)
         after = torch.cumprod(1.0 - alpha, dim=1)
         before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
-        # The product only decreases, so "stop before it reaches 1e-4" is a test on every factor.
+        # The transmittance only decreases, so a pixel stops exactly at the first Gaussian for which this test fails.
         counts = after.detach() > MIN_TRANSMITTANCE
         weight = alpha * before * counts
         here = (depth + (offset * slope).sum(dim=2)).clamp_min(NEAR_PLANE)  # [p, M]
         outputs.append(torch.cat([weight @ features, (weight * here).sum(dim=1, keepdim=True)], dim=1))
         alphas.append(weight.sum(dim=1))
-        halves = (counts & (after.detach() <= 0.5) & (before.detach() > 0.5)).to(depth.dtype)  # at most one per pixel
+        # At most one Gaussian per pixel.
+        halves = (counts & (after.detach() <= 0.5) & (before.detach() > 0.5)).to(depth.dtype)
         medians.append((halves * here.detach()).sum(dim=1))
     shape = (camera.height, camera.width)
     output = torch.cat(outputs).reshape(*shape, features.shape[1] + 1)
@@ -103,7 +105,7 @@ def blend_reference(
 
 
 def camera_centre(camera_from_world: torch.Tensor) -> torch.Tensor:  # [4, 4] -> [3]
-    """Return the camera's position in the world, by a general inverse as in gsplat."""
+    """Return the camera centre in the world; the pose is inverted as a general matrix, as in gsplat."""
     return -torch.linalg.solve(camera_from_world[:3, :3], camera_from_world[:3, 3])
 
 
@@ -114,8 +116,8 @@ def project_gaussians(
     camera_from_world: torch.Tensor,  # [4, 4]
     camera: PinholeCamera,
     blur_variance: float = BLUR_VARIANCE,  # px^2
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx xy yy, depth [N]
-    """Project by EWA with the Jacobian at the mean, clamped near the image border."""
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx, xy, yy, depth [N]
+    """Project Gaussians by EWA splatting, with the Jacobian at the mean, clamped near the image border."""
     position, depth = project_means(means, camera_from_world, camera)
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     covariance = factor[:, :2] @ factor[:, :2].transpose(1, 2)
@@ -130,7 +132,7 @@ def project_means(
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 2] px, [..., N] metres
-    """Return the means' pixels and depths; means in front of the near plane get a finite position."""
+    """Return the pixel positions and depths of means. The position of a mean in front of the near plane is finite."""
     points, inverse_depth = _camera_points(means, camera_from_world)
     focal, centre = points.new_tensor([camera.fx, camera.fy]), points.new_tensor([camera.cx, camera.cy])
     return points[..., :2] * inverse_depth[..., None] * focal + centre, points[..., 2]
@@ -143,15 +145,15 @@ def depth_slopes(
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [..., N, 2] metres per pixel
-    """Return by how much the depth at which a ray meets a Gaussian changes from pixel to pixel, at its mean.
+    """Return the slope of each Gaussian's depth in the image at its mean, in metres per pixel.
 
-    A ray meets a Gaussian at its highest density along the ray ([yu2024]). To first order of the projection, this depth
-    is a linear function of the pixel. Its slope is the covariance of pixel and depth divided by the covariance of the
-    pixel ([zhang2024]). For a flat Gaussian this is the slope of its plane.
+    The depth is that at which a ray meets the Gaussian: at its highest density along the ray ([yu2024]). To first order
+    of the projection, it is a linear function of the pixel. Its slope is the covariance of pixel and depth divided by
+    the covariance of the pixel ([zhang2024]). For a flat Gaussian this is the slope of its plane.
     """
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]
-    # Cross products avoid cancellation for needles: |x cross y|^2 = xx yy - xy^2, and so on.
+    # Cross products avoid cancellation for needle-shaped Gaussians: |x cross y|^2 = xx yy - xy^2, and so on.
     area = torch.linalg.cross(x, y, dim=-1)
     numerators = [
         (torch.linalg.cross(z, y, dim=-1) * area + SLANT_VARIANCE * z * x).sum(dim=-1),
@@ -163,10 +165,10 @@ def depth_slopes(
 
 def _camera_points(
     means: torch.Tensor, camera_from_world: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 3] metres, [..., N] one over their depth
+) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 3] metres, [..., N] 1 / depth
     points = means @ camera_from_world[..., :3, :3].transpose(-1, -2) + camera_from_world[..., None, :3, 3]
     z = points[..., 2]
-    # Points in front of the near plane are dropped later; a finite depth keeps their gradient finite (and zero).
+    # Points in front of the near plane are removed later. A finite depth keeps their gradient finite (and zero).
     return points, 1.0 / torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
 
 
@@ -177,7 +179,7 @@ def _projected_axes(
     camera_from_world: torch.Tensor,
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [..., N, 3, 3]
-    """Return the Gaussians' axes as columns, one standard deviation long, in pixels (x, y) and metres (z)."""
+    """Return the axes of each Gaussian as columns, one standard deviation long, in pixels (x, y) and metres (z)."""
     points, inverse_depth = _camera_points(means, camera_from_world)
     slope_x, slope_y = points[..., 0] * inverse_depth, points[..., 1] * inverse_depth
     margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
@@ -193,7 +195,7 @@ def _projected_axes(
 
 
 def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:  # [N, 4] wxyz -> [N, 3, 3]
-    """Return the rotation matrices of (unnormalised) quaternions."""
+    """Return the rotation matrices of quaternions of any length above 0."""
     w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=1, keepdim=True), dim=1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),

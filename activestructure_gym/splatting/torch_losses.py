@@ -10,28 +10,28 @@ import torch
 
 from activestructure_gym.splatting.cpu import LossWeights
 
-_TAPS, _SIGMA = 11, 1.5  # pixels, of the blur in [ssim]
-_C1, _C2 = 0.01**2, 0.03**2
+_TAPS, _SIGMA = 11, 1.5  # pixels: width and standard deviation of the blur in SSIM [ssim]
+_C1, _C2 = 0.01**2, 0.03**2  # constants of SSIM for colours in 0..1 [ssim]
 
 
 class MappingLoss(NamedTuple):
-    """Hold the weighted sum, and its terms as in `StepLosses`."""
+    """Hold the weighted sum of a mapping loss, and its terms as in `StepLosses`."""
 
     total: torch.Tensor
-    color: float
+    color: float  # mean absolute colour difference
     depth: float  # metres
-    ssim: float  # nan if its weight is 0
+    ssim: float  # mean SSIM; nan if its weight is 0
 
 
 def mapping_loss(
     color: torch.Tensor,  # [H, W, 3]
-    depth: torch.Tensor,  # [H, W] accumulated
+    depth: torch.Tensor,  # [H, W] accumulated depth, metres
     alpha: torch.Tensor,  # [H, W]
     target_rgb: torch.Tensor,  # [H, W, 3] 0..1
     target_depth: torch.Tensor,  # [H, W] metres, 0 = no return
     weights: LossWeights,
 ) -> MappingLoss:
-    """Return the loss of `LossWeights` for one image."""
+    """Return the loss of one rendered image, as defined at `LossWeights`."""
     measured = target_depth > 0
     by_color = (color - target_rgb).abs().mean()
     compared = measured & (alpha.detach() > 0.5) if weights.normalised_depth else measured
@@ -47,7 +47,7 @@ def mapping_loss(
 
 
 def ssim(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:  # [H, W, 3] each -> scalar
-    """Return the mean structural similarity over pixels and channels; zero padding."""
+    """Return the mean structural similarity over pixels and channels, with zeros outside the images."""
     x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
     mean_x, mean_y, square_x, square_y, product = _blurred(torch.stack([x, y, x * x, y * y, x * y]))
     variances = square_x - mean_x**2 + square_y - mean_y**2
@@ -70,7 +70,7 @@ def _taps() -> torch.Tensor:  # [11] float64
 
 
 class Adam(NamedTuple):
-    """Hold the constants of one step of Adam without bias correction ([adam])."""
+    """Hold the constants of an Adam step without bias correction ([adam])."""
 
     learning_rates: np.ndarray  # [14]
     beta1: float
@@ -84,7 +84,7 @@ class Adam(NamedTuple):
         first_moment: torch.Tensor,  # [14, n]
         second_moment: torch.Tensor,  # [14, n]
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return parameters and both moments after the step."""
+        """Return parameters, first moment and second moment after one step."""
         first_moment = first_moment + (gradient - first_moment) * (1.0 - self.beta1)
         second_moment = second_moment + (gradient.square() - second_moment) * (1.0 - self.beta2)
         rates = torch.as_tensor(self.learning_rates).to(gradient)[:, None]

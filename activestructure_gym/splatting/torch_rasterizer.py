@@ -1,6 +1,7 @@
-"""Implement `Rasterizer` by torch's autograd: gsplat on a CUDA device, or the reference.
+"""Implement `Rasterizer` with torch's autograd: gsplat on a CUDA device, or the reference implementation.
 
-The map stays on the host. A call copies the used columns to the device, and a step copies the changed ones back.
+The map remains on the host. Each call copies the used columns to the device, and a step copies the changed columns
+back.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
 from activestructure_gym.splatting.layout import CHUNK
 from activestructure_gym.splatting.torch_losses import Adam, mapping_loss
 
-_MAX_PAIRS = 30_000_000  # pixel-Gaussian pairs in a step of the reference, which stores 130 bytes of each: 4 GB
-_AT_ONCE = 4_000_000  # camera-Gaussian pairs that are projected together: about 2 GB
+_MAX_PAIRS = 30_000_000  # pixel-Gaussian pairs in a step of the reference, at 130 bytes each: 4 GB
+_AT_ONCE = 4_000_000  # camera-Gaussian pairs projected at once: about 2 GB
 
 
 class TorchRasterizer:
-    """Implement `Rasterizer`.
+    """Implement `Rasterizer` with torch.
 
-    ``gsplat`` computes in float32 on the first CUDA device, ``reference`` in float64 on the host.
+    The backend ``gsplat`` computes in float32 on the first CUDA device, ``reference`` in float64 on the host.
     """
 
     def __init__(self, backend: Literal["gsplat", "reference"], *, device: str | None = None) -> None:
@@ -42,7 +43,7 @@ class TorchRasterizer:
         *,
         unseen: np.ndarray | None = None,  # ignored
     ) -> Rendering:
-        """Render one camera as `cpu.render` does."""
+        """Render colour, accumulated depth and alpha of one camera, as `cpu.render` does."""
         check_map(parameters, count)
         if not count:
             black = np.zeros((camera.height, camera.width, 3), np.float32)
@@ -59,7 +60,7 @@ class TorchRasterizer:
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-        """Render many cameras as `cpu.render_depth_alpha` does."""
+        """Render accumulated depth and alpha of many cameras, as `cpu.render_depth_alpha` does."""
         check_map(parameters, count)
         poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
         depths, alphas = (np.zeros((len(poses), camera.height, camera.width), np.float32) for _ in range(2))
@@ -91,9 +92,10 @@ class TorchRasterizer:
         beta2: float = 0.999,
         epsilon: float = 1e-15,
         isotropic: bool = False,
-        unseen: np.ndarray | None = None,  # [chunks] bool: neither drawn nor stepped
+        # [chunks] bool: chunks of 1024 Gaussians that are neither rendered nor changed.
+        unseen: np.ndarray | None = None,
     ) -> StepLosses:
-        """Run an optimiser step as `cpu.mapping_step` does.
+        """Take one optimiser step on the loss of one image, as `cpu.mapping_step` does.
 
         Raises `InputError` if image and map are too large for the reference.
         """
@@ -114,7 +116,8 @@ class TorchRasterizer:
             loss = mapping_loss(black, black[..., 0], black[..., 0], *targets, weights)
             return StepLosses(loss.color, loss.depth, loss.ssim)
         rows = self._tensor(parameters[:, drawn]).requires_grad_()
-        # A channel that is 0 everywhere changes no image; the derivative of its sum is each Gaussian's weight.
+        # A channel that is 0 everywhere changes no image. The gradient of its sum is the weight of each Gaussian in the
+        # image.
         nothing = torch.zeros((len(drawn), 1), dtype=self.dtype, device=self.device, requires_grad=True)
         color, depth, alpha, blended = self._draw(
             rows, camera, np.asarray(world_from_camera)[None], nothing, centre_depth=weights.centre_depth
@@ -144,7 +147,7 @@ class TorchRasterizer:
         *,
         centre_depth: bool = False,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Return colour [C, H, W, 3], accumulated depth and alpha [C, H, W], and channels [C, H, W, D]."""
+        """Return colour [C, H, W, 3], accumulated depth and alpha [C, H, W], and channels [C, H, W, D] or None."""
         poses = self._tensor(invert_rigid(np.asarray(world_from_camera, dtype=np.float64)))
         means, quaternions, log_scales, logits, colors = rows[:3].T, rows[3:7].T, rows[7:10].T, rows[10], rows[11:].T
         if self.backend == "gsplat":

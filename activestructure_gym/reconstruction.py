@@ -43,11 +43,18 @@ from activestructure_gym.motion import (
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
-from activestructure_gym.sources import SourceContext, make_stages, offer, random_of
+from activestructure_gym.sources import SourceContext, make_stages, offer, only_views_of_pool, random_of
 from activestructure_gym.splatting.rasterizers import rasterizer
-from activestructure_gym.views import CandidatePool, CandidateTable
+from activestructure_gym.views import CandidatePool, CandidateTable, GivenViews
 from activestructure_gym.volume import VoxelVolume
-from activestructure_gym.worlds import SceneWorld, World, checked_bounds, checked_start, frame_from
+from activestructure_gym.worlds import (
+    SceneWorld,
+    World,
+    checked_bounds,
+    checked_start,
+    checked_views,
+    frame_from,
+)
 
 T = TypeVar("T")
 
@@ -183,13 +190,18 @@ class Reconstruction:
             depth_noise_scale(config.sensor.depth_noise, config.sensor.noise_multiplier),
         )
         self.planes = PlaneSceneGraph(replaced(config.planes, {"detection": {"depth_noise_scale": noise_scale}}))
-        self.pool = CandidatePool(
-            start_pose[:3, 3],
-            bounds,
-            config.views,
-            int(pool.generate_state(1)[0]),
-            clearance_m=config.motion.candidate_clearance,
-        )
+        pool_seed, motion = int(pool.generate_state(1)[0]), config.motion
+        if (views := getattr(self.world, "views", None)) is None:
+            self.pool = CandidatePool(
+                start_pose[:3, 3], bounds, config.views, pool_seed, clearance_m=motion.candidate_clearance
+            )
+        else:
+            only_views_of_pool(self._sources)
+            views = checked_views(views, bounds)
+            level = np.stack([levelled(pose) for pose in views.world_from_camera])
+            self.pool = GivenViews(level, config.views, pool_seed)
+            for pose, radius in zip(level, views.free_radius):
+                self.volume.mark_free_sphere(pose[:3, 3], min(motion.start_free_radius, float(radius)))
         self._planning_rng = np.random.default_rng(planning)
         self._sources_seed = int(sources.generate_state(1)[0])
         self.stage = 0  # index into ``views.stages``
@@ -210,7 +222,7 @@ class Reconstruction:
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
         # The start pose is collision-free, so a sphere within the start's clearance is marked as free.
-        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, start.free_radius))
+        self.volume.mark_free_sphere(start_pose[:3, 3], min(motion.start_free_radius, start.free_radius))
         frame = yield from self._keyframe(start.pose[None])
         self.frames = 1
         self._refresh()
@@ -389,9 +401,11 @@ class Reconstruction:
         while index < end and not self.exhausted:
             self._step_to(poses[index])
             index += 1
-            if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
+            due = index == end or self.exhausted or self.frames % self.config.keyframe_every == 0
+            if due and (view := self._capturable(poses[index - 1])) is not None:
                 refine_factor = self.config.revisit_rounds if revisits and index == len(poses) else 1
-                keyframes.append((yield from self._keyframe(poses[since:index], refine_factor)))
+                path = np.concatenate([poses[since : index - 1], view[None]])
+                keyframes.append((yield from self._keyframe(path, refine_factor)))
                 since = index
                 if not self._exact and not arrived_at(self.pose, poses[index - 1], self.config.motion):
                     return False, keyframes
@@ -401,6 +415,13 @@ class Reconstruction:
                     )
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
+
+    def _capturable(self, pose: np.ndarray) -> np.ndarray | None:  # [4, 4]
+        """Return where to take a keyframe that is due at ``pose``; None if the world has no view near it."""
+        if not isinstance(self.pool, GivenViews):
+            return pose
+        motion = self.config.motion
+        return self.pool.at(pose, metres=motion.max_step_m, degrees=motion.max_turn_deg)
 
     def _keyframe(self, path: np.ndarray, refine_factor: int = 1) -> Capturing[Frame]:
         """Ask for a keyframe at the last pose of ``path`` [P, 4, 4], integrate it and return it as integrated."""
@@ -535,7 +556,7 @@ class Reconstruction:
         )
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
-        """Return distinct keyframe poses [R, 4, 4] in order of PSNR, lowest first.
+        """Return distinct keyframe poses [R, 4, 4] without roll, in order of PSNR, lowest first.
 
         A revisit adds a keyframe at the same pose, so poses can repeat.
         """
@@ -544,7 +565,7 @@ class Reconstruction:
         order = np.argsort(self.mapper.keyframe_psnr(), kind="stable")
         once: dict[bytes, np.ndarray] = {}
         for number in order:
-            pose = self.trajectory[self.keyframe_indices[number]]
+            pose = levelled(self.trajectory[self.keyframe_indices[number]])
             once.setdefault(pose.tobytes(), pose)
         return np.stack(list(once.values())[: self.config.views.max_revisits])
 

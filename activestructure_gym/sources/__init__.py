@@ -26,7 +26,7 @@ from activestructure_gym.sources.base import (
     make_source,
     sources_in,
 )
-from activestructure_gym.sources.offering import make_stages, offer, random_of
+from activestructure_gym.sources.offering import make_stages, offer, only_views_of_pool, random_of
 
 __all__ = [
     "SOURCES",
@@ -36,6 +36,7 @@ __all__ = [
     "make_source",
     "make_stages",
     "offer",
+    "only_views_of_pool",
     "random_of",
     "sources_in",
 ]

@@ -10,6 +10,8 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.motion import is_level
 from activestructure_gym.sources.base import MAX_ROWS, Proposals, Source, SourceContext, make_source
+from activestructure_gym.sources.shared_pool import Pool
+from activestructure_gym.sources.standing import Finish, Stay
 from activestructure_gym.views import CandidateTable
 
 Stages = tuple[tuple[str, ...], ...]
@@ -45,6 +47,27 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
                 "give the sources fewer rows (as in 'around?rows=32')"
             )
     return made
+
+
+def only_views_of_pool(made: dict[str, Source]) -> None:
+    """Check the sources for a world that can capture given poses only.
+
+    Parameters
+    ----------
+    made : dict of str to Source
+        All sources, see `make_stages`.
+
+    Raises
+    ------
+    InputError
+        A source proposes poses besides those of the shared pool.
+    """
+    others = [name for name, source in made.items() if not isinstance(source, Pool | Stay | Finish)]
+    if others:
+        raise InputError(
+            f"this world has given views only, and the candidate source '{others[0]}' proposes others: use the sources "
+            "pool, stay and finish in views.stages"
+        )
 
 
 def random_of(seed: int, decision: int, name: str) -> np.random.Generator:

@@ -201,7 +201,7 @@ class CandidatePool:
             position, direction = position[chosen], direction[chosen]
 
         poses = np.tile(np.eye(4), (len(position) + len(revisits), 1, 1))
-        poses[: len(position), :3, :3] = self._rotations[direction]
+        poses[: len(position), :3, :3] = self._rotations_of(position, direction)
         poses[: len(position), :3, 3] = self.positions[position]
         poses[len(position) :] = revisits
         return CandidateTable(
@@ -212,6 +212,10 @@ class CandidatePool:
             path_length=np.concatenate([lengths[position], revisit_length]).astype(np.float32),
             revisit=np.arange(len(poses)) >= len(position),
         )
+
+    def _rotations_of(self, position: np.ndarray, direction: np.ndarray) -> np.ndarray:  # [n], [n] -> [n, 3, 3]
+        """Return the camera rotations of views, given the indices of their positions and directions."""
+        return self._rotations[direction]
 
     def _draw(self, position: np.ndarray, count: int, step: int) -> np.ndarray:
         """Return the sorted indices of ``count`` randomly drawn views; ``position`` [N] holds their position indices.

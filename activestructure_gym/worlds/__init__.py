@@ -3,10 +3,12 @@
 from activestructure_gym.worlds.base import (
     CaptureFailed,
     Start,
+    Views,
     World,
     checked_bounds,
     checked_pose,
     checked_start,
+    checked_views,
     is_world,
 )
 from activestructure_gym.worlds.frames import frame_from
@@ -18,10 +20,12 @@ __all__ = [
     "CaptureFailed",
     "SceneWorld",
     "Start",
+    "Views",
     "World",
     "checked_bounds",
     "checked_pose",
     "checked_start",
+    "checked_views",
     "frame_from",
     "is_world",
     "load_world",

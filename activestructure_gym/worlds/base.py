@@ -31,15 +31,38 @@ class Start:
     free_radius: float = 0.6
 
 
+@dataclass(frozen=True)
+class Views:
+    """Hold the only poses that a world can capture, such as those of a recording.
+
+    Parameters
+    ----------
+    world_from_camera
+        Poses [M, 4, 4].
+    free_radius
+        [M] metres: radius of a sphere around each pose that is known to be free.
+    """
+
+    world_from_camera: np.ndarray
+    free_radius: np.ndarray
+
+    def __post_init__(self) -> None:
+        poses, radii = np.shape(self.world_from_camera), np.shape(self.free_radius)
+        if len(poses) != 3 or poses[1:] != (4, 4) or not poses[0] or radii != poses[:1]:
+            raise InputError(f"views are poses [M, 4, 4] with a free radius each [M], M >= 1; got {poses} and {radii}")
+
+
 class World(Protocol):
     """Define what an episode explores: a simulator, a recording, a robot. Positions are in metres, z is up.
 
-    Three further attributes are optional:
+    Further attributes are optional:
 
     - ``truth``, a `GroundTruth`: rewards and metrics use it, planners never do.
     - ``travel(path)``, called before each capture with the poses [P, 4, 4] that lead to it, one per frame. The first
       one follows the current pose, the last one is the pose of the capture. A robot drives along them; `capture` is
       then called for the last one.
+    - ``views``, the `Views` of a world that can capture given poses only. The shared pool then offers these poses,
+      without their roll. Keyframes on a path are taken only where a view is within one frame's step and turn.
     - ``reset(seed)``, called when an episode begins, before ``start`` is read. A simulator returns to a start pose.
 
     Examples
@@ -112,6 +135,15 @@ def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
     if off > _RIGID or np.linalg.det(rotation) < 0 or np.abs(array[3] - (0, 0, 0, 1)).max() > _RIGID:
         raise InputError(f"{what} must be a rigid motion (rotation and translation), got {array.round(3).tolist()}")
     return array
+
+
+def checked_views(views: Views, bounds: np.ndarray) -> Views:
+    """Return the views inside the bounds; raise `InputError` if a pose is not rigid, or if none is inside."""
+    poses = np.stack([checked_pose(f"view {n}", pose) for n, pose in enumerate(views.world_from_camera)])
+    inside = ((poses[:, :3, 3] >= bounds[0]) & (poses[:, :3, 3] <= bounds[1])).all(axis=1)
+    if not inside.any():
+        raise InputError(f"none of the {len(poses)} views is inside the world's bounds {bounds.round(3).tolist()}")
+    return Views(poses[inside], np.asarray(views.free_radius, dtype=np.float64)[inside])
 
 
 def checked_start(start: Start, bounds: np.ndarray) -> Start:

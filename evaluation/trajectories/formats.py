@@ -4,6 +4,8 @@
 - ``nice_slam``: 16 numbers per line, a 4 x 4 matrix row by row; or the folder with ``traj.txt`` ([nice_slam, code]).
 - ``kitti``: 12 numbers per line, the upper 3 rows of the matrix ([kitti], odometry).
 - ``replica``: 16 numbers per line; or the folder with ``traj_w_c.txt`` ([semantic_nerf, code]).
+- ``redwood``: a line of 3 numbers, then a 4 x 4 matrix in 4 lines, for each pose (``.log`` files of [choi2015] and
+  Open3D); or the folder with ``trajectory.log``.
 - ``habitat``: JSON, a list of ``{"position": [x, y, z], "rotation": [x, y, z, w]}``; poses of the camera, not of the
   body.
 - ``scannet``: the folder ``pose`` of a scan, with a 4 x 4 matrix in every ``<number>.txt`` ([scannet], its reader of
@@ -17,42 +19,46 @@ from __future__ import annotations
 
 import os
 import warnings
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.evaluation.archive import schema
-from activestructure_gym.geometry import unrounded
 from activestructure_gym.npz import read_npz
 from activestructure_gym.scenes.loaders.json_files import read_json
+from activestructure_gym.scenes.loaders.pose_text import (
+    MAX_COORDINATE_M,
+    MAX_POSES,
+    lines_of,
+    matrices_of,
+    numbers_of,
+    poses_of_quaternions,
+    redwood_poses,
+    rigid_poses,
+    tum_poses,
+)
 from activestructure_gym.scenes.loaders.scannet import axis_alignment
 
-Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
+Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "redwood", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
 QUATERNIONS = frozenset({"tum", "habitat"})  # formats with quaternions, in the order x y z w
-MAX_POSES = 200_000  # largest number of poses in a file
-_MAX_BYTES = 64 << 20  # largest size of a text file, 64 MiB
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # format by the number of numbers per line
 _WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}  # numbers per line by format
 _SCANNETPP = "pose_intrinsic_imu.json"
 _IN_FOLDERS = {
     "nice_slam": "traj.txt",
     "replica": "traj_w_c.txt",
+    "redwood": "trajectory.log",
     "scannet": "pose",  # a folder
     "scannetpp": f"iphone/{_SCANNETPP}",
     "npz": "trajectory.npz",
 }
-_RIGID = 1e-3  # largest accepted entry of |R R^T - I|, since some files have only 4 digits
-_MAX_COORDINATE_M = 1e6  # metres; a larger coordinate is an error
-
 _POSES: schema.Check = schema.each(
     schema.table(
         {
-            "position": schema.each(schema.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M), length=3),
+            "position": schema.each(schema.number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=3),
             "rotation": schema.each(schema.number(-2, 2), length=4),
         }
     ),
@@ -81,7 +87,7 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
     if not path.is_file():
         raise InputError(f"there is no trajectory '{path}'")
     if kind == "auto":
-        usual = {".npz": "npz", ".json": "scannetpp" if path.name == _SCANNETPP else "habitat"}
+        usual = {".npz": "npz", ".log": "redwood", ".json": "scannetpp" if path.name == _SCANNETPP else "habitat"}
         kind = usual.get(path.suffix.lower()) or _by_width(path)
     if kind == "scannet":
         raise InputError(f"'{path}' is a file; of ScanNet give the scan's folder, or the folder pose in it")
@@ -100,20 +106,22 @@ def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:
         poses = np.asarray(arrays_of(path)["world_from_camera"], dtype=np.float64)
     elif kind == "habitat":
         poses = _habitat(path)
+    elif kind == "redwood":
+        poses = redwood_poses(path)
     elif kind == "scannet":
         poses = _scannet(path)
     elif kind == "scannetpp":
         poses = _scannetpp(path)
     else:
-        rows = _numbers(path)
+        rows = numbers_of(path)
         if rows.shape[1] != _WIDTHS[kind]:
             raise InputError(
                 f"'{path}' has {rows.shape[1]} numbers per line, and {kind} has {_WIDTHS[kind]}: give its --format"
             )
-        poses = _tum(rows, path) if kind == "tum" else _matrices(rows)
+        poses = tum_poses(rows, path) if kind == "tum" else matrices_of(rows)
     if not 1 <= len(poses) <= MAX_POSES:
         raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MAX_POSES} are read")
-    return _rigid(poses, path)
+    return rigid_poses(poses, path)
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
@@ -130,31 +138,8 @@ def arrays_of(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _text(path: Path) -> str:
-    try:
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise InputError(f"'{path}' has {size:,} bytes, at most {_MAX_BYTES:,} are read")
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' is no text; a trajectory of numbers is expected") from error
-
-
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the line number and the words of each line of a text file, without empty lines and comments.
-
-    Words are separated by blanks or commas. At most `MAX_POSES` + 1 lines are returned, which is enough to detect files
-    that are too long.
-    """
-    words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
-    lines = ((number, line) for number, line in words if line and not line[0].startswith("#"))
-    return list(islice(lines, MAX_POSES + 1))
-
-
 def _by_width(path: Path) -> str:
-    lines = _lines(path)
+    lines = lines_of(path)
     width = len(lines[0][1]) if lines else 0
     if width not in _BY_WIDTH:
         raise InputError(
@@ -162,42 +147,6 @@ def _by_width(path: Path) -> str:
             f"replica), got {width}"
         )
     return _BY_WIDTH[width]
-
-
-def _numbers(path: Path) -> np.ndarray:  # [T, width]
-    lines = _lines(path)
-    if not lines:
-        raise InputError(f"'{path}' holds no pose")
-    width = len(lines[0][1])
-    for number, words in lines:
-        if len(words) != width:
-            raise InputError(f"line {number} of '{path}' has {len(words)} numbers, and the first one has {width}")
-    try:
-        rows = np.array([words for _, words in lines], dtype=np.float64)
-    except ValueError as error:
-        raise InputError(f"'{path}' is not a trajectory of numbers: {' '.join(str(error).split())[:200]}") from error
-    return rows
-
-
-def _tum(rows: np.ndarray, path: Path) -> np.ndarray:
-    with np.errstate(over="ignore"):
-        lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
-    if (unsorted := ~(np.diff(rows[:, 0]) >= 0)).any():
-        raise InputError(
-            f"pose {int(np.argmax(unsorted)) + 2} of '{path}' has an earlier time stamp than the one before, or none: "
-            "sort the lines"
-        )
-    return _of_quaternions(rows[:, 1:4], rows[:, 4:])
-
-
-def _matrices(rows: np.ndarray) -> np.ndarray:
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses.reshape(len(rows), 16)[:, : rows.shape[1]] = rows
-    return poses
 
 
 def _habitat(path: Path) -> np.ndarray:
@@ -211,7 +160,7 @@ def _habitat(path: Path) -> np.ndarray:
     rotations = np.array([pose["rotation"] for pose in given], dtype=np.float64)
     if not (np.abs(np.linalg.norm(rotations, axis=1) - 1.0) <= 1e-2).all():
         raise InputError(f"'{path}' holds a rotation that is no unit quaternion [x, y, z, w]")
-    return _of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
+    return poses_of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
 
 
 def pose_files(folder: Path) -> list[Path]:
@@ -230,7 +179,7 @@ def scan_text(folder: Path) -> Path:
 def _scannet(folder: Path) -> np.ndarray:
     rows = []
     for file in pose_files(folder):
-        numbers = _numbers(file).ravel()
+        numbers = numbers_of(file).ravel()
         if len(numbers) != 16:
             raise InputError(f"'{file}' must hold 16 numbers, a pose row by row, got {len(numbers)}")
         rows.append(numbers)
@@ -265,32 +214,3 @@ def _known(poses: np.ndarray, path: Path) -> np.ndarray:
             f"{lost} of {len(poses)} poses of '{path}' are not known and are left out", InputWarning, stacklevel=2
         )
     return poses[known]
-
-
-def _of_quaternions(positions: np.ndarray, xyzw: np.ndarray) -> np.ndarray:
-    poses = np.tile(np.eye(4), (len(positions), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(xyzw).as_matrix()
-    poses[:, :3, 3] = positions
-    return poses
-
-
-def _rigid(poses: np.ndarray, path: Path) -> np.ndarray:
-    finite = np.isfinite(poses).all(axis=(1, 2))
-    kept = np.where(finite[:, None, None], poses, 0.0)
-    far = np.abs(kept[:, :3, 3]).max(axis=1)
-    if (far > _MAX_COORDINATE_M).any():
-        at = int(np.argmax(far > _MAX_COORDINATE_M))
-        raise InputError(f"pose {at + 1} of '{path}' stands {far[at]:g} m away: metres are expected")
-    kept = np.clip(kept, -_MAX_COORDINATE_M, _MAX_COORDINATE_M)
-    rotations = kept[:, :3, :3]
-    straight = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _RIGID
-    straight &= np.abs(kept[:, 3] - [0, 0, 0, 1]).max(axis=1) <= _RIGID
-    mirrored = straight & (np.linalg.det(rotations) < 0)
-    if mirrored.any():
-        raise InputError(
-            f"pose {int(np.argmax(mirrored)) + 1} of '{path}' mirrors: its axes are left-handed; a right-handed "
-            "convention is needed (turn one axis round)"
-        )
-    if not straight.all():
-        raise InputError(f"pose {int(np.argmin(straight)) + 1} of '{path}' is no rigid motion (rotation, translation)")
-    return unrounded(poses)

@@ -66,7 +66,9 @@ def test_only_the_views_are_offered_and_captured() -> None:
 
 
 def test_a_source_of_other_poses_is_refused() -> None:
-    env = ReconstructionEnv(Rail("box", width=64, height=36), preset="fast", config={"views.stages": [["around?rows=32"]]})
+    env = ReconstructionEnv(
+        Rail("box", width=64, height=36), preset="fast", config={"views.stages": [["around?rows=32"]]}
+    )
     with pytest.raises(InputError, match="given views only, and the candidate source 'around.rows=32' proposes others"):
         env.reset(seed=0)
     env.close()

@@ -1,30 +1,42 @@
-"""Read posed RGB-D sequences in the layout of NICE-SLAM's Replica download ([nice_slam, code]).
+"""Read posed RGB-D sequences; camera to world, OpenCV axes. Depth is uint16: metres = value / scale, 0 = none.
 
-Files: ``cam_params.json`` (in the folder or one level up), ``<room>/traj.txt`` (16 numbers per line, row by row: camera
-to world, OpenCV axes), ``<room>/results/frame%06d.jpg`` and ``depth%06d.png`` (uint16; metres = value / scale, 0 =
-none).
+- NICE-SLAM's Replica download ([nice_slam, code]): ``cam_params.json`` (in the folder or one level up), ``traj.txt``
+  (16 numbers per line, row by row), ``results/frame%06d.jpg`` and ``results/depth%06d.png``.
+- Redwood and Open3D ([choi2015]): ``trajectory.log``, ``color/%05d.jpg`` (or ``image/``, ``rgb/``), ``depth/%05d.png``.
+- TUM RGB-D ([tum_rgbd]): ``groundtruth.txt``, ``rgb.txt`` and ``depth.txt``, or ``associations.txt``.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import PinholeCamera, unrounded
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.images import opened_image
 from activestructure_gym.scenes.loaders.json_files import read_json
+from activestructure_gym.scenes.loaders.pose_text import (
+    lines_of,
+    matrices_of,
+    numbers_of,
+    redwood_poses,
+    rigid_poses,
+    tum_poses,
+)
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 MAX_PIXELS = 1 << 23  # maximum pixels of a frame (4K video); evaluations hold dozens of frames in memory
+_MAX_APART_S = 0.02  # seconds; largest difference of the time stamps of one TUM frame
+_PRIMESENSE = (525.0, 525.0, 319.5, 239.5)  # default intrinsics of Redwood's and TUM's sequences of 640 x 480 pixels
 _DEPTH_MODES = ("I;16", "I;16B", "I", "L")  # Pillow modes of single-channel integer images
 
 
@@ -56,69 +68,184 @@ class PosedSequence:
         )
 
     def _image(self, file: Path) -> Image:
+        image = _opened(file)
+        if image.size != (self.camera.width, self.camera.height):
+            raise InputError(
+                f"'{file}' has {image.width} x {image.height} pixels, but the sequence's camera has "
+                f"{self.camera.width} x {self.camera.height}"
+            )
         try:
-            image = opened_image(SceneBudget().read(file), formats=("JPEG", "PNG"), most_pixels=MAX_PIXELS)
-            if image.size != (self.camera.width, self.camera.height):
-                raise InputError(
-                    f"'{file}' has {image.width} x {image.height} pixels, but cam_params.json says "
-                    f"{self.camera.width} x {self.camera.height}"
-                )
             image.load()
-        except InputError:
-            raise
         except Exception as error:  # Pillow raises any error of the codec
-            reason = f": it {error}" if isinstance(error, LimitError) else ""
-            raise InputError(f"'{file}' cannot be read as an image{reason}") from error
+            raise InputError(f"'{file}' cannot be read as an image") from error
         return image
 
 
-def load_sequence(path: str | os.PathLike[str]) -> PosedSequence:
-    """Load the sequence in a folder with ``traj.txt`` and ``results/``, without reading images.
+def _opened(file: Path) -> Image:
+    """Return an image that is not yet decoded; raise `InputError` if it cannot be read."""
+    try:
+        return opened_image(SceneBudget().read(file), formats=("JPEG", "PNG"), most_pixels=MAX_PIXELS)
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises any error of its formats
+        reason = f": it {error}" if isinstance(error, LimitError) else ""
+        raise InputError(f"'{file}' cannot be read as an image{reason}") from error
 
-    Raises `InputError` if a file is missing, numbers and images do not match, or a pose is not rigid.
+
+def load_sequence(
+    path: str | os.PathLike[str],
+    *,
+    intrinsics: Sequence[float] | None = None,
+    depth_scale: float | None = None,
+) -> PosedSequence:
+    """Load a recorded sequence from its folder, without reading images. The layout follows from the files in it.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    intrinsics
+        Focal lengths and principal point fx, fy, cx, cy in pixels, with pixel centres at integers, as data sets state
+        them. Default: the folder's camera file; for Redwood and TUM without one 525, 525, 319.5, 239.5.
+    depth_scale
+        Depth image value per metre. Default: that of ``cam_params.json``, 1000 for Redwood, 5000 for TUM.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, the numbers of poses and images differ, or a pose is not rigid.
     """
     path = Path(os.path.expanduser(path))
     if not path.is_dir():
         raise InputError(f"there is no sequence folder '{path}'")
-    poses = _poses(path / "traj.txt")
-    rgb_files = _numbered(path / "results", "frame")
-    depth_files = _numbered(path / "results", "depth")
-    if not len(poses) == len(rgb_files) == len(depth_files):
-        raise InputError(
-            f"sequence '{path}' has {len(poses)} poses, {len(rgb_files)} colour and {len(depth_files)} depth images; "
-            "the three numbers must be equal"
+    if depth_scale is not None and not (depth_scale > 0 and np.isfinite(depth_scale)):
+        raise InputError(f"depth_scale is the depth image value per metre, above 0, got {depth_scale}")
+    layouts = {"trajectory.log": _redwood, "groundtruth.txt": _tum}
+    layout = next((read for name, read in layouts.items() if (path / name).is_file()), None)
+    if layout is None:
+        found = _nice_slam(path)
+        camera = (
+            found.camera if intrinsics is None else _given_camera(intrinsics, found.camera.width, found.camera.height)
         )
+        return replace(found, camera=camera, depth_scale=depth_scale or found.depth_scale)
+    poses, rgb_files, depth_files, usual_scale = layout(path)
+    camera = _camera_beside(path, rgb_files[0], intrinsics)
+    return PosedSequence(camera, poses, rgb_files, depth_files, depth_scale or usual_scale)
+
+
+def _nice_slam(path: Path) -> PosedSequence:
+    file = path / "traj.txt"
+    if not file.is_file():
+        raise InputError(
+            f"there is no trajectory '{file}' (16 numbers per line, camera to world), nor trajectory.log (Redwood) or "
+            "groundtruth.txt (TUM) in that folder"
+        )
+    rows = numbers_of(file)
+    if rows.shape[1] != 16:
+        raise InputError(f"'{file}' must have 16 numbers per line (a 4 x 4 camera-to-world matrix, row by row)")
+    poses = rigid_poses(matrices_of(rows), file)
+    rgb_files, depth_files = _numbered(path / "results", "frame"), _numbered(path / "results", "depth")
+    _check_numbers(path, poses, rgb_files, depth_files)
     camera, depth_scale = _camera(path)
     return PosedSequence(camera, poses, rgb_files, depth_files, depth_scale)
 
 
-def _poses(file: Path) -> np.ndarray:  # [T, 4, 4]
+_Layout = tuple[np.ndarray, tuple[Path, ...], tuple[Path, ...], float]  # poses, colour, depth, depth value per metre
+
+
+def _redwood(path: Path) -> _Layout:
+    file = path / "trajectory.log"
+    poses = rigid_poses(redwood_poses(file), file)
+    folder = next((path / name for name in ("color", "image", "rgb") if (path / name).is_dir()), path / "color")
+    rgb_files, depth_files = _numbered(folder, ""), _numbered(path / "depth", "")
+    _check_numbers(path, poses, rgb_files, depth_files)
+    return poses, rgb_files, depth_files, 1000.0
+
+
+def _tum(path: Path) -> _Layout:
+    """Return the frames whose colour image has a depth image and a pose at most 0.02 s away ([tum_rgbd], its tools)."""
+    file = path / "groundtruth.txt"
+    rows = numbers_of(file)
+    if rows.shape[1] != 8:
+        raise InputError(f"'{file}' must have 8 numbers per line (timestamp tx ty tz qx qy qz qw), got {rows.shape[1]}")
+    poses = rigid_poses(tum_poses(rows, file), file)
+    pairs = path / "associations.txt"
+    if pairs.is_file():
+        colour, depth = _listed(pairs, 0), _listed(pairs, 2)
+        depth_at = np.arange(len(colour[0]))
+    else:
+        colour, depth = _listed(path / "rgb.txt", 0), _listed(path / "depth.txt", 0)
+        depth_at = _nearest(colour[0], depth[0])
+    pose_at = _nearest(colour[0], rows[:, 0])
+    kept = np.flatnonzero((depth_at >= 0) & (pose_at >= 0))
+    if not len(kept):
+        raise InputError(
+            f"no colour image of '{path}' has a depth image and a pose within {_MAX_APART_S} s: check the time stamps"
+        )
+    rgb_files, depth_files = (tuple(colour[1][n] for n in kept), tuple(depth[1][n] for n in depth_at[kept]))
+    missing = [one for one in (*rgb_files, *depth_files) if not one.is_file()]
+    if missing:
+        raise InputError(f"'{path}' lists {len(missing)} images that are not there, the first is '{missing[0]}'")
+    return poses[pose_at[kept]], rgb_files, depth_files, 5000.0
+
+
+def _listed(file: Path, column: int) -> tuple[np.ndarray, list[Path]]:
+    """Return the time stamps [n] in a column of a TUM list, and the files in the next column."""
     if not file.is_file():
-        raise InputError(f"there is no trajectory '{file}' (16 numbers per line, camera to world)")
+        raise InputError(f"there is no '{file.name}' in '{file.parent}' (a time stamp and a file per line)")
+    lines = [words for _, words in lines_of(file)]
     try:
-        text = SceneBudget().read(file).decode("utf-8-sig")
-        rows = [[float(word) for word in line.split()] for line in text.splitlines() if line.strip()]
-    except (ValueError, OSError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"'{file}' is not a trajectory of numbers: {reason}") from error
-    if not rows or any(len(row) != 16 for row in rows):
-        raise InputError(f"'{file}' must have 16 numbers per line (a 4 x 4 camera-to-world matrix, row by row)")
-    poses = np.array(rows, dtype=np.float64).reshape(-1, 4, 4)
-    rigid = _is_rigid(poses)
-    if not rigid.all():
-        line = int(np.argmin(rigid)) + 1
-        raise InputError(f"pose {line} of '{file}' is no rigid motion (a rotation and a translation)")
-    return unrounded(poses)
+        return np.array([float(words[column]) for words in lines]), [file.parent / w[column + 1] for w in lines]
+    except (ValueError, IndexError):
+        raise InputError(f"'{file}' must have a time stamp and a file per line") from None
 
 
-def _is_rigid(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T] bool
-    finite = np.isfinite(poses).all(axis=(1, 2))
-    # Poses with values above 1e6 (metres) are replaced by zeros, which are no rigid motion.
-    poses = np.where(finite[:, None, None] & (np.abs(poses) < 1e6), poses, 0.0)
-    rotation = poses[:, :3, :3]
-    # The tolerance is 1e-3, since trajectories are written with 4 to 18 digits.
-    orthogonal = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= 1e-3
-    return orthogonal & (np.linalg.det(rotation) > 0) & (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) <= 1e-6)
+def _nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:  # [n], [m] seconds -> [n] index, -1 = none
+    """Return the index of the nearest other time stamp; -1 if it is too far away."""
+    order = np.argsort(others, kind="stable")
+    after = np.clip(np.searchsorted(others[order], stamps), 1, max(1, len(others) - 1))
+    sides = order[np.stack([after - 1, np.minimum(after, len(others) - 1)])]
+    apart = np.abs(others[sides] - stamps)
+    nearest = np.where(apart[0] <= apart[1], sides[0], sides[1])
+    return np.where(apart.min(axis=0) <= _MAX_APART_S, nearest, -1)
+
+
+def _check_numbers(path: Path, poses: np.ndarray, rgb: tuple[Path, ...], depth: tuple[Path, ...]) -> None:
+    if not len(poses) == len(rgb) == len(depth):
+        raise InputError(
+            f"sequence '{path}' has {len(poses)} poses, {len(rgb)} colour and {len(depth)} depth images; the three "
+            "numbers must be equal"
+        )
+
+
+def _camera_beside(path: Path, image: Path, intrinsics: Sequence[float] | None) -> PinholeCamera:
+    """Return the camera of a Redwood or TUM sequence.
+
+    It has the given intrinsics, or those of a ``camera*.json`` in Open3D's form, or the default ones of both data sets.
+    """
+    width, height = _opened(image).size
+    file = next(iter(sorted(path.glob("camera*.json"))), None)
+    if intrinsics is None and file is not None:
+        wanted = "a camera of Open3D (width, height, intrinsic_matrix)"
+        matrix, width, height = read_json(
+            file,
+            wanted,
+            lambda k: (np.array(k["intrinsic_matrix"], float).reshape(3, 3), int(k["width"]), int(k["height"])),
+        )
+        intrinsics = matrix[0, 0], matrix[1, 1], matrix[2, 0], matrix[2, 1]  # the matrix is stored by columns
+    elif intrinsics is None and (width, height) != (640, 480):
+        raise InputError(
+            f"'{path}' has no camera*.json, and its images are {width} x {height}: give intrinsics=fx,fy,cx,cy"
+        )
+    return _given_camera(intrinsics or _PRIMESENSE, width, height)
+
+
+def _given_camera(intrinsics: Sequence[float], width: int, height: int) -> PinholeCamera:
+    if len(intrinsics) != 4 or not np.isfinite(intrinsics).all() or not (intrinsics[0] > 0 and intrinsics[1] > 0):
+        raise InputError(f"intrinsics are fx, fy, cx, cy in pixels, with fx and fy above 0, got {tuple(intrinsics)}")
+    fx, fy, cx, cy = map(float, intrinsics)
+    # The data sets put pixel centres at integers, this project at + 0.5.
+    return PinholeCamera(width, height, fx, fy, cx + 0.5, cy + 0.5)
 
 
 def _numbered(folder: Path, prefix: str) -> tuple[Path, ...]:

@@ -12,6 +12,7 @@ import pytest
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.trajectories import formats
 from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
+from activestructure_gym.scenes.loaders import pose_text
 
 # A quarter turn about z, then (1, 2, 3).
 TURNED = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
@@ -20,13 +21,14 @@ LINES = {
     "tum": f"# timestamp tx ty tz qx qy qz qw\n0 0 0 0 0 0 0 1\n0.1 1 2 3 0 0 {HALF} {HALF}\n",
     "nice_slam": "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n0 -1 0 1 1 0 0 2 0 0 1 3 0 0 0 1\n",
     "kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n0 -1 0 1 1 0 0 2 0 0 1 3\n",
+    "redwood": "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 1 2\n0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n",
     "habitat": '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 1]},'
     f' {{"position": [1, 2, 3], "rotation": [0, 0, {HALF}, {HALF}]}}]',
 }
 
 
 def write(folder: Path, kind: str, text: str = "") -> Path:
-    path = folder / ("poses.json" if kind == "habitat" else "poses.txt")
+    path = folder / f"poses.{ {'habitat': 'json', 'redwood': 'log'}.get(kind, 'txt') }"
     path.write_text(text or LINES[kind])
     return path
 
@@ -78,6 +80,9 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("tum", "2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
         ("tum", "0 0 0 0 0 0 0 1\nnan 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
         ("tum", "# nothing\n", "holds no pose"),
+        ("redwood", LINES["nice_slam"], "a line of 3 numbers and 4 lines of 4 numbers"),
+        ("redwood", "# nothing\n", "not a Redwood trajectory"),
+        ("redwood", LINES["redwood"].replace("-1", "x"), "not a trajectory of numbers"),
         ("habitat", '[{"position": [0, 0]}]', "no trajectory of Habitat"),
         ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "no unit quaternion"),
         ("colmap", "", "unknown trajectory format 'colmap'"),
@@ -162,7 +167,8 @@ def test_recordings_of_scannetpp(tmp_path: Path) -> None:
 
 
 def test_no_more_lines_are_read_than_poses_may_be(tmp_path, monkeypatch):
-    monkeypatch.setattr(formats, "MAX_POSES", 3)
+    for module in (formats, pose_text):
+        monkeypatch.setattr(module, "MAX_POSES", 3)
     (tmp_path / "long.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4 + "1 0\n" * 50)
     with pytest.raises(InputError, match="holds 4 poses, from 1 to 3 are read"):
         read_poses(tmp_path / "long.txt")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,11 +85,11 @@ def test_missing_parts(copy, tmp_path):
 @pytest.mark.parametrize(
     "line, said",
     [
-        ("1 0 0", "16 numbers per line"),
-        ("nothing here", "not a trajectory"),
+        ("1 0 0", "line 2 .* has 16 numbers, and the first one has 3"),
+        ("nothing " * 16, "not a trajectory"),
         (" ".join(["nan"] * 16), "pose 1 .* no rigid motion"),
         ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 .* no rigid motion"),
-        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 .* no rigid motion"),  # a mirror
+        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 .* mirrors"),
     ],
 )
 def test_trajectories_that_are_none(copy, line, said):
@@ -117,5 +118,88 @@ def test_camera_files_that_are_none(copy):
         file.write_text(json.dumps({"camera": {**given["camera"], **change}}))
         assert said in _error(copy)
     file.write_text(json.dumps({"camera": {**given["camera"], "w": 80}}))
-    with pytest.raises(InputError, match="40 x 24 pixels, but cam_params.json says 80 x 24"):
+    with pytest.raises(InputError, match="40 x 24 pixels, but the sequence's camera has 80 x 24"):
         load_sequence(copy).frame(0)
+
+
+@pytest.fixture
+def redwood(copy, tmp_path):
+    """The same three frames in the layout of Redwood."""
+    folder = tmp_path / "redwood"
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    for n in range(3):
+        shutil.copy(copy / "results" / f"frame{n:06d}.jpg", folder / "color" / f"{n:05d}.jpg")
+        shutil.copy(copy / "results" / f"depth{n:06d}.png", folder / "depth" / f"{n:05d}.png")
+    poses = load_sequence(copy).world_from_camera
+    rows = ["\n".join(" ".join(map(repr, map(float, row))) for row in pose) for pose in poses]
+    (folder / "trajectory.log").write_text("".join(f"{n} {n} {n + 1}\n{row}\n" for n, row in enumerate(rows)))
+    camera = {"width": 40, "height": 24, "intrinsic_matrix": [20.0, 0, 0, 0, 20.0, 0, 19.5, 11.5, 1]}
+    (folder / "camera_primesense.json").write_text(json.dumps(camera))
+    return folder
+
+
+def test_redwood_s_layout_gives_the_same_frames(copy, redwood):
+    one, other = load_sequence(copy), load_sequence(redwood, depth_scale=6553.5)
+    assert len(other) == 3 and other.camera == replace(one.camera, fx=20.0, fy=20.0, cx=20.0, cy=12.0)
+    np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+    for index in range(3):
+        np.testing.assert_array_equal(one.frame(index).rgb, other.frame(index).rgb)
+        np.testing.assert_array_equal(one.frame(index).depth, other.frame(index).depth)
+    assert load_sequence(redwood).depth_scale == 1000.0
+    assert load_sequence(redwood, intrinsics=(30, 31, 19.5, 11.5)).camera.fy == 31.0
+
+
+def test_faults_of_redwood_s_layout(redwood):
+    (redwood / "camera_primesense.json").unlink()
+    assert "images are 40 x 24: give intrinsics=fx,fy,cx,cy" in _error(redwood)
+    with pytest.raises(InputError, match="fx and fy above 0"):
+        load_sequence(redwood, intrinsics=(0, 1, 2, 3))
+    with pytest.raises(InputError, match="depth_scale is the depth image value per metre"):
+        load_sequence(redwood, depth_scale=0.0)
+    (redwood / "depth" / "00001.png").unlink()
+    assert "3 poses, 3 colour and 2 depth images" in _error(redwood)
+    (redwood / "trajectory.log").write_text("1 2 3\n")
+    assert "is not a Redwood trajectory" in _error(redwood)
+
+
+@pytest.fixture
+def tum(redwood):
+    """Colour at 0, 1 and 2 s; depth 10 ms later; poses every 0.5 s."""
+    lists = {"rgb": ("color", "jpg", 0.0), "depth": ("depth", "png", 0.01)}
+    for name, (folder, ending, later) in lists.items():
+        lines = [f"{n + later} {folder}/{n:05d}.{ending}" for n in range(3)]
+        (redwood / f"{name}.txt").write_text("# list\n" + "\n".join(lines))
+    poses = load_sequence(redwood, intrinsics=(20, 20, 19.5, 11.5)).world_from_camera
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    rows = np.column_stack([np.arange(3), poses[:, :3, 3], quaternions])
+    between = rows + np.array([0.5, 9, 9, 9, 0, 0, 0, 0])
+    np.savetxt(redwood / "groundtruth.txt", np.stack([rows, between], axis=1).reshape(-1, 8))
+    (redwood / "trajectory.log").rename(redwood / "poses.log")
+    return redwood, poses
+
+
+def test_tum_s_layout_is_joined_by_time_stamps(tum):
+    folder, poses = tum
+    sequence = load_sequence(folder)
+    assert len(sequence) == 3 and sequence.depth_scale == 5000.0
+    np.testing.assert_allclose(sequence.world_from_camera, poses, atol=1e-9)
+    assert [file.name for file in sequence.depth_files] == ["00000.png", "00001.png", "00002.png"]
+    (folder / "depth.txt").write_text("0.03 depth/00000.png\n1.019 depth/00001.png\n2.0 depth/00002.png\n")
+    assert [file.name for file in load_sequence(folder).rgb_files] == ["00001.jpg", "00002.jpg"]  # 0.03 s is too far
+    (folder / "associations.txt").write_text("0 color/00000.jpg 0.03 depth/00002.png\n")
+    assert [file.name for file in load_sequence(folder).depth_files] == ["00002.png"]
+
+
+def test_faults_of_tum_s_layout(tum):
+    folder, _ = tum
+    (folder / "rgb.txt").write_text("0.0 color/gone.jpg\n")
+    assert "lists 1 images that are not there" in _error(folder)
+    (folder / "rgb.txt").write_text("77 color/00000.jpg\n")
+    assert "no colour image of" in _error(folder)
+    (folder / "rgb.txt").write_text("color/00000.jpg\n")
+    assert "must have a time stamp and a file per line" in _error(folder)
+    (folder / "rgb.txt").unlink()
+    assert "there is no 'rgb.txt'" in _error(folder)
+    (folder / "groundtruth.txt").write_text("0 0 0\n")
+    assert "must have 8 numbers per line" in _error(folder)

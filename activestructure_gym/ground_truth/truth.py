@@ -29,7 +29,7 @@ class GroundTruth:
     do; the sensor takes the `Scene` alone. Properties raise `InputError` if the scene has no free space.
     """
 
-    scene: Scene
+    scene: Scene  # the mesh of which the ground truth is computed
     surface_samples: int = SURFACE_SAMPLES  # number of points drawn from the whole surface, visible or not
 
     @cached_property

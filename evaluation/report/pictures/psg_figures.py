@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.pictures.canvas import MARGIN, Box, first_row_boxes, tile_grid, write
+from activestructure_gym.evaluation.report.pictures.canvas import Box, first_row_boxes, tile_grid
 from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.pictures.psg_legend import deficit_legend, type_legend, with_legend
 from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
@@ -22,7 +22,7 @@ def run_planes_plan(
 ) -> tuple[Image.Image, list[Box]]:
     """Return a page with the graph drawn over the plan, and the boxes of its two panels: by type and by deficit."""
     pair = draw_planes_plan(arrays, plan)
-    page = _panels([pair], [_counted(arrays)], title=title, frames=True)
+    page = _panels([pair], _counted(arrays), title=title, frames=True)
     return with_legend(page, type_legend(flat=True), deficit_legend()), first_row_boxes(pair)
 
 
@@ -32,7 +32,7 @@ def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list
     The rows are views from two opposite corners; the columns are coloured by type and by deficit.
     """
     rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
-    page = with_legend(_panels(rows, [_counted(arrays)], title=title), type_legend(), deficit_legend(depth=True))
+    page = with_legend(_panels(rows, _counted(arrays), title=title), type_legend(), deficit_legend(depth=True))
     return page, first_row_boxes(rows[0])
 
 
@@ -45,27 +45,17 @@ def _counted(arrays: GraphArrays) -> tuple[str, str]:
     )
 
 
-def _panels(
-    rows: Sequence[Pair],
-    labels: Sequence[tuple[str, str]],  # column labels of the first rows
-    *,
-    title: str,
-    frames: bool = False,
-) -> Image.Image:
-    """Return a page with rows of two panels; each row has its own height, so the rows are composed separately."""
-    pages = []
-    for index, row in enumerate(rows):
-        columns = labels[index] if index < len(labels) else ()
-        pages.append(tile_grid([row], title=title if index == 0 else "", column_labels=columns, frames=frames))
-    return _stacked(pages, "")
+def _panels(rows: Sequence[Pair], labels: tuple[str, str], *, title: str, frames: bool = False) -> Image.Image:
+    """Return a page with rows of two panels; each row has its own height, so the rows are composed separately.
 
-
-def _stacked(pages: Sequence[Image.Image], title: str) -> Image.Image:
-    top = MARGIN + 30 if title else 0
-    size = max(page.width for page in pages), top + sum(page.height for page in pages)
-    whole = Image.new("RGB", size, style.PAPER)
-    if title:
-        write(whole, (MARGIN, MARGIN), title, size=22, bold=True)
+    ``labels`` are the column labels of the first row.
+    """
+    pages = [
+        tile_grid([row], title="" if index else title, column_labels=() if index else labels, frames=frames)
+        for index, row in enumerate(rows)
+    ]
+    whole = Image.new("RGB", (max(page.width for page in pages), sum(page.height for page in pages)), style.PAPER)
+    top = 0
     for page in pages:
         whole.paste(page, (0, top))
         top += page.height

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.machine.threads import capped_environment
+from activestructure_gym.evaluation.machine.threads import single_threaded_children
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -116,13 +115,8 @@ class _Player:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, scene, preset, overrides, seed), daemon=True)
-        before = dict(os.environ)
-        os.environ.update(capped_environment(1))  # libraries read the number of threads when they are imported
-        try:
+        with single_threaded_children():
             self._process.start()
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
         theirs.close()
 
     def __enter__(self) -> _Player:

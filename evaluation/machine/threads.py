@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from activestructure_gym.cores import core_count
 
@@ -38,3 +40,15 @@ def capped_environment(threads: int) -> dict[str, str]:
     environment["MPLBACKEND"] = "Agg"
     environment["PYTHONSAFEPATH"] = "1"  # keeps the working directory out of sys.path, as in this process
     return environment
+
+
+@contextmanager
+def single_threaded_children() -> Iterator[None]:
+    """Set environment variables during the ``with`` block by which processes started in it use one thread each."""
+    before = dict(os.environ)
+    os.environ.update(capped_environment(1))
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)

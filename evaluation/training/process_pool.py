@@ -8,12 +8,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from typing import Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.machine.threads import capped_environment
+from activestructure_gym.evaluation.machine.threads import single_threaded_children
 
 
 def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
@@ -46,18 +45,6 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def single_threaded_children() -> Iterator[None]:
-    """Set environment variables during the ``with`` block by which processes started in it use one thread each."""
-    before = dict(os.environ)
-    os.environ.update(capped_environment(1))
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 def one_thread() -> None:

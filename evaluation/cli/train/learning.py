@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from activestructure_gym.evaluation.cli.closing import print_next
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
+from activestructure_gym.evaluation.machine.threads import single_threaded_children
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
@@ -92,7 +93,6 @@ def _run(
     validate = Validation(config, directory, live.say)
     try:
         if config.method == "ppo":
-            from activestructure_gym.evaluation.training.process_pool import single_threaded_children
             from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
             from activestructure_gym.evaluation.training.training_env import TrainingEnv, learning_layouts
 

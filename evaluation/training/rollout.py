@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,19 +34,20 @@ class Played:
 
 
 def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None = None) -> Played:
-    """Play one whole episode with the actions of ``choose``, and return its coverage curve.
+    """Play one whole episode with the actions of ``choose``, close ``env``, and return the coverage curve.
 
-    It begins at the pose ``start`` [4, 4] (world_from_camera), or at a pose drawn by ``seed``.
+    The episode begins at the pose ``start`` [4, 4] (world_from_camera), or at a pose drawn by ``seed``.
     """
-    observation, info = env.reset(seed=seed, options=None if start is None else {"start_pose": start})
-    frames, coverage = [int(info["frames"])], [env.coverage.share]
-    ended = not observation["action_mask"].any()
-    while not ended:
-        observation, _, terminated, truncated, info = env.step(choose(env, observation))
-        frames.append(int(info["frames"]))
-        coverage.append(env.coverage.share)
-        ended = terminated or truncated
-    return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
+    with closing(env):
+        observation, info = env.reset(seed=seed, options=None if start is None else {"start_pose": start})
+        frames, coverage = [int(info["frames"])], [env.coverage.share]
+        ended = not observation["action_mask"].any()
+        while not ended:
+            observation, _, terminated, truncated, info = env.step(choose(env, observation))
+            frames.append(int(info["frames"]))
+            coverage.append(env.coverage.share)
+            ended = terminated or truncated
+        return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
 
 
 def play_policy(
@@ -55,12 +57,12 @@ def play_policy(
     env = make_env(world, truth, features=policy.required_features)
     policy.bind(env.config.features)
     policy.reset(seed)
-    return _closed(env, lambda _, observation: policy.act(observation), seed, start)
+    return play(env, lambda _, observation: policy.act(observation), seed, start)
 
 
 def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:
     """Play one episode of the one-step oracle in the scene ``truth``; ``seed`` and ``start`` are as in `play`."""
-    return _closed(make_env(world, truth, features=()), oracle_greedy, seed, start)
+    return play(make_env(world, truth, features=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:
@@ -71,10 +73,3 @@ def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequenc
     """
     floor, ceiling = float(np.mean(random)), float(np.mean(oracle))
     return (float(np.mean(values)) - floor) / (ceiling - floor) if ceiling != floor else float("nan")
-
-
-def _closed(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None) -> Played:
-    try:
-        return play(env, choose, seed, start)
-    finally:
-        env.close()

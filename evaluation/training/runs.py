@@ -91,7 +91,7 @@ class TrainingRun:
         self.position = 0  # number of finished units
         self.best: float | None = None  # best validation score so far
         self.facts: dict[str, Any] = {}  # further counters of the method
-        self._tensors: dict[str, torch.Tensor] = {}
+        self.tensors: dict[str, torch.Tensor] = {}  # of the last saved state; empty in a new run
         if (directory / CONFIG).is_file():
             if read_config(directory) != config:
                 raise InputError(f"'{directory}' holds a training run of another configuration: choose another --out")
@@ -103,24 +103,19 @@ class TrainingRun:
         self.timing = Timing(directory / TIMING)
         self._tensorboard = _tensorboard_writer(directory / _TENSORBOARD, self.position)
 
-    @property
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the tensors of the last saved state; empty in a new run."""
-        return self._tensors
-
     def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
         """Load the saved weights into ``module`` and the saved moments into ``optimizer``.
 
         Raise `InputError` if their names or shapes do not fit.
         """
-        weights = {name.removeprefix("module."): v for name, v in self._tensors.items() if name.startswith("module.")}
+        weights = {name.removeprefix("module."): v for name, v in self.tensors.items() if name.startswith("module.")}
         expected = {name: value.shape for name, value in module.state_dict().items()}
         if {name: value.shape for name, value in weights.items()} != expected:
             raise self._damaged_state(Mismatch("it does not hold the weights of the configured network"))
         module.load_state_dict(weights)
         moments: dict[int, dict[str, torch.Tensor]] = {}
         parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-        for name, value in self._tensors.items():
+        for name, value in self.tensors.items():
             kind, _, rest = name.partition(".")
             number, _, key = rest.partition(".")
             if kind != "optimizer":
@@ -210,9 +205,9 @@ class TrainingRun:
     def _save(self, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
         from safetensors.torch import save
 
-        self._tensors, self.facts = {name: tensor.contiguous() for name, tensor in tensors.items()}, dict(facts)
+        self.tensors, self.facts = {name: tensor.contiguous() for name, tensor in tensors.items()}, dict(facts)
         meta = {"position": self.position, "best": self.best, "facts": self.facts}
-        self._replace(STATE, save(self._tensors, {_META: json.dumps(meta)}))
+        self._replace(STATE, save(self.tensors, {_META: json.dumps(meta)}))
 
     def _replace(self, name: str, content: bytes) -> None:
         """Write ``content`` atomically to the file ``name`` of the directory."""
@@ -228,7 +223,7 @@ class TrainingRun:
         if not file.is_file():
             return
         try:
-            self._tensors, notes = read_tensors(file, most=_MAX_STATE_BYTES)
+            self.tensors, notes = read_tensors(file, most=_MAX_STATE_BYTES)
             meta = checked_json(notes.get(_META, "").encode(), _STATE_NOTES)
             if meta["position"] > self.config.units:
                 raise Mismatch(f"it is of unit {meta['position']}, of {self.config.units}")

@@ -63,9 +63,7 @@ class Validation:
         areas = []
         for number, truth in enumerate(self._truths):
             self._notify(f"validating on layout {number + 1} of {len(self._truths)}")
-            env = make_env(self._config.world, truth)
-            areas.append(play(env, network_choice(network), _SEED + number).auc)
-            env.close()
+            areas.append(play(make_env(self._config.world, truth), network_choice(network), _SEED + number).auc)
         random, oracle = self._references["random"], self._references["oracle"]
         return {SCORE: float(np.mean(areas)), "validation/normalised": normalised(areas, random, oracle)}
 

@@ -50,12 +50,12 @@ CURVE = "curve.svg"
 TIMING = "timing.json"
 BEST, LAST = "best.safetensors", "last.safetensors"
 SCORE = "validation/auc"  # entry of a log row by which the best checkpoint is chosen
-_META = "training"  # metadata entry of the state file: position, best score and facts as JSON
+_META = "training"  # metadata entry of the state file: number of finished units and best score, as JSON
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # state of Adam and AdamW per parameter
 _MAX_STATE_BYTES = 3 * MAX_WEIGHT_BYTES  # largest state file: the weights, and two moments per weight
 _BEGIN_AGAIN = "begin the run again in another --out"
 _ROW = table({"unit": number(0, whole=True)}, others=maybe(number()))
-_STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number()), "facts": table()})
+_STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number())})
 
 
 def read_config(directory: Path) -> TrainingConfig:
@@ -90,7 +90,6 @@ class TrainingRun:
         self.directory, self.config = directory, config
         self.position = 0  # number of finished units
         self.best: float | None = None  # best validation score so far
-        self.facts: dict[str, Any] = {}  # further counters of the method
         self.tensors: dict[str, torch.Tensor] = {}  # of the last saved state; empty in a new run
         if (directory / CONFIG).is_file():
             if read_config(directory) != config:
@@ -136,7 +135,7 @@ class TrainingRun:
         return self.position >= self.config.units
 
     def finish_unit(
-        self, row: Mapping[str, float], network: CandidateNetwork, tensors: Mapping[str, torch.Tensor], **facts: Any
+        self, row: Mapping[str, float], network: CandidateNetwork, tensors: Mapping[str, torch.Tensor]
     ) -> None:
         """Log the unit that has just ended, write its checkpoint if it is the best, and save the state.
 
@@ -147,7 +146,7 @@ class TrainingRun:
         self._log(row)
         if self.ended:  # written before the state, so a run whose state says that it has ended has this checkpoint
             self._checkpoint(LAST, row, network, self.position)
-        self._save(tensors, facts)
+        self._save(tensors)
         self.timing.save()
 
     def begin_with(self, row: Mapping[str, float], network: CandidateNetwork) -> None:
@@ -202,11 +201,11 @@ class TrainingRun:
                 self._tensorboard.add_scalar(name, value, self.position)
             self._tensorboard.flush()
 
-    def _save(self, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
+    def _save(self, tensors: Mapping[str, torch.Tensor]) -> None:
         from safetensors.torch import save
 
-        self.tensors, self.facts = {name: tensor.contiguous() for name, tensor in tensors.items()}, dict(facts)
-        meta = {"position": self.position, "best": self.best, "facts": self.facts}
+        self.tensors = {name: tensor.contiguous() for name, tensor in tensors.items()}
+        meta = {"position": self.position, "best": self.best}
         self._replace(STATE, save(self.tensors, {_META: json.dumps(meta)}))
 
     def _replace(self, name: str, content: bytes) -> None:
@@ -229,7 +228,7 @@ class TrainingRun:
                 raise Mismatch(f"it is of unit {meta['position']}, of {self.config.units}")
         except (InputError, Mismatch) as error:
             raise self._damaged_state(error) from error
-        self.position, self.best, self.facts = meta["position"], meta["best"], meta["facts"]
+        self.position, self.best = meta["position"], meta["best"]
 
     def _damaged_state(self, reason: Exception) -> InputError:
         return InputError(f"'{self.directory / STATE}' is damaged: {reason}; {_BEGIN_AGAIN}")

@@ -40,7 +40,7 @@ def main() -> None:
         mapper.observe(Frame(rgb, depth, pose, camera))
         shown = np.uint8(255 * np.clip(mapper.render(close, near).color, 0, 1))
         pictures.append((f"{name}: map", Image.fromarray(shown)))
-        pictures.append((f"{name}: {dots_in(mapper, close, near)} means", dots(mapper, close, near)))
+        pictures.append((f"{name}: {len(projected(mapper, close, near))} means", dots(mapper, close, near)))
     width, height = SIZE
     page = Image.new("RGB", (3 * width + 20, 2 * height + 50), "white")
     pen = ImageDraw.Draw(page)
@@ -74,11 +74,6 @@ def projected(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> np.nda
     points = points[points[:, 2] > 0.1]
     pixels = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     return pixels[((pixels >= 0) & (pixels < SIZE)).all(axis=1)]
-
-
-def dots_in(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> int:
-    """Return the number of Gaussians of a map whose mean projects into the image of a camera at ``pose``."""
-    return len(projected(mapper, camera, pose))
 
 
 def dots(mapper: Mapper, camera: PinholeCamera, pose: np.ndarray) -> Image.Image:

@@ -51,6 +51,11 @@ def unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
     return InputError(f"'{path}' is damaged: {reason}{remedy}")
 
 
+def as_read(content: Any) -> Any:
+    """Return ``content`` as it would be read from a JSON file to which it was written."""
+    return json.loads(json_text(content))
+
+
 def plain(value: Any) -> Any:
     """Convert ``value`` to JSON's types; NaN and infinity become null."""
     if isinstance(value, dict):

@@ -6,7 +6,6 @@ Native settings are code of this package. A job names only the policy, so its ha
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
         return []
     settings = native_settings_of(POLICIES.get(name), job.conditions.setup)
     config = configure(job.conditions.preset, settings.overrides() | dict(job.conditions.overrides))
-    now = json.loads(json.dumps(json_files.plain(dataclasses.asdict(config))))
+    now = json_files.as_read(dataclasses.asdict(config))
     try:
         then = json_files.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
     except InputError:

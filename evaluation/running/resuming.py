@@ -100,9 +100,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 
 
 def _check_conditions(before: Conditions, asked: Conditions, directory: Path) -> None:
-    old, new = (
-        _flat(json.loads(json.dumps(json_files.plain({"setup": one.setup} | one.as_dict())))) for one in (before, asked)
-    )
+    old, new = (_flat(json_files.as_read({"setup": one.setup} | one.as_dict())) for one in (before, asked))
     different = [
         f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"
         for name in dict.fromkeys((*old, *new))

@@ -6,7 +6,6 @@ atomically, so collecting can be resumed. Its content depends only on the config
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.json_files import plain, read_json, write_json
+from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
 from activestructure_gym.evaluation.training.config import WITH_TRUTH, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
@@ -92,7 +91,7 @@ def check_description(config: TrainingConfig, directory: Path) -> None:
         return
     file = directory / _DESCRIPTION
     found = read_json(file, table(), remedy=f"delete '{directory}', and its episodes are played again")
-    wanted = _as_json(description(config))
+    wanted = as_read(description(config))
     different = [key for key in wanted if found.get(key) != wanted[key]]
     if different:
         raise InputError(
@@ -204,8 +203,3 @@ def _write(config: TrainingConfig, directory: Path, number: int) -> None:
 
 def _file(directory: Path, number: int) -> Path:
     return directory / f"layout-{number:05d}.npz"
-
-
-def _as_json(content: dict[str, Any]) -> dict[str, Any]:
-    result: dict[str, Any] = json.loads(json.dumps(plain(content)))
-    return result

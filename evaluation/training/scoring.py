@@ -19,7 +19,7 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
-from activestructure_gym.evaluation.archive.json_files import plain, read_json, write_json
+from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
 from activestructure_gym.evaluation.archive.temporary import refuse_links
 from activestructure_gym.evaluation.report.tables.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
@@ -109,7 +109,7 @@ def play_cells(
     known = (
         read_json(record, schema.table({"conditions": schema.table()}), remedy=_ELSEWHERE) if record.is_file() else {}
     )
-    if known and known["conditions"] != _json(conditions):
+    if known and known["conditions"] != as_read(conditions):
         raise InputError(f"'{directory}' was scored under other conditions: choose another --out")
     write_json(record, {"conditions": conditions})
     calls = [(world, tuple(policies), cell, directory) for cell in todo]
@@ -260,7 +260,3 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
             played = play_policy(world, truth, make_policy(name), cell.seed, start)
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
     write_json(file, content)
-
-
-def _json(content: Any) -> Any:
-    return json.loads(json.dumps(plain(content)))

@@ -35,6 +35,7 @@ from activestructure_gym.streams import complain, escape
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.running.comparison import Comparison
+    from activestructure_gym.evaluation.running.engines import Limits
     from activestructure_gym.evaluation.running.sharding import Shard
 
 
@@ -113,8 +114,6 @@ DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     """Run the comparison defined by ``options``, or ``comparison`` if it is given, and return the exit code."""
     # Options are checked before the slow imports.
-    from activestructure_gym.evaluation.archive.store import COMPARISON
-
     use_trust(options.trust_code)
     console = make_console()
     if options.resume and not options.out:
@@ -125,9 +124,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     use_lpips_weights(options.lpips_weights)
 
     from activestructure_gym.evaluation.archive.comparison import read_record
-    from activestructure_gym.evaluation.archive.directory_lock import hold
-    from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
-    from activestructure_gym.evaluation.running.comparison import jobs_to_resume, run_comparison
+    from activestructure_gym.evaluation.running.comparison import jobs_to_resume
     from activestructure_gym.evaluation.running.engines import ENGINES, Limits
     from activestructure_gym.evaluation.running.output_directory import check_output
     from activestructure_gym.evaluation.running.resuming import recorded_jobs
@@ -159,7 +156,23 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     options = _with_baseline(options, known)
     if not as_recorded:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
+    return _run_and_report(options, console, jobs, directory, limits, shard, began)
 
+
+def _run_and_report(
+    options: Compare,
+    console: Console,
+    jobs: Sequence[Job],
+    directory: Path,
+    limits: Limits,
+    shard: Shard | None,
+    began: float,  # seconds of `time.monotonic`
+) -> int:
+    """Run the jobs and write the report, or with ``shard`` only run its jobs; return the exit code."""
+    from activestructure_gym.evaluation.archive.directory_lock import hold
+    from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
+    from activestructure_gym.evaluation.archive.store import COMPARISON
+    from activestructure_gym.evaluation.running.comparison import run_comparison
     from activestructure_gym.evaluation.running.live_progress import LiveProgress
 
     try:

@@ -42,6 +42,7 @@ READ = (
     "docs/images/*.py",
     "docs/index.md",
     "docs/notebook/*.py",
+    "docs/notebook/benchmark.md",
     "docs/notebook/exploration.md",
     "docs/notebook/grid.md",
     "docs/notebook/groundwork.md",

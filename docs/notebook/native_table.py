@@ -117,7 +117,8 @@ def native_settings() -> str:
     users: dict[str, list[str]] = {}
     for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
         users.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
-    return "".join(f"- {', '.join(names)}: {text}.\n" for text, names in sorted(users.items(), key=lambda one: one[1]))
+    items = "".join(f"- {', '.join(names)}: {text}.\n" for text, names in sorted(users.items(), key=lambda one: one[1]))
+    return items.replace("; budget in", ". Budget in")
 
 
 def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:

@@ -45,7 +45,7 @@ from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
 from activestructure_gym.sources import SourceContext, make_stages, offer, only_views_of_pool, random_of
 from activestructure_gym.splatting.rasterizers import rasterizer
-from activestructure_gym.views import CandidatePool, CandidateTable, GivenViews
+from activestructure_gym.views import CandidatePool, CandidateTable, GivenViews, without_overlap
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.worlds import (
     SceneWorld,
@@ -200,8 +200,9 @@ class Reconstruction:
             views = checked_views(views, bounds)
             level = np.stack([levelled(pose) for pose in views.world_from_camera])
             self.pool = GivenViews(level, config.views, pool_seed)
-            for pose, radius in zip(level, views.free_radius):
-                self.volume.mark_free_sphere(pose[:3, 3], min(motion.start_free_radius, float(radius)))
+            radii = np.minimum(motion.start_free_radius, views.free_radius)
+            for index in without_overlap(level[:, :3, 3], radii, slack=0.5 * self.volume.voxel_size):
+                self.volume.mark_free_sphere(level[index, :3, 3], float(radii[index]))
         self._planning_rng = np.random.default_rng(planning)
         self._sources_seed = int(sources.generate_state(1)[0])
         self.stage = 0  # index into ``views.stages``

@@ -4,7 +4,7 @@ All policies choose from the same pool of candidates. No code in this package ma
 """
 
 from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig
-from activestructure_gym.views.given_views import GivenViews
+from activestructure_gym.views.given_views import GivenViews, without_overlap
 from activestructure_gym.views.visibility import visible_planes
 
 __all__ = [
@@ -13,4 +13,5 @@ __all__ = [
     "GivenViews",
     "ViewConfig",
     "visible_planes",
+    "without_overlap",
 ]

@@ -46,3 +46,17 @@ class GivenViews(CandidatePool):
 
     def _rotations_of(self, position: np.ndarray, direction: np.ndarray) -> np.ndarray:
         return self.world_from_camera[position, :3, :3]
+
+
+def without_overlap(
+    centres: np.ndarray,  # [M, 3] metres
+    radii: np.ndarray,  # [M] metres
+    slack: float,  # metres
+) -> list[int]:
+    """Return the indices of spheres that contain all others, each up to ``slack``; the first of equal ones is kept."""
+    kept: list[int] = []
+    for index, (centre, radius) in enumerate(zip(centres, radii)):
+        apart = np.linalg.norm(centres[kept] - centre, axis=1)
+        if not (apart + radius <= radii[kept] + slack).any():
+            kept.append(index)
+    return kept

@@ -11,7 +11,7 @@ from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.motion import is_level, levelled
 from activestructure_gym.sources.places import directions, looking
-from activestructure_gym.views import GivenViews, ViewConfig
+from activestructure_gym.views import GivenViews, ViewConfig, without_overlap
 from activestructure_gym.worlds import Views, checked_bounds, checked_views
 from activestructure_gym.worlds.simulated_world import SimulatedRobot
 
@@ -101,3 +101,10 @@ def test_the_nearest_view_by_position_and_rotation() -> None:
     assert len(pool) == 2
     np.testing.assert_array_equal(pool.at(poses[1], metres=0.1, degrees=10.0), poses[1])  # visited ones too
     assert rotation_angle(poses[0], poses[1]) > np.radians(8.9)
+
+
+def test_spheres_within_others_are_left_out() -> None:
+    centres = np.array([[0.0, 0, 0], [0.04, 0, 0], [0.04, 0, 0], [0.5, 0, 0], [0.1, 0, 0]])
+    radii = np.array([0.3, 0.3, 0.4, 0.3, 0.2])
+    assert without_overlap(centres, radii, slack=0.05) == [0, 2, 3]
+    assert without_overlap(centres, radii, slack=0.0) == [0, 1, 2, 3]

@@ -35,7 +35,7 @@ class RecordedWorld:
     positions in metres plus 0.57 m per radian of rotation, so one step (0.1 m) counts as much as one turn (10 degrees).
     Rotations are compared without roll. A frame can be captured any number of times.
 
-    Space around every recorded pose counts as free: up to 0.9 of the distance to the nearest depth point, at most 0.4 m.
+    Space around every recorded pose counts as free, up to 0.9 of the distance to the nearest depth point and 0.4 m.
 
     Parameters
     ----------

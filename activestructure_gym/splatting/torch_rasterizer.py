@@ -92,8 +92,7 @@ class TorchRasterizer:
         beta2: float = 0.999,
         epsilon: float = 1e-15,
         isotropic: bool = False,
-        # [chunks] bool: chunks of 1024 Gaussians that are neither rendered nor changed.
-        unseen: np.ndarray | None = None,
+        unseen: np.ndarray | None = None,  # [chunks] bool: neither rendered nor changed
     ) -> StepLosses:
         """Take one optimiser step on the loss of one image, as `cpu.mapping_step` does.
 

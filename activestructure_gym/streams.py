@@ -34,8 +34,8 @@ _SPINNER = range(0x2800, 0x2900)
 def fitting(text: str, encoding: str, errors: str = "strict") -> str:
     """Return the text with replacements for the characters that ``encoding`` lacks.
 
-    Characters without an entry in ``_SIGNS`` are handled by ``errors``, a handler of Python's codecs. "strict",
-    "surrogateescape" and "surrogatepass" replace them by a question mark.
+    Some characters have ASCII replacements, such as "->" for an arrow. The others are handled by ``errors``, a handler
+    of Python's codecs. "strict", "surrogateescape" and "surrogatepass" replace them by a question mark.
     """
     if text.isascii() or _has(encoding, text):
         return text

@@ -121,7 +121,10 @@ def _head(stamp: bytes, content: bytes) -> bytes:
 
 
 def _fields(kind: Any) -> str:
-    """Return the field names of the named tuples among argument types, which numba's names of the types omit."""
+    """Return the field names of the named tuples among argument types, which numba's names of the types omit.
+
+    ``kind`` is a numba type or a tuple of numba types.
+    """
     if isinstance(kind, tuple):
         return ",".join(filter(None, map(_fields, kind)))
     inner = getattr(kind, "types", None) or getattr(kind, "dtype", None)

@@ -150,7 +150,7 @@ def _place(
     """Return the world pose of the first camera: ``given``, or the pose in the file, or the first true pose.
 
     If the file has no ground-truth camera poses, or they begin with the identity, return the identity, with a warning.
-    Raises `InputError` if the pose is not a rigid transform.
+    Raises `InputError` if the pose is not a rigid transform. ``content`` holds the arrays of the file.
     """
     if given is not None:
         return np.asarray(given, np.float64)

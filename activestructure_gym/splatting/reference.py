@@ -105,7 +105,7 @@ def blend_reference(
 
 
 def camera_centre(camera_from_world: torch.Tensor) -> torch.Tensor:  # [4, 4] -> [3]
-    """Return the camera centre in the world; the pose is inverted as a general matrix, as in gsplat."""
+    """Return the camera centre in the world; ``camera_from_world`` is inverted as a general matrix, as in gsplat."""
     return -torch.linalg.solve(camera_from_world[:3, :3], camera_from_world[:3, 3])
 
 

@@ -44,7 +44,7 @@ def camera() -> PinholeCamera:
 
 
 def poses(positions: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N * SIDES, 4, 4] world_from_camera
-    """Return the poses of ``SIDES`` level cameras at each position, in clockwise order of azimuth."""
+    """Return the poses of three level cameras at each of N positions, in clockwise order of azimuth."""
     azimuth = -np.arange(SIDES) * np.radians(SIDE_DEG[0])
     looks = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(SIDES)], axis=1)
     return np.stack([look_along(p, look) for p in positions for look in looks]).reshape(-1, 4, 4)
@@ -86,7 +86,10 @@ def clusters(
 
 
 def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panoramas [H, W] in 0..1, [H, W] metres
-    """Return the measures of all clusters of open pixels in a panorama. ``depth`` is 0 where nothing is rendered."""
+    """Return the measures of all clusters of open pixels in a panorama.
+
+    ``alpha`` is the rendered opacity; ``depth`` is in metres, and 0 where nothing is rendered.
+    """
     missing = 1.0 - alpha.astype(np.float64)
     pixel = DEG_PER_PIXEL**2
     labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(MIN_DEG2 / pixel))

@@ -177,9 +177,9 @@ def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterizatio
 
 
 def roundness(rows: torch.Tensor) -> torch.Tensor:  # [14, n] -> metres
-    """Return the mean difference between a scale and the mean scale of its Gaussian.
+    """Return the mean difference between a scale and the mean scale of its Gaussian, in metres ([monogs, code]).
 
-    0 if all are balls ([monogs, code]).
+    ``rows`` [14, n] are the parameters of n Gaussians. The result is 0 if all are balls.
     """
     scales = rows[7:10].exp()
     return (scales - scales.mean(dim=0)).abs().mean()

@@ -47,15 +47,18 @@ class HashGrid(nn.Module):
 
 
 def level_resolutions(levels: int, coarsest: int, finest: int) -> list[int]:
-    """Return the number of cells per side of every level, a geometric series ([ngp, eq. 2 and 3])."""
+    """Return the number of cells per side of every level, a geometric series ([ngp, eq. 2 and 3]).
+
+    The series has ``levels`` terms from ``coarsest`` to ``finest`` cells.
+    """
     growth = (finest / coarsest) ** (1.0 / max(1, levels - 1))
     return [int(np.floor(coarsest * growth**level + 1e-9)) for level in range(levels)]
 
 
 def corners(
-    points: torch.Tensor,  # cells per side of the level
-    resolution: int,  # largest number of rows of the level's table
-    entries: int,
+    points: torch.Tensor,  # [n, 3] 0..1
+    resolution: int,  # cells per side of the level
+    entries: int,  # largest number of rows of the level's table
 ) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 8] int32 rows of the level's table, [n, 8] weights that sum to 1
     """Return table rows and trilinear weights of the eight grid vertices around each point.
 

@@ -71,8 +71,8 @@ class VertexGrid:
 def _slopes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:  # [X, Y, Z], [X, Y, Z] bool -> [X, Y, Z, 3]
     """Return the gradient of ``values`` per grid step, by differences with the observed neighbours on both sides.
 
-    A component without observed neighbours is 0. Unobserved vertices have no valid value, and behind a slanted surface
-    they are one or two steps away.
+    ``seen`` marks observed vertices. A component without observed neighbours is 0. Unobserved vertices have no valid
+    value, and behind a slanted surface they are one or two steps away.
     """
     slopes = np.zeros((*values.shape, 3))
     for axis in range(3):

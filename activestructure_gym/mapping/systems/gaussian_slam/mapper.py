@@ -158,9 +158,10 @@ def submap_loss(
 
 
 def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: float) -> bool:  # [4, 4] each
-    """Return whether ``pose`` exceeds a distance in metres, or an angle in degrees, from the first pose of a sub-map.
+    """Return whether ``pose`` is too far from the pose ``origin``, the first pose of a sub-map.
 
-    The angle is the largest of the three Euler angles of the relative rotation.
+    It is if the distance exceeds ``metres`` or one of the three Euler angles of the relative rotation exceeds
+    ``degrees``.
     """
     moved = invert_rigid(origin) @ pose
     turn = moved[:3, :3]

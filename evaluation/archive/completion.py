@@ -20,12 +20,12 @@ JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished j
 
 
 def is_done(directory: Path, job: Job) -> bool:
-    """Return whether the completion marker in ``directory`` is of this job. `damage_of` also checks the files."""
+    """Return whether ``directory`` has the completion marker of this job; `damage_of` also checks the files."""
     return marker_and_checksums(directory)[0] == job.hash
 
 
 def marker_and_checksums(directory: Path, marker: str = DONE) -> tuple[str, dict[str, str]]:
-    """Return the job's hash and the checksums by file name from a marker file; both empty if it does not exist."""
+    """Read a marker file: return the job's hash and the checksums by file name, both empty if it does not exist."""
     try:
         with open(directory / marker, "rb") as file:
             first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
@@ -66,7 +66,7 @@ def set_aside(directory: Path) -> None:
 
 
 def withdraw(directory: Path) -> None:
-    """Hide the run's completion marker; `reinstate` restores it."""
+    """Rename the completion marker of a run, so that the run counts as unfinished; `reinstate` restores it."""
     if not _remove_link(directory):
         with suppress(FileNotFoundError):  # another process was faster
             os.replace(directory / DONE, directory / WITHDRAWN)
@@ -136,7 +136,7 @@ def aside_of(directory: Path) -> Path:
 
 
 def _same_result(part: Path, directory: Path) -> bool:
-    """Return whether ``directory`` holds the finished run of the job that ``part`` was played or measured for."""
+    """Return whether ``directory`` holds the finished run of the same job as the temporary folder ``part``."""
     marker = marker_and_checksums(directory)[0]
     return bool(marker) and marker in (marker_and_checksums(part)[0], marker_and_checksums(part, PLAYED)[0])
 

@@ -81,8 +81,8 @@ class Conditions:
     def as_dict(self) -> dict[str, Any]:
         """Return the conditions as plain values for JSON.
 
-        ``setup`` is omitted if it is "shared", and ``metrics`` if there are none. A protocol of ``also`` whose module
-        would have to be imported is stored by name alone.
+        ``setup`` is omitted if it is "shared", and ``metrics`` if there are none. A protocol in ``also`` that is named
+        as ``module:Class`` is stored by its name alone, so that its module is not imported.
         """
         content = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         content["overrides"] = dict(self.overrides)
@@ -98,7 +98,7 @@ class Conditions:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Conditions:
-        """Return the conditions that `as_dict` wrote."""
+        """Create the conditions from ``content``, the result of `as_dict`."""
         values = dict(content)
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
@@ -113,11 +113,11 @@ class Conditions:
         return cls(**values, overrides=overrides, start_pose=start_pose, protocol=protocol, also=also, metrics=metrics)
 
     def changes(self, policy: Policy | type[Policy] | None) -> dict[str, Any]:
-        """Return all changes of the preset: the policy's own settings in this setup, then the overrides."""
+        """Return the changes of the preset by field: the policy's own settings in this setup, then the overrides."""
         return native_settings_of(policy, self.setup).overrides() | dict(self.overrides)
 
     def env_options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the keyword arguments of `ReconstructionEnv` for these changes, without scene and features.
+        """Return the arguments of `ReconstructionEnv`, except scene and features, for these changes of the preset.
 
         ``coverage_target`` is None, because the observed share of the surface is ground truth: no policy may use it.
         """

@@ -69,7 +69,7 @@ class Job:
 
     @cached_property
     def hash(self) -> str:
-        """Return 12 hex digits over all fields except the scene's spec, and over the version of this package."""
+        """Return a hash of 12 hex digits over all fields except the scene's spec, and the version of this package."""
         content = {key: value for key, value in self.as_dict().items() if key != "scene"}
         text = json.dumps([__version__, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
@@ -93,7 +93,7 @@ class Job:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
-        """Return the job that `as_dict` wrote; raise `InputError` for unknown fields."""
+        """Create the job from ``content``, the result of `as_dict`; raise `InputError` for unknown fields."""
         known = {*CELL, *(one.name for one in dataclasses.fields(Conditions))}
         if more := content.keys() - known:
             raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
@@ -122,7 +122,7 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
 
 
 def code_of(job: Job) -> Iterator[tuple[str, str]]:
-    """Yield kind and name of all plug-in code of a job, which it names as ``"module:Name"``."""
+    """Yield the kind, such as "policy", and the name, ``"module:Name"``, of all plug-in code that a job names."""
     from activestructure_gym.scenes.library import imports_code
 
     if imports_code(job.scene):
@@ -201,9 +201,10 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
 
 
 def one_spec_each(jobs: Sequence[Job]) -> list[Job]:
-    """Return the jobs with one spec per scene: that of its last job, which has the current path of a moved file.
+    """Return the jobs with one spec per scene, so that all jobs use the current path of a scene file that has moved.
 
-    Scenes with the same content and file name are the same scene. Names and hashes of the jobs do not change.
+    Scenes with the same content and file name are the same scene; the spec of its last job is used. Names and hashes of
+    the jobs do not change.
     """
     last = {_scene_of(job): job.scene for job in jobs}
     return [dataclasses.replace(job, scene=last[_scene_of(job)]) for job in jobs]
@@ -214,9 +215,9 @@ def _scene_of(job: Job) -> tuple[str, str]:
 
 
 def ranked_among(policies: Collection[Spec]) -> set[Spec]:
-    """Return which of the jobs' ``policies`` are ranked in tables: the planners, or the trajectories without planners.
+    """Return the policies that tables rank: the planners, or the given trajectories if there are no planners.
 
-    References are never ranked, because they use the ground truth. A given trajectory is not planned.
+    References are never ranked, because they use the ground truth.
     """
     planners = {policy for policy in policies if policy.kind not in ("reference", "trajectory")}
     return planners or {policy for policy in policies if policy.kind != "reference"}
@@ -267,7 +268,7 @@ def _pairs(options: str) -> list[tuple[str, str]]:
 
 
 def split_spec(spec: str) -> tuple[str, str, str]:
-    """Split ``kind:path?options``; missing parts are empty."""
+    """Split a spec ``kind:path?options`` into kind, path and options; missing parts are empty."""
     if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
     parsed = Spec(spec)

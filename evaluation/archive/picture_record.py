@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 STORED_VIEWS = 8  # number of stored held-out views: the first ones, whose order is random
 _PIXELS_PER_METRE = 90
 _MAX_SIDE_PX = 640  # pixels; larger scenes are drawn at a smaller scale
-_BAND_M = 0.5  # metres above and below the start's height in which voxels decide the plan
+_BAND_M = 0.5  # metres; the plan shows the voxels up to this distance above and below the height of the start
 _HEADROOM_M = 0.35  # metres above the start's height; Gaussians above (ceiling, lamps) would hide the rest
 _ALTITUDE = 60.0  # height of the virtual camera in scene widths: its rays are almost parallel
 
@@ -38,7 +38,7 @@ def picture_arrays(
 
 
 def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """Return the volume's plan and the Gaussian map rendered from above, on one grid."""
+    """Return the arrays of ``plan.npz``: the plan of the voxel volume and the Gaussian map rendered from above."""
     from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
     volume = reconstruction.volume

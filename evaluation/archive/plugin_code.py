@@ -80,7 +80,10 @@ def _checksums_then(directory: Path) -> dict[str, str] | None:
 
 
 def _files_of(module: str) -> Iterator[tuple[str, Path]]:
-    """Yield the name within the module and the path of every file, sorted by name; of equal names the first."""
+    """Yield the name and the path of every Python file of a module or package, sorted by name.
+
+    The name is the path within the package, empty for a module of one file. If several files have the same name, only the first is used.
+    """
     spec = importlib.util.find_spec(module)
     if spec is None:
         return

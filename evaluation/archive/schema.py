@@ -153,7 +153,7 @@ def check_depth(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Array:
-    """Describe one array of an npz file. A size can be a name; it has the same value in all arrays of the file."""
+    """Describe one array of an npz file; a size given by name must be equal in all arrays of the file."""
 
     dtype: str  # kind and bytes of a number: f8, i8, u1, b1; the array must have exactly this type
     shape: tuple[int | str, ...]

@@ -202,7 +202,7 @@ def read_all(run: Run) -> None:
 
 
 def read_shown(run: Run) -> None:
-    """Do the same as `read_all` for all files except the map, which no report shows."""
+    """Read the files that a report shows, all except the map, and check them as `read_all` does."""
     steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
     try:
         agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
@@ -285,7 +285,7 @@ def _why_not_a_run(directory: Path) -> str:
 
 
 def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
-    """Write a protocol's metrics into a run's directory and return the file; replace those of the same protocol.
+    """Write a protocol's metrics into a run's directory and return the file; replace a file of the same protocol.
 
     Raise `InputError` if the directory cannot be written.
     """

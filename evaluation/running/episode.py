@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 CHECKPOINTS = 20  # points of the convergence curve after the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
-CHECKPOINT_SAMPLES = 10_000  # surface samples for the completion ratio of a point: standard error below 0.5 %
+CHECKPOINT_SAMPLES = 10_000  # surface samples for the completion ratio at a checkpoint: standard error below 0.5 %
 # Points at which the TSDF surface is fused from the depth of all keyframes so far. The cost of a point is proportional
 # to the number of keyframes. The last point is that of the finished map.
 SURFACE_CHECKPOINTS = 4
@@ -49,7 +49,7 @@ class Actor(Protocol):
         """Begin an episode."""
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Return the row of the candidate to go to."""
+        """Return the chosen row of the candidate table."""
 
     def trace(self) -> dict[str, Any]:
         """Return the numbers that led to the last choice."""
@@ -122,7 +122,7 @@ def _play(
 
 
 def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
-    """Return the actor of a job and its env: a policy with its required features, a reference, or a trajectory.
+    """Create the actor of a job (policy, reference or trajectory) and its environment with the required features.
 
     Only a reference receives the ground truth.
     """
@@ -281,7 +281,7 @@ class _Episode:
 
 
 def _following(frames: int, spacing: int) -> int:
-    """Return the next multiple of the spacing after ``frames``; the spacing is at least 1."""
+    """Return the smallest multiple of ``spacing`` (at least 1) that is greater than ``frames``."""
     spacing = max(1, spacing)
     return (frames // spacing + 1) * spacing
 

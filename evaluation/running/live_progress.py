@@ -128,7 +128,7 @@ class LiveProgress:
             self._say(f"[red]✗[/] {escape(outcome.job.title)}  [red]{escape(outcome.error or '')}[/]", *rest)
 
     def _say(self, text: str, *facts: str) -> None:
-        """Print the text followed by the facts; the facts get a line of their own if one line is too short."""
+        """Print the text and the facts in one line, or in two lines if they are too long for one."""
         self._said = time.monotonic()
         tail = "  ".join(facts)
         line = self._console.render_str(f"{text}  {tail}").plain

@@ -40,7 +40,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     arrays, gaussians = played.read_path(place), GaussianMap.load_npz(place / store.MAP)
     path, poses = CameraPath.from_arrays(arrays), arrays["world_from_camera"]
     metrics = job.conditions.protocol.evaluate(gaussians, truth, path)
-    # The last point of the curve has the numbers of the finished map.
+    # The last point of the curve holds the metrics of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
     episode["curve"][-1] |= last
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])

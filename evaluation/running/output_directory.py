@@ -56,5 +56,5 @@ def already_begun(directory: Path) -> InputError:
 
 
 def _is_ours(path: Path) -> bool:
-    """Return whether this file can be a leftover of a comparison that was killed before it wrote its record."""
+    """Return whether a file can be a leftover of a comparison that was killed before it wrote ``compare.json``."""
     return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")

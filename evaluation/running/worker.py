@@ -90,7 +90,7 @@ def _end_late(code: int) -> None:
 
 
 def _keep_from_children(descriptors: Sequence[int]) -> None:
-    """Close these descriptors in processes that a policy starts: the progress, and the lock of the directory."""
+    """Close the file descriptors of the progress and of the directory's lock in processes that a policy starts."""
     for descriptor in descriptors:
         os.set_inheritable(descriptor, False)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
 
 Best = Literal["lowest", "highest"]
-_MAX_DIGITS = 12  # after the decimal point
+_MAX_DIGITS = 12  # maximum number of digits after the decimal point in tables
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -103,7 +103,7 @@ class Metric:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Metric:
-        """Return the metric that `as_dict` described, without its function."""
+        """Create the metric from ``content``, the result of `as_dict`; it has no function."""
         return cls(**{field.name: content[field.name] for field in dataclasses.fields(cls) if field.name != "compute"})
 
     def as_dict(self) -> dict[str, Any]:
@@ -121,9 +121,10 @@ METRICS: Registry[Metric] = Registry(
 
 
 def get_metric(name: str) -> Metric:
-    """Return a further metric by its name.
+    """Return a metric that is computed in addition to those of the protocol.
 
-    Raise `InputError` for an unknown name, and for a metric that every run has already.
+    ``name`` is a registered name or ``"package.module:NAME"``. Raise `InputError` for an unknown name, and for a metric
+    that every run has already.
     """
     metric = METRICS.get(name)
     if metric.compute is None:
@@ -134,7 +135,7 @@ def get_metric(name: str) -> Metric:
 
 
 def get_metrics(names: Sequence[str]) -> list[Metric]:
-    """Return further metrics by their names.
+    """Return the metrics with these names, see `get_metric`.
 
     Raise `InputError` for a name that `get_metric` refuses, and for two metrics that share a key in ``metrics.json``.
     """
@@ -150,10 +151,11 @@ def get_metrics(names: Sequence[str]) -> list[Metric]:
 def measure_metrics(
     names: Sequence[str], context: MetricContext
 ) -> tuple[dict[str, float | None], list[dict[str, Any]]]:
-    """Compute the named metrics.
+    """Compute the named metrics of a finished run.
 
-    Return the values by the metrics' own names, and the metrics' descriptions; that of a None value has a ``reason``.
-    A metric with the name of another number of the run is left out with an `InputWarning`.
+    Return two results: the values by metric name, and the descriptions of the metrics for ``metrics.json``. An undefined
+    metric has the value None, and its description has a ``reason``. A metric with the name of another number of the run
+    is left out with an `InputWarning`.
     """
     values: dict[str, float | None] = {}
     described = list[dict[str, Any]]()

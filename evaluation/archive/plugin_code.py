@@ -82,7 +82,8 @@ def _checksums_then(directory: Path) -> dict[str, str] | None:
 def _files_of(module: str) -> Iterator[tuple[str, Path]]:
     """Yield the name and the path of every Python file of a module or package, sorted by name.
 
-    The name is the path within the package, empty for a module of one file. If several files have the same name, only the first is used.
+    The name is the path within the package, empty for a module of one file. If several files have the same name, only
+    the first is used.
     """
     spec = importlib.util.find_spec(module)
     if spec is None:

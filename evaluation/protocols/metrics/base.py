@@ -153,9 +153,9 @@ def measure_metrics(
 ) -> tuple[dict[str, float | None], list[dict[str, Any]]]:
     """Compute the named metrics of a finished run.
 
-    Return two results: the values by metric name, and the descriptions of the metrics for ``metrics.json``. An undefined
-    metric has the value None, and its description has a ``reason``. A metric with the name of another number of the run
-    is left out with an `InputWarning`.
+    Return two results: the values by metric name, and the descriptions of the metrics for ``metrics.json``. An
+    undefined metric has the value None, and its description has a ``reason``. A metric with the name of another number
+    of the run is left out with an `InputWarning`.
     """
     values: dict[str, float | None] = {}
     described = list[dict[str, Any]]()

@@ -83,11 +83,6 @@ class CandidateNetwork(nn.Module):
         value = self.critic(pooled.detach()).squeeze(-1)
         return torch.where(valid > 0, scores, scores.new_full((), MASKED)), value
 
-    @property
-    def parameter_count(self) -> int:
-        """Return the number of trainable parameters."""
-        return sum(parameter.numel() for parameter in self.parameters())
-
 
 def as_tensors(observations: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
     """Return the entries that the network reads as float32 tensors; arrays need a leading batch axis."""

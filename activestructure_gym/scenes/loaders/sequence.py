@@ -190,7 +190,7 @@ def _tum(path: Path) -> _Layout:
 
 
 def _listed(file: Path, column: int) -> tuple[np.ndarray, list[Path]]:
-    """Return the time stamps [n] in a column of a TUM list, and the files in the next column."""
+    """Return the time stamps [n] (seconds) in a column of a TUM list, and the files in the next column."""
     if not file.is_file():
         raise InputError(f"there is no '{file.name}' in '{file.parent}' (a time stamp and a file per line)")
     lines = [words for _, words in lines_of(file)]
@@ -201,7 +201,7 @@ def _listed(file: Path, column: int) -> tuple[np.ndarray, list[Path]]:
 
 
 def _nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:  # [n], [m] seconds -> [n] index, -1 = none
-    """Return the index of the nearest other time stamp; -1 if it is too far away."""
+    """Return the index in ``others`` of the time stamp nearest to each of ``stamps``; -1 if it is over 0.02 s away."""
     order = np.argsort(others, kind="stable")
     after = np.clip(np.searchsorted(others[order], stamps), 1, max(1, len(others) - 1))
     sides = order[np.stack([after - 1, np.minimum(after, len(others) - 1)])]
@@ -221,7 +221,8 @@ def _check_numbers(path: Path, poses: np.ndarray, rgb: tuple[Path, ...], depth: 
 def _camera_beside(path: Path, image: Path, intrinsics: Sequence[float] | None) -> PinholeCamera:
     """Return the camera of a Redwood or TUM sequence.
 
-    It has the given intrinsics, or those of a ``camera*.json`` in Open3D's form, or the default ones of both data sets.
+    The intrinsics are the given ones, else those of a ``camera*.json`` in Open3D's form, else the defaults of both data
+    sets. ``image`` is one of the images, which has the size of the camera.
     """
     width, height = _opened(image).size
     file = next(iter(sorted(path.glob("camera*.json"))), None)

@@ -13,7 +13,8 @@ from activestructure_gym.scenes.loaders.procthor import load_procthor_scene
 from activestructure_gym.scenes.loaders.replica import load_replica_scene
 from activestructure_gym.scenes.loaders.scannet import load_scannet_scene, load_scannetpp_scene
 from activestructure_gym.scenes.loaders.sequence import PosedSequence, load_sequence
-from activestructure_gym.scenes.raycaster import Hits, RayCaster
+from activestructure_gym.scenes.raycaster import RayCaster
+from activestructure_gym.scenes.rays import Hits
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
 __all__ = [

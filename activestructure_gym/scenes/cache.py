@@ -22,6 +22,7 @@ from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.npz import read_npy
 from activestructure_gym.owners import guard, open_own
+from activestructure_gym.scenes.raycaster import EMBREE, tracer_in_use
 
 try:
     import fcntl
@@ -100,7 +101,9 @@ def cached_arrays(
     it, or if it lacks an array of ``layout`` (name -> dtype, number of axes). Without a writable directory they are
     computed every time.
     """
-    file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
+    tracer, _ = tracer_in_use()
+    suffix = "" if tracer == EMBREE else f"-{tracer}"  # tracers differ in the last bits of a distance
+    file = cache_directory() / f"{key}-v{CACHE_VERSION}{suffix}.npz"
     arrays = _read(file)
     if arrays is None or not _fits(arrays, layout or {}):
         arrays = compute()

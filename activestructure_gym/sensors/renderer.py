@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -11,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.registry import Registry
+from activestructure_gym.scenes.raycaster import tracer_in_use
 from activestructure_gym.scenes.scene import Scene
 
 
@@ -47,16 +46,11 @@ RENDERERS: Registry[Callable[[Scene], Renderer]] = Registry(
 
 
 def make_renderer(name: str, scene: Scene) -> Renderer:
-    """Return the renderer called ``name``; ``auto`` is ray casting if embreex is installed, else pyrender.
+    """Return the renderer called ``name``; ``auto`` is ray casting.
 
     Raises `InputError` for an unknown name, or a missing package (with what to install).
     """
     return RENDERERS.get(name)(scene)
-
-
-@RENDERERS.register("auto")
-def _best(scene: Scene) -> Renderer:
-    return make_renderer("pyrender" if importlib.util.find_spec("embreex") is None else "raycast", scene)
 
 
 @RENDERERS.register("pyrender")
@@ -66,23 +60,21 @@ def _by_pyrender(scene: Scene) -> Renderer:
     return PyrenderRenderer(scene)
 
 
+@RENDERERS.register("auto")
 @RENDERERS.register("raycast")
 def _by_raycast(scene: Scene) -> Renderer:
-    if importlib.util.find_spec("embreex") is None:
-        raise InputError("the sensor backend 'raycast' needs the package embreex: pip install embreex")
     from activestructure_gym.sensors.raycast import RaycastRenderer
 
     return RaycastRenderer(scene)
 
 
 def renderer_status() -> dict[str, str]:
-    """Return for each renderer "works" or the reason why it does not.
+    """Return for each renderer "works", or the reason why it does not; for ray casting also the tracer in use.
 
     OpenGL is tried in a separate process, since a process that has used it must not fork.
     """
-    status = {"raycast": "works"}
-    if importlib.util.find_spec("embreex") is None:
-        status["raycast"] = "needs the package embreex: pip install embreex"
+    tracer, reason = tracer_in_use()
+    status = {"raycast": f"works, with {tracer} ({reason})"}
     command = "from activestructure_gym.sensors.pyrender_backend import probe; print(probe())"
     path = os.pathsep.join(path for path in sys.path if path)
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8:backslashreplace"}

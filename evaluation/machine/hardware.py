@@ -11,6 +11,7 @@ from pathlib import Path
 
 from activestructure_gym._version import __version__
 from activestructure_gym.cores import core_count
+from activestructure_gym.scenes.raycaster import EMBREE, tracer_in_use
 
 _SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # folders whose code cannot change a number of a run
 
@@ -38,7 +39,7 @@ def versions() -> dict[str, str]:
     """Return the versions of this package, of Python and of each of `PACKAGES`, and the checksum of this package.
 
     The keys are the names of the packages, "python", and "code" for `code_checksum`. The value of a package that is not
-    installed is "missing".
+    installed is "missing". That of embreex is "not used" if it is installed and our own kernels cast the rays.
     """
     found = {"activestructure-gym": __version__, "code": code_checksum(), "python": platform.python_version()}
     for package in PACKAGES:
@@ -46,6 +47,8 @@ def versions() -> dict[str, str]:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "missing"
+    if found["embreex"] != "missing" and tracer_in_use()[0] != EMBREE:
+        found["embreex"] = "not used"
     return found
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ast
 import configparser
+import json
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
+import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -118,3 +121,56 @@ def test_workflows_install_the_pinned_versions() -> None:
         assert not given and names, f"pip install {command}: without a version"
         others = [name for name in names.split() if re.fullmatch(r"\w[\w-]*", name)]  # neither this package nor a wheel
         assert {canonicalize_name(name) for name in others} <= set(pins())
+
+
+# What pip calls Linux on ARM, from the oldest C library that the pins run with.
+ARM = {"platform_machine": "aarch64", "sys_platform": "linux", "platform_system": "Linux", "os_name": "posix"}
+ARM_TAGS = ("manylinux2014_aarch64", *(f"manylinux_2_{minor}_aarch64" for minor in range(17, 29)))
+SOURCE_ONLY = {"pyopengl"}  # no wheel on the index; Python code alone, so pip builds it on any machine
+
+
+def asked(environment: dict[str, str]) -> set[str]:
+    wanted = ours()
+    return {each.name for each in wanted if each.marker is None or each.marker.evaluate(environment)}
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "wheel"),
+    [
+        ("linux", "x86_64", True),
+        ("win32", "AMD64", True),
+        ("darwin", "arm64", True),
+        ("darwin", "x86_64", True),
+        ("linux", "aarch64", False),
+        ("win32", "ARM64", False),
+    ],
+)
+def test_embreex_is_asked_for_only_where_it_has_wheels(system: str, machine: str, wheel: bool) -> None:
+    names = asked({"sys_platform": system, "platform_machine": machine})
+    assert ("embreex" in names) == wheel and {"numba", "torch", "trimesh"} <= names
+
+
+@pytest.mark.slow
+def test_an_installation_on_linux_on_arm_resolves(tmp_path: Path) -> None:
+    """With the pins, as docs/guide/install.md says. pip reads the metadata of wheels and installs nothing."""
+    inner = {each.name: each for each in map(Requirement, metadata.requires("pyrender") or [])}
+    names = asked(ARM) - {"pyrender"}  # the only one that asks for a source distribution
+    wanted = [str(Requirement(f"{each.name}{each.specifier}")) for each in ours() if each.name in names]
+    wanted += [f"{each.name}{each.specifier}" for each in inner.values() if each.name.lower() not in SOURCE_ONLY]
+    report = tmp_path / "report.json"
+    options = ["--dry-run", "--ignore-installed", "--only-binary=:all:", "--python-version", "3.11", "--quiet"]
+    options += ["--target", str(tmp_path / "target"), "--report", str(report)]
+    options += [part for tag in ARM_TAGS for part in ("--platform", tag)]
+    command = [sys.executable, "-m", "pip", "install", "-c", str(ROOT / "constraints.txt"), *options, *wanted]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=500)
+    if "NewConnectionError" in done.stderr or "NameResolutionError" in done.stderr:
+        pytest.skip("no package index can be reached")
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = json.loads(report.read_text(encoding="utf-8"))["install"]
+    files = {
+        canonicalize_name(one["metadata"]["name"]): one["download_info"]["url"].rpartition("/")[2] for one in found
+    }
+    assert {canonicalize_name(name) for name in names} <= set(files) and "embreex" not in files
+    for name in ("torch", "numba", "llvmlite", "numpy", "scipy", "opencv-python-headless", "mapbox-earcut"):
+        assert files[name].endswith("aarch64.whl"), files[name]
+    assert not [name for name in files.values() if "x86_64" in name]

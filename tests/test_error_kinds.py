@@ -66,7 +66,6 @@ USERS_INSIDE = {
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
-    "activestructure_gym/sensors/renderer.py": {"_by_raycast"},
     "activestructure_gym/volume/voxel_volume.py": {"grid_shape"},
 }
 # Who is called wrongly here, not given something wrong.

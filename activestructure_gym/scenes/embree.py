@@ -49,8 +49,8 @@ class EmbreeTracer:
             return
         other = self._first_hits(origins[found] - shift[found], directions[found])
         found = found[other.face >= 0]
-        for name in ("distance", "face", "u", "v"):
-            getattr(hits, name)[missed[found]] = getattr(one, name)[found]
+        for whole, part in zip(hits, one):
+            whole[missed[found]] = part[found]
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:  # [N] bool
         """Return whether a ray hits at a distance from 0 to ``reach``; see `Tracer.blocked`."""

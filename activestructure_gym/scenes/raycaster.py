@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from importlib import import_module
 from typing import Any
 
@@ -111,9 +110,7 @@ class RayCaster:
             return self._tracer.first_hits(origins[chunk], directions[chunk])
 
         parts = self._run(part, len(directions))
-        if len(parts) == 1:
-            return parts[0]
-        return Hits(*(np.concatenate([getattr(hits, field.name) for hits in parts]) for field in fields(Hits)))
+        return parts[0] if len(parts) == 1 else Hits(*map(np.concatenate, zip(*parts)))
 
     def occluded(self, starts: np.ndarray, ends: np.ndarray, *, margin: float = 1e-3) -> np.ndarray:  # [N] bool
         """Return whether the mesh crosses each segment from ``starts`` to ``ends`` [N, 3].

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """Hold the first intersection of each ray."""
 
     distance: np.ndarray  # [N] float32, in units of the direction's length; inf for a miss

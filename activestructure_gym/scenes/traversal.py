@@ -67,14 +67,15 @@ class NumbaTracer:
         origins, directions, reach = (np.require(array, np.float32, "CW") for array in rays)
         count = len(directions)
         hits = Hits(np.empty(count, np.float32), np.empty(count, np.int32), *np.empty((2, count), np.float32))
-        _trace(self._hierarchy, origins, directions, reach, any_hit, hits.distance, hits.face, hits.u, hits.v)
+        _trace(self._hierarchy, origins, directions, reach, any_hit, hits)
         return hits
 
 
 @kernel
-def _trace(hierarchy, origins, directions, reach, any_hit, distance, face, u, v):
+def _trace(hierarchy, origins, directions, reach, any_hit, hits):
     """Write the first hit of each ray within its reach, or with ``any_hit`` some hit."""
     boxes, children, corners, faces = hierarchy
+    distance, face, u, v = hits
     waiting, entries = np.empty(MOST_WAITING, np.int32), np.empty(MOST_WAITING, np.float32)
     one, two = U64(0), U64(1)
     for n in range(len(directions)):

@@ -34,7 +34,7 @@ class Hierarchy(NamedTuple):
 
 def build_hierarchy(vertices: np.ndarray, faces: np.ndarray) -> Hierarchy:
     """Return the hierarchy of a mesh: ``vertices`` [V, 3] float32 and ``faces`` [F, 3] int32."""
-    corners = np.require(vertices, np.float32, "CW")[faces].reshape(-1, 9)
+    corners = np.require(vertices, np.float32, ["C", "W"])[faces].reshape(-1, 9)
     boxes, children, order = _build(corners)
     return Hierarchy(boxes, children, corners[order], order)
 

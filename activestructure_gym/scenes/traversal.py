@@ -5,7 +5,7 @@ A first hit does not depend on the hierarchy: among hits at the same distance, t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,7 +15,9 @@ from activestructure_gym.scenes.hierarchy import LEAF_BITS, MOST_WAITING, build_
 from activestructure_gym.scenes.rays import Hits
 
 # Part of the kernel that calls it; its calls do not count references to arrays, which would be atomic additions.
-_inlined = njit(_nrt=False, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_OPTIONS: dict[str, Any] = {"_nrt": False, "forceinline": True, "error_model": "numpy"}
+_OPTIONS |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_inlined = njit(**_OPTIONS)
 F32, F64, U64 = np.float32, np.float64, np.uint64  # unsigned indices need no test for negative ones
 _SMALLEST = F32(1e-30)  # for boxes, components of a direction count as at least this large
 # Boxes are tested in float32. Each of three operations rounds by 6e-8 (Ize, Robust BVH ray traversal, JCGT 2013).
@@ -64,7 +66,7 @@ class NumbaTracer:
 
     def _trace(self, *rays: np.ndarray, any_hit: bool) -> Hits:
         # Kernels are compiled for writable arrays.
-        origins, directions, reach = (np.require(array, np.float32, "CW") for array in rays)
+        origins, directions, reach = (np.require(array, np.float32, ["C", "W"]) for array in rays)
         count = len(directions)
         hits = Hits(np.empty(count, np.float32), np.empty(count, np.int32), *np.empty((2, count), np.float32))
         _trace(self._hierarchy, origins, directions, reach, any_hit, hits)
@@ -106,7 +108,7 @@ def _trace(hierarchy, origins, directions, reach, any_hit, hits):
                 for row in range(first, first + (~node & _LEAF_MASK) + 1):
                     along, of_b, of_c = _meeting(corners, U64(row), ray)
                     if along >= 0.0 and (along < best or (along == best and faces[row] < best_face)):
-                        best, best_face, best_u, best_v = along, np.int64(faces[row]), of_b, of_c
+                        best, best_face, best_u, best_v = along, int(faces[row]), of_b, of_c
                         limit = F32(best)
                 if any_hit and best_face < _NO_FACE:
                     break

@@ -1,0 +1,84 @@
+"""Explore with a robot under ROS 2, from Humble on; Nav2's controller drives it along each path.
+
+    world="world:ros2_world:Ros2World?bounds=-5,-5,0,5,5,2.5"
+    PYTHONPATH=examples/worlds python examples/play.py --scene "$world"
+
+The robot's driver, localisation and Nav2 must run. Depth is registered to colour.
+"""
+
+import threading
+import time
+
+import numpy as np
+import rclpy
+import tf2_ros
+from cv_bridge import CvBridge
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from message_filters import ApproximateTimeSynchronizer, Subscriber
+from nav2_msgs.action import FollowPath
+from rclpy.action import ActionClient
+from rclpy.duration import Duration
+from rclpy.time import Time
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, Image
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.worlds import CaptureFailed, Start, checked_bounds, frame_from
+
+TOPICS = {"color/image_raw": Image, "aligned_depth_to_color/image_raw": Image, "color/camera_info": CameraInfo}
+WAIT = Duration(seconds=10.0)  # for pictures and transforms
+
+
+class Ros2World:
+    """Drive a robot along the planner's paths and take its camera's frames."""
+
+    def __init__(self, bounds: tuple[float, float, float, float, float, float], *, camera="/camera", fixed="map"):
+        rclpy.init()
+        self._node, self._fixed, self._seen = rclpy.create_node("explorer"), fixed, None
+        self._tf, self._drive = tf2_ros.Buffer(), ActionClient(self._node, FollowPath, "follow_path")
+        self._listener = tf2_ros.TransformListener(self._tf, self._node)
+        topics = [Subscriber(self._node, kind, f"{camera}/{name}") for name, kind in TOPICS.items()]
+        self._together = ApproximateTimeSynchronizer(topics, 5, 0.05)
+        self._together.registerCallback(lambda *messages: setattr(self, "_seen", messages))
+        threading.Thread(target=rclpy.spin, args=(self._node,), daemon=True).start()
+        colour, _, info = self._next()
+        # ROS counts pixels from the centre of the first one, we from its corner.
+        self.camera = PinholeCamera(info.width, info.height, info.k[0], info.k[4], info.k[2] + 0.5, info.k[5] + 0.5)
+        self.bounds, self._optical = checked_bounds(np.reshape(bounds, (2, 3))), colour.header.frame_id
+        self.start = Start(self._pose(fixed, self._optical, Time.from_msg(colour.header.stamp)), free_radius=0.4)
+
+    def travel(self, path):
+        goal = FollowPath.Goal()
+        goal.path.header.frame_id = self._fixed
+        for base in path @ self._pose(self._optical, "base_link", Time()):
+            turn = Quaternion(**dict(zip("xyzw", Rotation.from_matrix(base[:3, :3]).as_quat())))
+            place = Point(**dict(zip("xyz", base[:3, 3])))
+            goal.path.poses.append(PoseStamped(header=goal.path.header, pose=Pose(position=place, orientation=turn)))
+        self._drive.send_goal(goal)  # returns when the robot has stopped, at the end or before it
+
+    def capture(self, world_from_camera):
+        colour, depth, _ = self._next()
+        rgb, metres = CvBridge().imgmsg_to_cv2(colour, "rgb8"), CvBridge().imgmsg_to_cv2(depth, "passthrough")
+        metres = metres * np.float32(0.001 if depth.encoding == "16UC1" else 1.0)
+        pose = self._pose(self._fixed, self._optical, Time.from_msg(colour.header.stamp))  # where the robot really is
+        return frame_from(rgb, metres, pose, self.camera, np.inf)
+
+    def close(self):
+        rclpy.try_shutdown()
+
+    def _next(self):
+        """Return the first pictures that were taken after this call."""
+        began = self._node.get_clock().now()
+        while self._seen is None or Time.from_msg(self._seen[0].header.stamp) < began:
+            if self._node.get_clock().now() - began > WAIT:
+                raise CaptureFailed("the camera sent no pictures within 10 s")
+            time.sleep(0.01)
+        return self._seen
+
+    def _pose(self, target, source, when):
+        """Return ``target_from_source`` [4, 4] at a time."""
+        found = self._tf.lookup_transform(target, source, when, WAIT).transform
+        turn, place, pose = found.rotation, found.translation, np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+        pose[:3, 3] = place.x, place.y, place.z
+        return pose

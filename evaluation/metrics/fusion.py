@@ -34,12 +34,12 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid
 MAX_BLOCKS = 20_000_000  # limit of stored blocks: 160 MB of keys, about 290,000 m^2 with voxels of 2 cm cut at 6 cm
 _ROOM = 320  # triangles per block in the initial buffer: enough for an oblique plane through the block
 _CHUNK = 64  # blocks per task of a thread
-_PIECE = 32 * _CHUNK  # blocks per yielded array of triangles: 30 MB
-_PART = 50_000  # blocks fused at a time, without their neighbours: 200 MB
+_PIECE = 32 * _CHUNK  # maximum number of blocks whose triangles `pieces` yields in one array (30 MB)
+_PART = 50_000  # maximum number of blocks fused at a time (200 MB), without their neighbours
 _IMAGES = 64  # images read or rendered at a time
 _KEPT_IMAGES = 256 << 20  # bytes; if the images need more, they are rendered again for every part
 _KEPT_TRIANGLES = 512 << 20  # bytes; if the triangles need more, they are computed again at each call of `pieces`
-_MAX_CELLS = 20_000_000  # blocks in the bounding box of one image; more means that its depths are invalid
+_MAX_CELLS = 20_000_000  # maximum number of blocks in the bounding box of one image; more means invalid depths
 _BITS = 21  # bits per axis in the integer key of a block, see `_keys_of`
 
 # Offsets of the block itself and its 7 neighbours in positive x, y and z.

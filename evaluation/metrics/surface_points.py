@@ -11,7 +11,7 @@ from activestructure_gym.evaluation.metrics.fusion import triangle_areas
 from activestructure_gym.evaluation.metrics.streams import StreamedSum
 from activestructure_gym.ground_truth.surface_samples import on_triangles
 
-_AT_ONCE = 1 << 18  # random numbers drawn ahead at a time
+_AT_ONCE = 1 << 18  # number of random numbers drawn at once
 _ROUNDING = 1e-12  # largest relative difference between two sums of the same areas
 
 

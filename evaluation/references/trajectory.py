@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 SWEEP, PASSIVE = "sweep", "passive"  # names used instead of a file
 _DIGITS = 8  # number of digits of the file's SHA-256 in a spec
-_ROOM = 1e-3  # metres; radius of the body, hence the clearance required at the first given pose
+_ROOM = 1e-3  # metres; body radius for given poses, which may be nearer to surfaces than planned ones
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ class TrajectorySpec:
 
     @property
     def spec(self) -> Spec:
-        """Return the canonical spec: the absolute path, first digits of its SHA-256, and options with other values.
+        """Return the canonical spec: absolute path, first 8 digits of the file's SHA-256, and non-default options.
 
-        Options with their default values are left out. Raise `InputError` if the file is missing or has changed.
+        Raise `InputError` if the file is missing or has changed.
         """
         if not self.of_file:
             return Spec.joined(TRAJECTORY + self.place, f"mapper={self.mapper}" if self.mapper else "")

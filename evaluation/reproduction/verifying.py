@@ -134,10 +134,11 @@ def altered_evaluations(run: Run) -> list[str]:
 
 
 def remeasured_evaluations(run: Run, again: Run) -> tuple[list[str], list[str]]:
-    """Compare every stored evaluation of ``run`` with the new run, ``again``; if it lacks one, measure its map.
+    """Compare the stored evaluations of ``run`` with those of ``again``, the same job played again.
 
-    Return the evaluation files whose numbers differ, and texts on numbers that cannot be measured here: LPIPS without
-    its weights, and protocols that this version does not have.
+    If ``again`` has no evaluation by a protocol, its map is measured by this protocol now. Return the evaluation files
+    whose numbers differ, and texts on numbers that cannot be measured here: LPIPS without its weights, and protocols
+    that this version does not have.
     """
     wrong, unknown = [name for name in again.evaluations if name not in run.evaluations], []
     own, found = run.metrics["metrics"], again.metrics["metrics"]
@@ -211,7 +212,7 @@ def _job_alone(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def _same_numbers(stored: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Return whether all metrics are bit-identical; LPIPS is ignored if one side has none."""
+    """Return whether all metrics are bit-identical; LPIPS is ignored if ``stored`` or ``found`` has none."""
     if _lpips_of(stored) is None or _lpips_of(found) is None:
         stored, found = without_lpips(stored), without_lpips(found)
     return _text(stored) == _text(found)

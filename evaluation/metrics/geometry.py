@@ -95,8 +95,8 @@ class NearestPoints:
         """Add points [P, 3] in metres and update ``distances``."""
         if not len(points):
             return
-        # Search only for places whose distance to the bounding box of the new points is below their distance so far. The
-        # factor allows for rounding.
+        # Search only for places whose distance to the bounding box of the new points is below their distance so far.
+        # The factor allows for rounding.
         apart = np.maximum(np.maximum(points.min(axis=0) - self._places, self._places - points.max(axis=0)), 0.0)
         ask = np.linalg.norm(apart, axis=1) * (1.0 - 1e-9) < self.distances
         found = PointTree(points).query(self._places[ask])[0]

@@ -459,6 +459,8 @@ class Reconstruction:
             self.metres = max(0.0, self.metres + float(walked))
         self.trajectory[-1] = taken
         self.pose = levelled(taken)  # paths turn by yaw and pitch only
+        if isinstance(self.pool, GivenViews):
+            self.pool.mark_visited(self.pose)  # views on the path too
 
     @property
     def _tracking(self) -> bool:

@@ -7,12 +7,14 @@ import numpy as np
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.views.candidates import CandidatePool, ViewConfig
 
+_SAME_M, _SAME_RAD = 0.01, np.radians(1.0)  # views this close to a captured one, by both measures, add nothing
+
 
 class GivenViews(CandidatePool):
     """Hold given poses that can still be offered; they replace the lattice of `CandidatePool`.
 
-    The same rules remove visited views and draw a subset. No clearance is required besides that of the path, since the
-    recording camera was at these poses.
+    A view is removed once it is captured, since recordings are dense: `ViewConfig.visited_distance_m` is not used. No
+    clearance is required besides that of the path, since the recording camera was at these poses.
     """
 
     def __init__(self, world_from_camera: np.ndarray, config: ViewConfig, seed: int) -> None:
@@ -24,10 +26,9 @@ class GivenViews(CandidatePool):
         self._open = np.ones((len(world_from_camera), 1), dtype=bool)
 
     def mark_visited(self, world_from_camera: np.ndarray) -> None:
-        """Remove every view that is within both the visited distance and the visited angle of a camera pose [4, 4]."""
+        """Remove the view at a camera pose [4, 4], and those within 1 cm and 1 degree of it."""
         metres, radians = self._apart(world_from_camera)
-        limit = np.radians(self.config.visited_angle_deg) + 1e-6  # the tolerance absorbs rounding of equal rotations
-        self._open[(metres <= self.config.visited_distance_m) & (radians <= limit)] = False
+        self._open[(metres <= _SAME_M) & (radians <= _SAME_RAD)] = False
 
     def at(self, world_from_camera: np.ndarray, *, metres: float, degrees: float) -> np.ndarray | None:  # [4, 4]
         """Return the view nearest to a pose [4, 4], visited or not; None if none is within both limits.

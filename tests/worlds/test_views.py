@@ -44,7 +44,7 @@ class Rail(SimulatedRobot):
 
 def test_only_the_views_are_offered_and_captured() -> None:
     world = Rail("box", width=64, height=36)
-    config = {"views.visited_distance_m": 0.1, "views.max_revisits": 3, "keyframe_every": 2}
+    config = {"views.max_revisits": 3, "keyframe_every": 2}
     env = ReconstructionEnv(world, preset="fast", frame_budget=60, config=config)
     env.reset(seed=0)
     episode = env.reconstruction
@@ -54,6 +54,8 @@ def test_only_the_views_are_offered_and_captured() -> None:
         assert is_level(table.world_from_camera).all()
         assert (table.revisit | (table.ids >= 0)).all() and len(table) > 10
         np.testing.assert_array_equal(table.world_from_camera[~table.revisit], level[table.ids[~table.revisit]])
+        new = {pose.tobytes() for pose in table.world_from_camera[~table.revisit]}
+        assert not new & {levelled(pose).tobytes() for pose in world.taken}  # each is offered as new once
         row = len(table) - 1 if episode.decisions % 2 else len(table) // 2  # a revisit is the last row
         _, _, _, truncated, info = env.step(row)
         assert info["reached"] or truncated
@@ -92,7 +94,7 @@ def test_views_are_checked() -> None:
 def test_the_nearest_view_by_position_and_rotation() -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.09, 0.0, 0.0], [1.0, 0.0, 0.0]])
     poses = looking(places, directions(np.radians([0.0, 9.0, 0.0]), np.zeros(3)))
-    pool = GivenViews(poses, ViewConfig(visited_distance_m=0.05), 0)
+    pool = GivenViews(poses, ViewConfig(), 0)
     here = poses[0].copy()
     here[0, 3] = 0.06  # 0.6 of a step from the first one; from the second 0.3 of a step, but 0.9 of a turn
     np.testing.assert_array_equal(pool.at(here, metres=0.1, degrees=10.0), poses[0])

@@ -13,14 +13,18 @@ from activestructure_gym.worlds.base import (
 )
 from activestructure_gym.worlds.frames import frame_from
 from activestructure_gym.worlds.registry import WORLDS, load_world, names_world, with_camera
+from activestructure_gym.worlds.reliable import Reliable
 from activestructure_gym.worlds.scene_world import SceneWorld
+from activestructure_gym.worlds.stored import StoredCaptures
 
 __all__ = [
     "WORLDS",
     "CaptureFailed",
+    "Reliable",
     "SceneWorld",
     "Start",
     "Views",
+    "StoredCaptures",
     "World",
     "checked_bounds",
     "checked_pose",

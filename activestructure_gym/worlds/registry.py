@@ -11,6 +11,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import Spec, typed_options
 from activestructure_gym.worlds.base import World, is_world
+from activestructure_gym.worlds.reliable import Reliable
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -29,7 +30,7 @@ def names_world(scene: Any) -> bool:
 
 
 def load_world(name: str) -> World:
-    """Make a world by its name.
+    """Make a world by its name. The options ``tries`` and ``timeout_s`` are those of `Reliable`.
 
     Parameters
     ----------
@@ -50,8 +51,13 @@ def load_world(name: str) -> World:
     spec = Spec(name.removeprefix(PREFIX) if isinstance(name, str) else name)
     make = WORLDS.get(spec.name)
     label = f"world '{spec.name}'"
+    given = spec.options(label)
+    reliable = {name: given.pop(name) for name in ("tries", "timeout_s") if name in given}
     try:
-        options = typed_options(label, make, spec.options(label))
+        options = typed_options(label, make, given)
+        limits = typed_options(label, Reliable, reliable, apart=("world",))
+    except InputError:
+        raise
     except ValueError as error:  # a built-in type has no signature
         raise InputError(f"{label} cannot be made: {error}") from error
     made = make(**options)
@@ -59,7 +65,7 @@ def load_world(name: str) -> World:
         raise InputError(
             f"{label} must return an object with bounds, camera, start, capture and close, got {short_repr(made)}"
         )
-    return made
+    return Reliable(made, **limits) if limits else made
 
 
 def with_camera(config: ReconstructionConfig, camera: PinholeCamera) -> ReconstructionConfig:

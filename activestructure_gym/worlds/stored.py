@@ -1,0 +1,177 @@
+"""Store every capture of an episode, so that the episode can be resumed, replayed and measured without its world.
+
+A folder of captures holds::
+
+    world.json     bounds, camera, start.
+    000000.npz     the first frame: rgb, depth, pose (where it was taken), asked (the pose that was asked for).
+    000001.npz     the second frame, and so on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.files import replaced
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.npz import read_npz
+from activestructure_gym.worlds.base import CaptureFailed, Start, World, checked_bounds, checked_start
+
+WORLD_FILE = "world.json"
+_FORMAT = 1
+_DIGITS = 6  # of a frame's file name
+
+
+class StoredCaptures:
+    """Return the stored captures of an episode first, then capture in a world and store that.
+
+    Planning depends only on the seed and the frames, so an episode that gets its stored frames again asks for the same
+    poses. It therefore continues where it was interrupted.
+
+    Parameters
+    ----------
+    folder
+        Folder of the captures; made if it is missing.
+    world
+        The world to capture in after the stored frames; None to replay only.
+
+    Raises
+    ------
+    InputError
+        If the folder's files are damaged, or it is empty and no world is given.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], world: World | None = None) -> None:
+        self.folder, self.world = Path(folder), world
+        self._next = 0
+        self._facts = self._read() if (self.folder / WORLD_FILE).exists() else None
+        if self._facts is None and world is None:
+            raise InputError(f"'{self.folder}' holds no captures to replay: it has no {WORLD_FILE}")
+        for name in ("truth", "views"):
+            if hasattr(world, name):
+                setattr(self, name, getattr(world, name))
+
+    @property
+    def stored(self) -> int:
+        """Return the number of stored frames."""
+        count = 0
+        while self._file(count).exists():
+            count += 1
+        return count
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Return the bounds [2, 3] of the world."""
+        return self._read_or_ask()[0]
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Return the camera of the world."""
+        if self._facts is not None:
+            return self._facts[1]
+        assert self.world is not None
+        return self.world.camera
+
+    @property
+    def start(self) -> Start:
+        """Return the start of the episode."""
+        return self._read_or_ask()[2]
+
+    def reset(self, seed: int) -> None:
+        """Begin the episode, in the world too if nothing is stored yet."""
+        self._next = 0
+        if self._facts is None and (reset := getattr(self.world, "reset", None)) is not None:
+            reset(seed)
+
+    def travel(self, path: np.ndarray) -> None:
+        """Send the path [P, 4, 4] to the world, unless the frame at its end is stored."""
+        if not self._file(self._next).exists() and (travel := getattr(self.world, "travel", None)) is not None:
+            travel(path)
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        """Return the next frame: the stored one, or a new one, which is stored.
+
+        Raise `InputError` if the stored frame was asked for at another pose than ``world_from_camera`` [4, 4], and
+        `CaptureFailed` if there is neither a stored frame nor a world.
+        """
+        file = self._file(self._next)
+        if file.exists():
+            frame = self._stored_frame(file, world_from_camera)
+        elif self.world is None:
+            raise CaptureFailed(f"'{self.folder}' holds {self._next} captures, and the episode asks for another one")
+        else:
+            frame = self.world.capture(world_from_camera)
+            self.store(frame, world_from_camera)
+        self._next += 1
+        return frame
+
+    def store(self, frame: Frame, asked: np.ndarray) -> None:
+        """Write the next frame's file; ``asked`` is the pose [4, 4] that was asked for."""
+        self._read_or_ask()  # world.json comes first
+        arrays = {"rgb": frame.rgb, "depth": frame.depth, "pose": frame.world_from_camera, "asked": asked}
+        with replaced(self._file(self._next)) as stream:
+            np.savez_compressed(stream, **{name: np.asarray(array) for name, array in arrays.items()})
+
+    def close(self) -> None:
+        """Release the world."""
+        if self.world is not None:
+            self.world.close()
+
+    def _file(self, number: int) -> Path:
+        return self.folder / f"{number:0{_DIGITS}}.npz"
+
+    def _stored_frame(self, file: Path, wanted: np.ndarray) -> Frame:
+        try:
+            arrays = read_npz(file)
+            rgb, depth, pose, asked = (arrays[name] for name in ("rgb", "depth", "pose", "asked"))
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"'{file}' is damaged: {error}; delete it and all later captures, and resume") from error
+        if not np.array_equal(asked, wanted):
+            raise InputError(
+                f"'{file}' was taken for another pose than the episode now asks for: the code, the settings or the "
+                "seed have changed since; begin a new episode in another folder"
+            )
+        return Frame(rgb=rgb, depth=depth, world_from_camera=pose, camera=self.camera)
+
+    def _read_or_ask(self) -> tuple[np.ndarray, PinholeCamera, Start]:
+        """Return the facts of ``world.json``; take them from the world and write the file if there is none."""
+        if self._facts is None:
+            assert self.world is not None
+            bounds = checked_bounds(self.world.bounds)
+            camera, start = self.world.camera, checked_start(self.world.start, bounds)
+            content = {
+                "format": _FORMAT,
+                "bounds": bounds.tolist(),
+                "camera": asdict(camera),
+                "start": {"pose": start.pose.tolist(), "free_radius": start.free_radius},
+            }
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with replaced(self.folder / WORLD_FILE) as stream:
+                stream.write((json.dumps(content, indent=1) + "\n").encode())
+            self._facts = bounds, camera, start
+        return self._facts
+
+    def _read(self) -> tuple[np.ndarray, PinholeCamera, Start]:
+        file = self.folder / WORLD_FILE
+        try:
+            content: Any = json.loads(file.read_text(encoding="utf-8"))
+            if content["format"] != _FORMAT:
+                raise ValueError(f"format {content['format']} is unknown")
+            bounds = checked_bounds(content["bounds"])
+            lens = {name: float(content["camera"][name]) for name in ("fx", "fy", "cx", "cy")}
+            size = {name: int(content["camera"][name]) for name in ("width", "height")}
+            if not all(map(math.isfinite, lens.values())):
+                raise ValueError("its camera has numbers that are not finite")
+            camera = PinholeCamera(**size, **lens)
+            start = Start(np.array(content["start"]["pose"], np.float64), float(content["start"]["free_radius"]))
+            return bounds, camera, checked_start(start, bounds)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"'{file}' is damaged: {error}") from error

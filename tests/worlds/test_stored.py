@@ -1,0 +1,103 @@
+"""Captures that are stored: an episode goes on where it was interrupted, and is replayed without its world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.worlds import CaptureFailed, StoredCaptures
+from activestructure_gym.worlds.simulated_world import SimulatedRobot
+
+
+class Breaking(SimulatedRobot):
+    """Its battery ends after some captures."""
+
+    left = 5
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        self.left -= 1
+        if self.left < 0:
+            raise CaptureFailed("the battery is empty")
+        return super().capture(world_from_camera)
+
+
+def robot(kind: type[SimulatedRobot] = SimulatedRobot) -> Any:
+    return kind("box", width=64, height=36, depth_noise="kinect", pose_noise_m=0.01)
+
+
+def played(world: Any) -> tuple[list[dict[str, Any]], ReconstructionEnv]:
+    env = ReconstructionEnv(world, preset="fast", frame_budget=60)
+    seen = [env.reset(seed=3)[0]]
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, _ = env.step(np.int64(0))
+        seen.append(observation)
+        ended = terminated or truncated
+    return seen, env
+
+
+def test_an_interrupted_episode_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    whole, env = played(robot())
+    with pytest.raises(CaptureFailed, match="battery"):
+        played(StoredCaptures(tmp_path / "a", robot(Breaking)))
+    stored = StoredCaptures(tmp_path / "a")
+    assert stored.stored == 5
+
+    fresh = robot()
+    asked = list[np.ndarray]()
+    take = fresh.capture
+    fresh.capture = lambda pose: (asked.append(pose), take(pose))[1]
+    for _ in range(5):  # the noise of the real sensor would go on too
+        fresh.capture(fresh.start.pose)
+    asked.clear()
+    again, other = played(StoredCaptures(tmp_path / "a", fresh))
+    assert len(asked) == len(other.reconstruction.keyframe_indices) - 5 > 0
+    assert len(again) == len(whole)
+    np.testing.assert_array_equal(np.stack(other.reconstruction.trajectory)[0], env.reconstruction.trajectory[0])
+    for one, two in zip(again[:3], whole[:3]):
+        for name in one:
+            np.testing.assert_array_equal(one[name], two[name], err_msg=name)
+
+
+def test_a_stored_episode_is_replayed_without_its_world(tmp_path: Path) -> None:
+    whole, env = played(StoredCaptures(tmp_path, robot()))
+    replayed, other = played(StoredCaptures(tmp_path))
+    assert len(whole) == len(replayed) > 3
+    for one, two in zip(whole, replayed):
+        for name in one:
+            np.testing.assert_array_equal(one[name], two[name], err_msg=name)
+    np.testing.assert_array_equal(np.stack(env.reconstruction.trajectory), np.stack(other.reconstruction.trajectory))
+
+
+def test_other_settings_ask_for_other_poses_and_are_refused(tmp_path: Path) -> None:
+    played(StoredCaptures(tmp_path, robot()))
+    env = ReconstructionEnv(StoredCaptures(tmp_path), preset="fast", frame_budget=60)
+    env.reset(seed=3)
+    with pytest.raises(InputError, match="another pose"):
+        env.step(np.int64(3))
+    with pytest.raises(CaptureFailed, match="asks for another one"):
+        longer = ReconstructionEnv(StoredCaptures(tmp_path), preset="fast", frame_budget=90)
+        longer.reset(seed=3)
+        for _ in range(30):
+            longer.step(np.int64(0))
+
+
+def test_damaged_captures_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no captures to replay"):
+        StoredCaptures(tmp_path)
+    played(StoredCaptures(tmp_path, robot()))
+    (tmp_path / "000002.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"000002.npz' is damaged.*delete it"):
+        played(StoredCaptures(tmp_path))
+    (tmp_path / "world.json").write_text('{"format": 9}')
+    with pytest.raises(InputError, match="format 9"):
+        StoredCaptures(tmp_path)
+    (tmp_path / "world.json").write_text("[")
+    with pytest.raises(InputError, match="damaged"):
+        StoredCaptures(tmp_path)

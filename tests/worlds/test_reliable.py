@@ -107,12 +107,12 @@ def test_a_robot_that_stops_short_is_planned_for_where_it_is() -> None:
             there[:3, 3] -= 0.5 * step
             return there
 
-    env = ReconstructionEnv(Short("room", width=64, height=36), preset="fast", frame_budget=100)
+    env = ReconstructionEnv(Short("room", width=64, height=36), preset="fast", frame_budget=150)
     _, info = env.reset(seed=0)
-    results = list[bool]()
-    while env.reconstruction.frames < 100 and info["action_mask"].any():
+    results, rng = list[bool](), np.random.default_rng(0)
+    while env.reconstruction.frames < 150 and info["action_mask"].any():
         table = env.reconstruction.candidates
-        row = int(np.argmax(table.path_length))
+        row = int(np.argmax(table.path_length + 1e-3 * rng.random(len(table))))
         wanted = int(table.ids[row])
         info = env.step(np.int64(row))[4]
         results.append(info["reached"])
@@ -122,7 +122,7 @@ def test_a_robot_that_stops_short_is_planned_for_where_it_is() -> None:
         np.testing.assert_allclose(episode.pose[:3, 3], episode.trajectory[last][:3, 3])
         if not info["reached"] and not episode.exhausted:
             assert wanted not in episode.candidates.ids  # the missed view is not offered again
-    assert not all(results)
+    assert results.count(True) >= 3 and results.count(False) >= 3
     steps = np.linalg.norm(np.diff(np.stack(episode.trajectory)[:, :3, 3], axis=0), axis=1)
     assert info["metres"] <= steps.sum() + 1e-9
 

@@ -176,7 +176,7 @@ class Recorder:
             gaussians=gaussians,
             added=added,
             removed=removed,
-            bounds=np.asarray(episode.scene.bounds, float),
+            bounds=np.asarray(episode.bounds, float),
             camera=(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
         )
 

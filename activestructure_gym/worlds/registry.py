@@ -29,6 +29,14 @@ def names_world(scene: Any) -> bool:
     return isinstance(scene, str) and scene.startswith(PREFIX)
 
 
+def check_world_name(name: str) -> None:
+    """Raise `InputError` for an unknown world or a wrong option; make none, and import no code that the name names."""
+    spec = Spec(name.removeprefix(PREFIX))
+    options = spec.options(f"world '{spec.name}'")
+    if not WORLDS.imports(spec.name):
+        _arguments(spec, WORLDS.get(spec.name), options)
+
+
 def load_world(name: str) -> World:
     """Make a world by its name. The options ``tries`` and ``timeout_s`` are those of `Reliable`.
 
@@ -51,21 +59,27 @@ def load_world(name: str) -> World:
     spec = Spec(name.removeprefix(PREFIX) if isinstance(name, str) else name)
     make = WORLDS.get(spec.name)
     label = f"world '{spec.name}'"
-    given = spec.options(label)
-    reliable = {name: given.pop(name) for name in ("tries", "timeout_s") if name in given}
-    try:
-        options = typed_options(label, make, given)
-        limits = typed_options(label, Reliable, reliable, apart=("world",))
-    except InputError:
-        raise
-    except ValueError as error:  # a built-in type has no signature
-        raise InputError(f"{label} cannot be made: {error}") from error
+    options, limits = _arguments(spec, make, spec.options(label))
     made = make(**options)
     if not is_world(made):
         raise InputError(
             f"{label} must return an object with bounds, camera, start, capture and close, got {short_repr(made)}"
         )
     return Reliable(made, **limits) if limits else made
+
+
+def _arguments(
+    spec: Spec, make: Callable[..., World], options: dict[str, str]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the keyword arguments of a world's function, and those of `Reliable`, from the options of its name."""
+    label = f"world '{spec.name}'"
+    limits: dict[str, Any] = {name: options.pop(name) for name in ("tries", "timeout_s") if name in options}
+    try:
+        return typed_options(label, make, options), typed_options(label, Reliable, limits, apart=("world",))
+    except InputError:
+        raise
+    except ValueError as error:  # a built-in type has no signature
+        raise InputError(f"{label} cannot be made: {error}") from error
 
 
 def with_camera(config: ReconstructionConfig, camera: PinholeCamera) -> ReconstructionConfig:

@@ -113,12 +113,17 @@ class StoredCaptures:
         self._next += 1
         return frame
 
+    def frame(self, number: int) -> Frame:
+        """Return stored frame ``number``, counted from 0; raise `InputError` if it is missing or damaged."""
+        return self._stored_frame(self._file(number))
+
     def store(self, frame: Frame, asked: np.ndarray) -> None:
         """Write the next frame's file; ``asked`` is the pose [4, 4] that was asked for."""
         self._read_or_ask()  # world.json comes first
         arrays = {"rgb": frame.rgb, "depth": frame.depth, "pose": frame.world_from_camera, "asked": asked}
         with replaced(self._file(self._next)) as stream:
-            np.savez_compressed(stream, **{name: np.asarray(array) for name, array in arrays.items()})
+            named: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
+            np.savez_compressed(stream, **named)
 
     def close(self) -> None:
         """Release the world."""
@@ -128,13 +133,13 @@ class StoredCaptures:
     def _file(self, number: int) -> Path:
         return self.folder / f"{number:0{_DIGITS}}.npz"
 
-    def _stored_frame(self, file: Path, wanted: np.ndarray) -> Frame:
+    def _stored_frame(self, file: Path, wanted: np.ndarray | None = None) -> Frame:
         try:
             arrays = read_npz(file)
             rgb, depth, pose, asked = (arrays[name] for name in ("rgb", "depth", "pose", "asked"))
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"'{file}' is damaged: {error}; delete it and all later captures, and resume") from error
-        if not np.array_equal(asked, wanted):
+        if wanted is not None and not np.array_equal(asked, wanted):
             raise InputError(
                 f"'{file}' was taken for another pose than the episode now asks for: the code, the settings or the "
                 "seed have changed since; begin a new episode in another folder"
@@ -166,11 +171,11 @@ class StoredCaptures:
             if content["format"] != _FORMAT:
                 raise ValueError(f"format {content['format']} is unknown")
             bounds = checked_bounds(content["bounds"])
-            lens = {name: float(content["camera"][name]) for name in ("fx", "fy", "cx", "cy")}
-            size = {name: int(content["camera"][name]) for name in ("width", "height")}
-            if not all(map(math.isfinite, lens.values())):
+            width, height = (int(content["camera"][name]) for name in ("width", "height"))
+            lens = [float(content["camera"][name]) for name in ("fx", "fy", "cx", "cy")]
+            if not all(map(math.isfinite, lens)):
                 raise ValueError("its camera has numbers that are not finite")
-            camera = PinholeCamera(**size, **lens)
+            camera = PinholeCamera(width, height, *lens)
             start = Start(np.array(content["start"]["pose"], np.float64), float(content["start"]["free_radius"]))
             return bounds, camera, checked_start(start, bounds)
         except (OSError, ValueError, KeyError, TypeError) as error:

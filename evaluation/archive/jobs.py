@@ -124,8 +124,12 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
 def code_of(job: Job) -> Iterator[tuple[str, str]]:
     """Yield the kind, such as "policy", and the name, ``"module:Name"``, of all plug-in code that a job names."""
     from activestructure_gym.scenes.library import imports_code
+    from activestructure_gym.worlds.registry import PREFIX, WORLDS, names_world
 
-    if imports_code(job.scene):
+    if names_world(job.scene):
+        if WORLDS.imports(Spec(job.scene.removeprefix(PREFIX)).name):
+            yield "world", job.scene
+    elif imports_code(job.scene):
         yield "scene", job.scene
     for registry, name in named_in(job):
         if registry.imports(name.name):
@@ -248,14 +252,22 @@ def policy_label(spec: Spec) -> str:
 def absolute_spec(spec: str) -> str:
     """Return the scene's spec with absolute paths, which are valid in any working directory."""
     from activestructure_gym.scenes.library import is_scene_name
+    from activestructure_gym.worlds import names_world
 
+    if names_world(spec):
+        name, mark, options = spec.partition("?")
+        return name + mark + _absolute_options(options)
     if is_scene_name(spec):
         return spec
     kind, path, options = split_spec(spec)
     if not path or not Path(os.path.expanduser(path)).exists():
         return spec
-    places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
+    places = _absolute_options(options)
     return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")
+
+
+def _absolute_options(options: str) -> str:
+    return "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
 
 
 def _absolute(path: str) -> str:

@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from activestructure_gym.evaluation.metrics import psnr
+
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+    from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol, Truth
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.reconstruction import Reconstruction
+    from activestructure_gym.worlds import StoredCaptures
 
 STORED_VIEWS = 8  # number of stored held-out views: the first ones, whose order is random
 _PIXELS_PER_METRE = 90
@@ -20,21 +23,50 @@ _HEADROOM_M = 0.35  # metres above the start's height; Gaussians above (ceiling,
 _ALTITUDE = 60.0  # height of the virtual camera in scene widths: its rays are almost parallel
 
 
-def picture_arrays(
-    protocol: StandardProtocol, truth: Truth, gaussians: GaussianMap, plan: dict[str, np.ndarray], psnr: Sequence[float]
+def held_out_pictures(
+    protocol: StandardProtocol, truth: Truth, gaussians: GaussianMap, measured: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Return the arrays for the pictures of a run: the views, their PSNR, and the arrays of ``plan``.
+    """Return rendered and true images of the first held-out views, and their PSNR.
 
-    ``rendered`` and ``true`` are [n, H, W, 3] uint8, ``psnr`` is [n] dB.
+    ``measured`` is the PSNR of every view in dB. ``rendered`` and ``true`` are [n, H, W, 3] uint8, ``psnr`` is [n] dB.
     """
     count = min(STORED_VIEWS, len(truth.views))
     rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
     return {
         "rendered": np.stack([np.rint(255.0 * picture).astype(np.uint8) for picture in rendered]),
         "true": truth.views.rgb[:count],
-        "psnr": np.asarray(psnr[:count], dtype=np.float64),
-        **plan,
+        "psnr": np.asarray(measured[:count], dtype=np.float64),
     }
+
+
+def captured_pictures(gaussians: GaussianMap, captures: StoredCaptures, path: CameraPath) -> dict[str, np.ndarray]:
+    """Return rendered and captured images of keyframes at equal intervals: `held_out_pictures` without ground truth.
+
+    ``true`` holds the captured images, so ``psnr`` is that of mapped views.
+    """
+    from activestructure_gym.splatting import cpu
+    from activestructure_gym.worlds import frame_from
+
+    count = min(STORED_VIEWS, len(path.keyframes))
+    chosen = np.unique(np.linspace(0, len(path.keyframes) - 1, count).round().astype(int))
+    rendered, captured = list[np.ndarray](), list[np.ndarray]()
+    for number in chosen:
+        pose = path.keyframes[number]
+        taken = captures.frame(int(number))
+        frame = frame_from(taken.rgb, taken.depth, taken.world_from_camera, path.camera, path.max_range)
+        seen = cpu.render(gaussians.parameters, gaussians.count, path.camera, pose)
+        rendered.append(np.rint(255.0 * np.clip(seen.color, 0.0, 1.0)).astype(np.uint8))
+        captured.append(frame.rgb)
+    pairs = [(_unit(one), _unit(other)) for one, other in zip(rendered, captured)]
+    return {
+        "rendered": np.stack(rendered),
+        "true": np.stack(captured),
+        "psnr": np.array([psnr(one, other) for one, other in pairs], dtype=np.float64),
+    }
+
+
+def _unit(rgb: np.ndarray) -> np.ndarray:
+    return rgb.astype(np.float32) / np.float32(255.0)
 
 
 def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:

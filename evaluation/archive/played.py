@@ -117,13 +117,25 @@ def link_files(place: Path, part: Path) -> None:
 
     All other files of the run are written later. Copying links to them from ``place`` would let a write follow them.
     """
+    if (place / store.CAPTURES).is_dir():
+        link_folder(place / store.CAPTURES, part / store.CAPTURES)
     for name in (store.CONFIG, store.TRAJECTORY, store.GRAPH, store.MAP, store.PLY):
-        file = place / name
-        if not file.is_file():
-            continue
-        try:
-            if file.is_symlink():
-                raise OSError("a symbolic link is copied")
-            os.link(file, part / name)
-        except OSError:  # also on a file system without hard links
-            shutil.copy2(file, part / name)
+        if (place / name).is_file():
+            _link(place / name, part / name)
+
+
+def link_folder(folder: Path, target: Path) -> None:
+    """Hard-link the files of a folder into ``target``, which is made."""
+    target.mkdir(exist_ok=True)
+    for file in sorted(folder.iterdir()):
+        if file.is_file() and not file.name.startswith("."):  # no temporary files
+            _link(file, target / file.name)
+
+
+def _link(file: Path, target: Path) -> None:
+    try:
+        if file.is_symlink():
+            raise OSError("a symbolic link is copied")
+        os.link(file, target)
+    except OSError:  # also on a file system without hard links
+        shutil.copy2(file, target)

@@ -86,7 +86,7 @@ _MEASURED = (
 # Metrics of runs that follow a given trajectory.
 _FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
-_POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": number()}
+_POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": maybe(number())}
 _POINT_MORE = {name: maybe(number()) for name in CURVE_MEASURES if name not in _POINT}
 CURVE: Check = each(table(_POINT, _POINT_MORE), least=1)
 _OWN_METRIC = table(
@@ -98,8 +98,9 @@ METRICS: Check = table(
         "format": number(whole=True),
         "metrics": table(
             {
-                **_VIEWS, "completion_ratio": number(), "psnr": number(), "lpips": maybe(number()), "frames": _count,
-                "metres": _size, "collisions": _count, "true_area_m2": _size, "true_samples": _count,
+                **_VIEWS, "completion_ratio": maybe(number()), "psnr": maybe(number()), "lpips": maybe(number()),
+                "frames": _count, "metres": _size, "collisions": maybe(_count), "true_area_m2": maybe(_size),
+                "true_samples": maybe(_count),
             },
             dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number()))
             | {f"frames_to_{level}": maybe(_size) for level in LEVELS}

@@ -16,6 +16,7 @@ A comparison's directory::
         trajectory.npz           every executed pose, keyframe indices, the camera.
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer.
         graph.npz                the Plane Scene Graph at the end; see `planes.record.graph_arrays`.
+        captures/                the frames of a world, so that the run can be replayed; see `worlds.StoredCaptures`.
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline.
         replay.html              a page that replays the run, if requested.
     logs/<job name>.log          standard error of the worker.
@@ -66,6 +67,7 @@ STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "grap
 PLY = "map.ply"
 # Files with checksums. Pictures and the PLY can be made from them again and may be deleted.
 _READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
+CAPTURES = "captures"  # folder with the frames of a world; absent from runs in scenes
 REPLAY = "replay.html"  # the page that replays a run; optional
 _MAX_LOG_BYTES = 4096 * MAX_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB and at least one frame
 
@@ -95,6 +97,11 @@ class Run:
     metrics: dict[str, Any]  # ``metrics``, ``curve``, ...
     timing: dict[str, Any]  # seconds
     checksums: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_truth(self) -> bool:
+        """Return whether the run was measured against ground truth; False for a run in a world without any."""
+        return self.metrics["metrics"]["true_samples"] is not None
 
     @cached_property
     def policy(self) -> str:
@@ -157,7 +164,7 @@ class Run:
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
-        """Return the arrays that the pictures are drawn from; see `picture_record.picture_arrays`."""
+        """Return the arrays that the pictures are drawn from; see `picture_record`."""
         return _read(self.directory, PICTURES, self.checksums, _arrays_that(run_files.check_pictures))
 
     @cached_property

@@ -126,6 +126,8 @@ def play(
 
     With ``asks``, the user chooses every view on the page. ``say`` is called with a text after every step.
     """
+    from activestructure_gym.envs.reward import known_volume
+
     shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
     observation, info = env.reset(seed=seed)
     policy.reset(seed)
@@ -147,7 +149,11 @@ def play(
         say(f"exploring: {info['frames']} of {episode.frame_budget} frames, {info['gaussians']} Gaussians")
     view.show()
     view.end()
+    if "ground_truth" in info:
+        observed = f"{known_volume(episode.volume):.1f} m³ known, no ground truth"
+    else:
+        observed = f"{shell.coverage.share:.1%} of the surface observed"
     return (
         f"{info['frames']} frames, {info['metres']:.1f} m, {info['gaussians']} Gaussians, {info['planes']} planes, "
-        f"{shell.coverage.share:.1%} of the surface observed"
+        f"{observed}"
     )

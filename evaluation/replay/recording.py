@@ -84,8 +84,7 @@ def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
-    from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
-    from activestructure_gym.ground_truth import ground_truth_of
+    from activestructure_gym.evaluation.running.surroundings import stored_surroundings
 
     job, stored = run.job, run.config["configuration"]
     if "features" not in stored or "max_candidates" not in stored.get("views", {}):
@@ -94,15 +93,16 @@ def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv
         refuse_code(
             [job if job.conditions.setup == "native" else replace(job, policy=Spec("random"))], run.directory / CONFIG
         )
-    truth = ground_truth_of(load_job_scene(job))
+    where = stored_surroundings(job, run.directory)
     env: ReconstructionEnv
     if job.policy.kind == "trajectory":
-        env = trajectory_policy_and_env(job, truth)[1]
+        assert where.known is not None
+        env = trajectory_policy_and_env(job, where.known)[1]
     else:
         changes = {**_overrides(run), "views.max_candidates": stored["views"]["max_candidates"]}
         options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
         features = () if job.policy.kind == "reference" else _first_known_feature(stored["features"])
-        env = ReconstructionEnv(scene=truth, features=features, **options)
+        env = ReconstructionEnv(scene=where.explored, features=features, **options)
     try:
         env.reset(seed=job.seed)
         yield env

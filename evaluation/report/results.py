@@ -187,6 +187,10 @@ def opened(runs: Sequence[Run]) -> list[Run]:
     Raise `InputError` if the runs have not stored the same views.
     """
     copies = [copy.copy(run) for run in runs]
+    if len(copies) > 1:
+        for run in (run for run in copies if not run.has_truth):  # keyframes of several runs share only the first view
+            first = {name: run.pictures[name][:1] for name in ("rendered", "true", "psnr")}
+            run.__dict__["pictures"] = {**run.pictures, **first}
     for run in copies[1:]:
         if run.pictures["true"].shape != copies[0].pictures["true"].shape:
             raise InputError(

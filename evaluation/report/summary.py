@@ -122,7 +122,8 @@ def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) 
     shown = opened(results.foremost(scene))
     strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
     compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
-    compare_views(shown, title=f"Held-out views of {scene}").save(views)
+    kind = "Held-out" if shown[0].has_truth else "Captured"
+    compare_views(shown, title=f"{kind} views of {scene}").save(views)
     compare_plans(shown, title=f"{scene} from above").save(plans)
     return [_curves(directory / f"convergence{ending}.svg", results, scene), strip, views, plans]
 
@@ -138,13 +139,13 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     info = runs[0].config["scene"]
     size = " x ".join(f"{side:.1f}" for side in info["extent_m"])
     metrics = runs[0].metrics["metrics"]
-    seen = f"{metrics['true_area_m2']:.1f} m2 of observable surface ({metrics['true_samples']:,} samples)"
-    lines = [
-        f"## {escaped(scene)}",
-        "",
-        f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.",
-    ]
-    lines += [f"Note: {note}." for note in info["notes"]]
+    if runs[0].has_truth:
+        seen = f"{metrics['true_area_m2']:.1f} m2 of observable surface ({metrics['true_samples']:,} samples)"
+        facts = [f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}."]
+        facts += [f"Note: {note}." for note in info["notes"]]
+    else:
+        facts = [f"A world of {size} m without ground truth."]
+    lines = [f"## {escaped(scene)}", "", *facts]
     lines = [lines[0], *(escaped(without_folders(line)) for line in lines[1:])]
     if len(kept := results.foremost(scene)) < (count := len(results.shown(scene))):
         lines += ["", f"Images of the {len(kept)} of {count} policies with the highest C.R., including the baseline; "
@@ -162,7 +163,9 @@ def _link(run: Run, directory: Path) -> str:
 def _summary(results: Results, sections: Sequence[str]) -> str:
     seeds = len(results.seeds)
     missing = [f"- {escaped(without_folders(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
-    collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
+    collisions = sum(run.metrics["metrics"]["collisions"] or 0 for run in results.runs)
+    crossed = f"Executed steps through the true mesh: {collisions}{' (must be 0!)' if collisions else ''}."
+    crossed = crossed if any(run.has_truth for run in results.runs) else ""
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in metric_definitions(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
@@ -176,8 +179,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         f"[{TABLES}](./{TABLES}/).",
         "",
         markdown(overview(table_rows(results.runs), overview_columns(results.runs))),
-        f"{spread}; the first three of each scene are marked. Executed steps through the true mesh: {collisions}"
-        f"{' (must be 0!)' if collisions else ''}.",
+        f"{spread}; the first three of each scene are marked. {crossed}",
         "",
         *meaning,
         "",

@@ -41,13 +41,17 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
 
 def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Measure the run's ``map.npz`` and ``trajectory.npz`` again, and return the metrics as JSON types."""
-    from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
-    from activestructure_gym.ground_truth import ground_truth_of
+    from activestructure_gym.evaluation.running.surroundings import stored_surroundings
 
     # Only the scene of the job is loaded, so the code of its policy is not needed.
     refuse_code([replace(run.job, policy=Spec("random"), conditions=Conditions())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
-    return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
+    truth = stored_surroundings(run.job, run.directory).truth(protocol)
+    if truth is None:
+        raise InputError(
+            f"'{run.directory}' is a run in a world without ground truth: there is nothing to measure again"
+        )
+    return plain(protocol.evaluate(gaussians, truth, path))
 
 
 def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:

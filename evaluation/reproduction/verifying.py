@@ -71,7 +71,8 @@ def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None)
         )
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
-        again = run_job(run.job, Path(folder) / "again", notify)
+        captures = run.directory / store.CAPTURES
+        again = run_job(run.job, Path(folder) / "again", notify, captures=captures if captures.is_dir() else None)
         evaluations, missing = remeasured_evaluations(run, again)
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:

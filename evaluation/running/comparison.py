@@ -29,9 +29,12 @@ from activestructure_gym.evaluation.running.output_directory import already_begu
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
+from activestructure_gym.evaluation.running.surroundings import refuse_without_truth, world_hash
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.specs import Spec
+from activestructure_gym.worlds import names_world
+from activestructure_gym.worlds.registry import check_world_name
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
@@ -108,7 +111,9 @@ class Comparison:
         from activestructure_gym.scenes.library import check_scene_name
 
         for spec in self.scenes:
-            if not self.recorded.get(spec):  # `scene_as_recorded` finds a file that has moved
+            if names_world(spec):
+                check_world_name(spec)
+            elif not self.recorded.get(spec):  # `scene_as_recorded` finds a file that has moved
                 check_scene_name(spec)
 
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
@@ -126,7 +131,10 @@ class Comparison:
         with warming_up(planners or ["random"], notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
-                hashes[spec] = self._check_scene(spec, policies).content_hash
+                if names_world(spec):  # a robot is reached only when its episode is played
+                    hashes[spec] = world_hash(spec)
+                else:
+                    hashes[spec] = self._check_scene(spec, policies).content_hash
             notify("making sure that all kernels are compiled")
         jobs = [
             Job(scene, policy, seed, hashes[scene], self.conditions)
@@ -135,6 +143,8 @@ class Comparison:
             for policy in participants
         ]
         _refuse_twins(jobs)
+        for job in (job for job in jobs if names_world(job.scene)):
+            refuse_without_truth(job)
         return jobs
 
     def _check_policies(self) -> list[Spec]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,8 +20,14 @@ from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.evaluation.protocols.metrics.without_truth import measured_without_truth
 from activestructure_gym.evaluation.running.measuring import measure
-from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
+from activestructure_gym.evaluation.running.surroundings import (
+    Surroundings,
+    captures_in_progress,
+    stored_surroundings,
+    surroundings_of,
+)
 from activestructure_gym.npz import write_npz
 from activestructure_gym.planes.record import graph_arrays, graph_summary
 
@@ -30,6 +37,7 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
+    from activestructure_gym.worlds import World
 
 CHECKPOINTS = 20  # points of the convergence curve after the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
@@ -65,34 +73,38 @@ class Progress:
     completion_ratio: float | None = None  # % at the last checkpoint
 
 
-def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | None = None) -> store.Run:
+def run_job(
+    job: Job,
+    directory: Path,
+    progress: Callable[[Progress], None] | None = None,
+    *,
+    captures: Path | None = None,
+) -> store.Run:
     """Run ``job``, write ``directory`` completely or not at all, and return the run.
 
     The played episode is stored before it is measured. If it is already stored, it is not played again.
 
-    The result depends only on the job. Only ``timing.json`` contains times. Raise `InputError` if the job cannot be
-    run.
+    The result depends only on the job. Only ``timing.json`` contains times. With ``captures``, the stored frames of a
+    world replace the world. Raise `InputError` if the job cannot be run.
     """
-    from activestructure_gym.ground_truth import ground_truth_of
-
     notify = progress or (lambda _: None)
     notify(Progress("loading"))
     own = plugin_code_of(job, first_checksum_of)  # before the import: the files may be edited during the episode
     began = time.perf_counter()
-    known = ground_truth_of(load_job_scene(job))
-    truth = job.conditions.protocol.truth(known)
-    for name in job.conditions.also:
-        get_protocol(name).truth(known)
     place = played.played_episode(directory, job, first_checksum_of)
+    where = surroundings_of(job, directory, captures) if place is None else stored_surroundings(job, place)
+    truth = where.truth(job.conditions.protocol)
+    for name in job.conditions.also:
+        where.truth(get_protocol(name))
     if place is None:
-        _play(job, directory, known, truth, own, time.perf_counter() - began, notify)
+        _play(job, directory, where, truth, own, time.perf_counter() - began, notify)
         if completion.is_done(directory, job):  # another process was faster
             return store.read_run(directory)
         place = directory
     episode = played.read_episode(place)
     frames, budget = episode["metrics"]["frames"], episode["frame_budget"]
     notify(Progress("measuring", frames, budget, episode["curve"][-1]["completion_ratio"]))
-    run = measure(job, place, directory, known, truth)
+    run = measure(job, place, directory, where, truth)
     notify(Progress("done", frames, budget, run.metrics["metrics"]["completion_ratio"]))
     return run
 
@@ -100,63 +112,74 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
 def _play(
     job: Job,
     directory: Path,
-    known: GroundTruth,
-    truth: Truth,
+    where: Surroundings,
+    truth: Truth | None,
     own: dict[str, str],
     loading: float,  # seconds spent on loading so far
     notify: Callable[[Progress], None],
 ) -> None:
     """Play the episode of ``job`` and store it in ``directory``, completely or not at all."""
     began = time.perf_counter()
-    policy, env = build(job, known)
+    policy, env = build(job, where.explored)
     loading += time.perf_counter() - began
     try:
         episode = _Episode(job, env, policy, truth, notify)
         episode.run()
         began = time.perf_counter()
         with played.written_episode(directory, job) as part:
-            _write_episode(part, job, known.scene, env, episode, own, loading)
+            _write_episode(part, job, where, env, episode, own, loading)
             _write_files(part, env.reconstruction)
+            if where.world is not None:
+                played.link_folder(where.world.folder, part / store.CAPTURES)
     finally:
         env.close()
+    if where.world is not None:  # the run holds the captures now
+        shutil.rmtree(captures_in_progress(directory), ignore_errors=True)
 
 
-def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
+def build(job: Job, explored: GroundTruth | World) -> tuple[Actor, ReconstructionEnv]:
     """Create the actor of a job (policy, reference or trajectory) and its environment with the required features.
 
     Only a reference receives the ground truth.
     """
     from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.policies import make_policy
 
     if job.policy.kind == "reference":
+        assert isinstance(explored, GroundTruth)
         from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
 
         changes = dict(job.conditions.overrides) | {"views.max_candidates": WHOLE_POOL}
-        env = ReconstructionEnv(scene=known, features=(), **job.conditions.env_options(changes))
-        return make_reference(job.policy, env, known, job.conditions.protocol), env
+        env = ReconstructionEnv(scene=explored, features=(), **job.conditions.env_options(changes))
+        return make_reference(job.policy, env, explored, job.conditions.protocol), env
     if job.policy.kind == "trajectory":
         from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
 
-        return trajectory_policy_and_env(job, known)
+        assert isinstance(explored, GroundTruth)
+        return trajectory_policy_and_env(job, explored)
     policy = make_policy(job.policy)
     options = job.conditions.env_options(job.conditions.changes(policy))
-    env = ReconstructionEnv(scene=known, features=tuple(policy.required_features), **options)
+    env = ReconstructionEnv(scene=explored, features=tuple(policy.required_features), **options)
     policy.bind(env)
     return policy, env
 
 
-def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Episode) -> dict[str, Any]:
-    """Return the counts of an episode (frames, metres, decisions, ...) and its collisions with the true mesh."""
+def episode_metrics(scene: Scene | None, reconstruction: Reconstruction, episode: _Episode) -> dict[str, Any]:
+    """Return the counts of an episode (frames, metres, decisions, ...) and its collisions with the true mesh.
+
+    Without a scene, ``collisions`` is None, and the metrics of `protocols.metrics.without_truth` are added.
+    """
     return {
         "frames": reconstruction.frames,
         "metres": reconstruction.metres,
         "decisions": reconstruction.decisions,
         "keyframes": len(reconstruction.keyframe_indices),
         "gaussians": reconstruction.mapper.map.count,
-        "collisions": path_collisions(scene, np.stack(reconstruction.trajectory)),
+        "collisions": None if scene is None else path_collisions(scene, np.stack(reconstruction.trajectory)),
         "ended": episode.ended,
-    } | _followed(episode.env)
+        **(measured_without_truth(reconstruction) if scene is None else _followed(episode.env)),
+    }
 
 
 def _followed(env: ReconstructionEnv) -> dict[str, float]:
@@ -179,11 +202,11 @@ class _Episode:
     """Play an episode, and record its decisions, convergence curve and times."""
 
     def __init__(
-        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth, notify: Callable[[Progress], None]
+        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth | None, notify: Callable[[Progress], None]
     ) -> None:
         self.job, self.env, self.policy, self.truth, self.notify = job, env, policy, truth, notify
         self.steps: list[dict[str, Any]] = []
-        self.curve: list[dict[str, float]] = []
+        self.curve: list[dict[str, float | None]] = []
         self.ended = ""
         self.evaluation_seconds = 0.0
         self.total_seconds = 0.0  # without the evaluation
@@ -254,7 +277,7 @@ class _Episode:
             step["features"] = dict(zip(self.env.config.features, observation["candidate_features"][action]))
         return step | {"trace": self.policy.trace()}
 
-    def _checkpoint(self, *, last: bool = False) -> dict[str, float]:
+    def _checkpoint(self, *, last: bool = False) -> dict[str, float | None]:
         """Add a point to the convergence curve and return its scores; the time counts as evaluation."""
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
@@ -265,14 +288,19 @@ class _Episode:
             self._next_images = _following(frames, budget // IMAGE_CHECKPOINTS)
         if surface:
             self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
-        scores = self.job.conditions.protocol.checkpoint(
-            reconstruction.mapper.map,
-            self.truth,
-            CameraPath.from_arrays(_path_arrays(reconstruction)),
-            images=images,
-            samples=CHECKPOINT_SAMPLES,
-            surface=surface,
-        )
+        scores: dict[str, float | None]
+        if self.truth is None:
+            scores = {"completion_ratio": None, **measured_without_truth(reconstruction)}
+        else:
+            scores = {**self.job.conditions.protocol.checkpoint(
+                reconstruction.mapper.map,
+                self.truth,
+                CameraPath.from_arrays(_path_arrays(reconstruction)),
+                images=images,
+                samples=CHECKPOINT_SAMPLES,
+                surface=surface,
+            )}  # fmt: skip
+        point: dict[str, float | None]
         point = {"decision": reconstruction.decisions, "frames": frames, "metres": reconstruction.metres}
         self.curve.append(point | scores)
         self._next_checkpoint = _following(frames, budget // CHECKPOINTS)
@@ -293,7 +321,7 @@ def _is_logged(name: str, value: Any) -> bool:
 def _write_episode(
     part: Path,
     job: Job,
-    scene: Scene,
+    where: Surroundings,
     env: ReconstructionEnv,
     episode: _Episode,
     own: dict[str, str],
@@ -304,21 +332,13 @@ def _write_episode(
         "format": store.FORMAT_VERSION,
         "job": job.as_dict(),
         "hash": job.hash,
-        "scene": {
-            "name": scene.name,
-            "spec": job.scene,
-            "content_hash": scene.content_hash,
-            "source": scene.source,
-            "notes": scene.notes,
-            "triangles": len(scene.mesh.faces),
-            "extent_m": scene.bounds[1] - scene.bounds[0],
-        },
+        "scene": where.facts,
         "configuration": dataclasses.asdict(env.config),
         "versions": machine.versions(),
         **({OWN_CODE: own} if own else {}),
     }
     content = {
-        "metrics": episode_metrics(scene, env.reconstruction, episode),
+        "metrics": episode_metrics(None if where.known is None else where.known.scene, env.reconstruction, episode),
         "frame_budget": env.reconstruction.frame_budget,
         "curve": episode.curve,
         "clock": {

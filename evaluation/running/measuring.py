@@ -17,47 +17,58 @@ from activestructure_gym.errors import InputWarning
 from activestructure_gym.evaluation.archive import completion, json_files, played, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
-from activestructure_gym.evaluation.archive.picture_record import picture_arrays
+from activestructure_gym.evaluation.archive.picture_record import captured_pictures, held_out_pictures
 from activestructure_gym.evaluation.archive.temporary import atomic_files
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
-from activestructure_gym.evaluation.protocols.metrics import MetricContext, measure_metrics
-from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
+from activestructure_gym.evaluation.protocols.metrics import MetricContext, get_metric, measure_metrics
+from activestructure_gym.evaluation.protocols.metrics.without_truth import NO_TRUTH, WITHOUT_TRUTH, unmeasured
+from activestructure_gym.evaluation.running.surroundings import Surroundings, stored_surroundings
 from activestructure_gym.npz import write_npz
 from activestructure_gym.specs import Spec
+from activestructure_gym.worlds import StoredCaptures
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import Truth
-    from activestructure_gym.ground_truth import GroundTruth
 
 
-def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: Truth) -> store.Run:
-    """Measure the episode in ``place`` and write the run into ``directory``, completely or not at all."""
+def measure(job: Job, place: Path, directory: Path, where: Surroundings, truth: Truth | None) -> store.Run:
+    """Measure the episode in ``place`` and write the run into ``directory``, completely or not at all.
+
+    Without ``truth``, the metrics that need it are None.
+    """
     from activestructure_gym.mapping import GaussianMap
 
     began = time.perf_counter()
     episode = played.read_episode(place)
     arrays, gaussians = played.read_path(place), GaussianMap.load_npz(place / store.MAP)
     path, poses = CameraPath.from_arrays(arrays), arrays["world_from_camera"]
-    metrics = job.conditions.protocol.evaluate(gaussians, truth, path)
+    metrics = unmeasured() if truth is None else job.conditions.protocol.evaluate(gaussians, truth, path)
     # The last point of the curve holds the metrics of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
     episode["curve"][-1] |= last
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
-    context = MetricContext(gaussians, truth, known, job.conditions.protocol, path, poses, dict(metrics))
-    values, described = measure_metrics(job.conditions.metrics, context)
-    metrics |= values
+    described: list[dict[str, Any]]
+    if truth is None or where.known is None:
+        described = [metric.as_dict() for metric in WITHOUT_TRUTH]
+        described += [get_metric(name).as_dict() | {"reason": NO_TRUTH} for name in job.conditions.metrics]
+        metrics |= {get_metric(name).name: None for name in job.conditions.metrics}
+        pictures = captured_pictures(gaussians, StoredCaptures(place / store.CAPTURES), path)
+    else:
+        context = MetricContext(gaussians, truth, where.known, job.conditions.protocol, path, poses, dict(metrics))
+        values, described = measure_metrics(job.conditions.metrics, context)
+        metrics |= values
+        views = [view["psnr"] for view in metrics["views"]]
+        pictures = held_out_pictures(job.conditions.protocol, truth, gaussians, views)
     with completion.atomic_directory(directory) as part:
         played.link_files(place, part)
-        _write_numbers(part, job, known, metrics, episode["curve"], described)
+        _write_numbers(part, job, where, metrics, episode["curve"], described)
         _write_steps(place / store.STEPS, part / store.STEPS, last)
         for other in map(get_protocol, job.conditions.also):
-            numbers = other.evaluate(gaussians, other.truth(known), path)
-            store.write_evaluation(part, other.parameters(), known.scene.content_hash, numbers)
-        views = [view["psnr"] for view in metrics["views"]]
-        pictures = picture_arrays(job.conditions.protocol, truth, gaussians, played.read_plan(place), views)
-        write_npz(part / store.PICTURES, pictures)
+            numbers = other.evaluate(gaussians, where.truth(other), path)
+            store.write_evaluation(part, other.parameters(), where.facts["content_hash"], numbers)
+        write_npz(part / store.PICTURES, pictures | played.read_plan(place))
         _write_clocks(part, episode["clock"], time.perf_counter() - began)
         # The completion marker is written last: a directory without it is not a result.
         store.finish(part, job)
@@ -71,8 +82,6 @@ def measure_played(directory: Path) -> store.Run | None:
 
     Raise `InputError` if the scene is missing or has changed, or if the job names code that is not trusted.
     """
-    from activestructure_gym.ground_truth import ground_truth_of
-
     place = played.played_episode(directory)
     if place is None:
         return None
@@ -80,14 +89,14 @@ def measure_played(directory: Path) -> store.Run | None:
     # No policy acts here: only the scene, the protocols and the metrics of the job are loaded.
     measured = Conditions(also=job.conditions.also, metrics=job.conditions.metrics)
     refuse_code([replace(job, policy=Spec("random"), conditions=measured)], place / store.CONFIG)
-    known = ground_truth_of(load_job_scene(job))
-    return measure(job, place, directory, known, job.conditions.protocol.truth(known))
+    where = stored_surroundings(job, place)
+    return measure(job, place, directory, where, where.truth(job.conditions.protocol))
 
 
 def _write_numbers(
     part: Path,
     job: Job,
-    known: GroundTruth,
+    where: Surroundings,
     metrics: Mapping[str, Any],
     curve: list[dict[str, Any]],
     described: list[dict[str, Any]],  # of the metrics in ``metrics`` that no protocol measures
@@ -95,7 +104,7 @@ def _write_numbers(
     results = {
         "format": store.FORMAT_VERSION,
         "protocol": job.conditions.protocol.parameters(),
-        "scene": known.scene.content_hash,
+        "scene": where.facts["content_hash"],
         "metrics": metrics,
         "curve": curve,
         **({"own_metrics": described} if described else {}),

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
+from activestructure_gym.evaluation.protocols.metrics.without_truth import KEYFRAME_PSNR, KNOWN_VOLUME
 from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, value_range
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.style import is_grey
@@ -47,6 +48,8 @@ MEASURES = (
     Measure(standard.TSDF_RATIO, "C.R. of the TSDF surface [%]"),
     Measure(standard.OBSERVED, "surface observed [%]"),
     Measure(standard.PSNR, "PSNR of held-out views [dB]"),
+    Measure(KNOWN_VOLUME, "known volume [m³]"),
+    Measure(KEYFRAME_PSNR, "PSNR of keyframes [dB]"),
 )
 COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seconds", "wall clock [s]"))
 

@@ -23,8 +23,8 @@ def glance_section(results: Results) -> Markup:
     return render(
         "glance.html.j2",
         cards=[_card(results, lead) for lead in verdicts.leads(results)],
-        collisions=sum(run.metrics["metrics"]["collisions"] for run in results.runs),
-        runs=len(results.runs),
+        collisions=sum(run.metrics["metrics"]["collisions"] or 0 for run in results.runs),
+        runs=sum(run.has_truth for run in results.runs),
         caption=_cards_caption(results),
         definitions=metric_definitions(results),
         first=first,

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.report.page.html_legends import PLAN_LEGEND
 from activestructure_gym.evaluation.report.page.run_links import replay_link
 from activestructure_gym.evaluation.report.pictures.canvas import to_image
 from activestructure_gym.evaluation.report.pictures.floor_plan import camera_height_text, draw_plan
-from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK_NOTE, typical_view
+from activestructure_gym.evaluation.report.pictures.views_and_plans import BLACK_NOTE, reference_word, typical_view
 from activestructure_gym.evaluation.report.results import Results, opened
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal
@@ -34,7 +34,8 @@ def header_figure(results: Results, anchor: str, directory: Path | None = None) 
         where += f", the {len(runs)} of {len(candidates)} policies with the highest C.R., including the baseline"
     return render(
         "header_figure.html.j2",
-        truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
+        truth=picture(to_image(runs[0].pictures["true"][index]), f"the {reference_word(runs[0])} view"),
+        word=reference_word(runs[0]),
         plan_legend=PLAN_LEGEND,
         tiles=[_tile(run, index, results.palette.index(run.policy), directory) for run in runs],
         where=where,

@@ -29,7 +29,13 @@ def metric_definitions(results: Results) -> dict[str, str]:
 
 
 def missing_value_texts(results: Results) -> list[str]:
-    """Return one sentence per metric that is missing in some or all runs, with the reason."""
+    """Return one sentence per metric that is missing in some or all runs, with the reason.
+
+    Runs in worlds without ground truth get one sentence for all metrics that need it.
+    """
+    if not any(run.has_truth for run in results.runs):
+        names = ", ".join(metric.label for metric in STANDARD)
+        return [f"No ground truth: {names} and collisions are not measured."]
     shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
     described = (*STANDARD, *own_metrics(results.runs))
     columns = [(metric.label, metric.name) for metric in described if not metric.name.startswith("tsdf_")] + [

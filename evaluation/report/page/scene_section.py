@@ -54,6 +54,7 @@ def scene_section(results: Results, scene: str, anchor: str, directory: Path | N
         views=[row for row in views if row["name"] in full or row["index"] is None],
         more_views=[row for row in views if row["name"] not in full and row["index"] is not None],
         black_note=BLACK_NOTE,
+        has_truth=shown[0].has_truth,
         plans=[plan for plan in plans if plan["policy"] in full],
         more_plans=[plan for plan in plans if plan["policy"] not in full],
         plan_legend=PLAN_LEGEND,
@@ -81,6 +82,8 @@ def scene_facts(run: Run) -> str:
     """Return sentences on the scene of a run: triangles, size, source, observable surface and notes."""
     info, metrics = run.config["scene"], run.metrics["metrics"]
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
+    if not run.has_truth:
+        return f"A world of {size} m without ground truth."
     seen = f"{metrics['true_area_m2']:.1f} m² of observable surface ({metrics['true_samples']:,} samples)"
     notes = "".join(f" Note: {note}." for note in info["notes"])
     return without_folders(f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}")

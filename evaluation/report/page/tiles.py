@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.report.pictures.canvas import stored_panels,
 from activestructure_gym.evaluation.report.pictures.floor_plan import draw_plan
 from activestructure_gym.evaluation.report.pictures.psg_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.pictures.psg_plan import draw_planes_plan
-from activestructure_gym.evaluation.report.pictures.views_and_plans import detailed_views
+from activestructure_gym.evaluation.report.pictures.views_and_plans import detailed_views, reference_word
 from activestructure_gym.evaluation.report.tables.columns import ratios_text
 from activestructure_gym.evaluation.report.tables.layout import decimal
 
@@ -46,7 +46,8 @@ class Tiles:
         """Return the fields of a tile for the template: the image ``drawn``, the caption, and the run's result."""
         index, links, result = self.palette.index(run.policy), run_links(run, self.directory), result_text(run)
         if run.policy not in self.full:  # a thumbnail has room for a short text only
-            result = f"C.R. {run.metrics['metrics']['completion_ratio']:.1f} %"
+            ratio = run.metrics["metrics"]["completion_ratio"]
+            result = "" if ratio is None else f"C.R. {ratio:.1f} %"
             links = [link for link in links if link.name in ("replay", "plan", "planes in 3D")]
         return {
             "picture": drawn,
@@ -60,12 +61,12 @@ class Tiles:
 
 def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
     """Return rows of the same held-out views for the template: true views, then each run's rendered views with PSNR."""
-    true = runs[0].pictures["true"]
+    true, word = runs[0].pictures["true"], reference_word(runs[0])
     telling = detailed_views(true)
     views: list[dict[str, Any]] = [
-        {"picture": picture(to_image(true[i]), f"true view {i + 1}"), "psnr": None} for i in telling
+        {"picture": picture(to_image(true[i]), f"{word} view {i + 1}"), "psnr": None} for i in telling
     ]
-    rows: list[dict[str, Any]] = [{"name": "true view", "index": None, "result": "", "views": views}]
+    rows: list[dict[str, Any]] = [{"name": f"{word} view", "index": None, "result": "", "views": views}]
     ranked = ranked_among({run.job.policy for run in runs})
     among = [run for run in runs if run.job.policy in ranked]
     best = {i: max(among or runs, key=lambda run: float(run.pictures["psnr"][i])) for i in telling}
@@ -123,10 +124,8 @@ def planes_tile(run: Run, tiles: Tiles) -> dict[str, Any]:
 def result_text(run: Run) -> str:
     """Return the seed, the costs and the main results of a run in one line."""
     metrics = run.metrics["metrics"]
-    return (
-        f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, "
-        f"{ratios_text(run)}, {metrics['psnr']:.2f} dB"
-    )
+    quality = f", {metrics['psnr']:.2f} dB" if run.has_truth else ""
+    return f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, {ratios_text(run)}{quality}"
 
 
 def _deficit_text(graph: Mapping[str, np.ndarray]) -> str:

@@ -15,7 +15,7 @@ VIEWS = "views.png"
 def draw_run(run: Run, directory: Path) -> None:
     """Draw the held-out views, the plan and the Plane Scene Graph of a finished run as PNG files in ``directory``."""
     title = run.job.title
-    run_views(run.pictures, title=title).save(directory / VIEWS)
+    run_views(run, title=title).save(directory / VIEWS)
     run_plan(run.pictures, run.trajectory, run.graph, title=title).save(directory / "plan.png")
     if run.graph is not None:
         plan, plan_panels = run_planes_plan(run.graph, run.pictures, title=title)

@@ -25,18 +25,30 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN_VIEWS = 4
+TRUE, CAPTURED = "true", "captured"  # words for the images that renderings are compared with
 BLACK_NOTE = "Black: the map has no Gaussian there."
 
 
-def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+def reference_word(run: Run) -> str:
+    """Return what the images of a run are compared with: ``true`` held-out views, or ``captured`` keyframes."""
+    return TRUE if run.has_truth else CAPTURED
+
+
+def run_views(run: Run, *, title: str) -> Image.Image:
     """Return an image of a run's held-out views: true views, and below them the rendered views with their PSNR.
 
-    ``arrays`` are the run's stored picture arrays.
+    In a world without ground truth, keyframes replace the held-out views.
     """
+    arrays, word = run.pictures, reference_word(run)
     shown = detailed_views(arrays["true"])
     rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
     return _with_note(
-        tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]]), BLACK_NOTE
+        tile_grid(
+            rows,
+            title=f"{title}: {'held-out views' if run.has_truth else 'keyframes'}",
+            row_labels=[[word], ["rendered"]],
+        ),
+        BLACK_NOTE,
     )
 
 
@@ -60,10 +72,11 @@ def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
     first = runs[0].pictures
     shown = detailed_views(first["true"])
     rows = [[to_image(first["true"][i]) for i in shown]]
-    labels = [["true view"]]
+    labels = [[f"{reference_word(runs[0])} view"]]
     for run in runs:
         rows.append([_rendered_tile(run.pictures, i) for i in shown])
-        labels.append(_run_label(run, f"{run.metrics['metrics']['psnr']:.2f} dB mean"))
+        mean = run.metrics["metrics"]["psnr"]
+        labels.append(_run_label(run, run.job.title if mean is None else f"{mean:.2f} dB mean"))
     columns = [f"view {i + 1}" for i in shown]
     return _with_note(tile_grid(rows, title=title, row_labels=labels, column_labels=columns), BLACK_NOTE)
 
@@ -89,12 +102,13 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
     truth = to_image(runs[0].pictures["true"][index])
     plans = [draw_plan(run.pictures, run.trajectory, truth.width) for run in runs]
     size = truth.width, truth.height + GAP + max(plan.height for plan in plans)
-    columns, labels = [_on_page(truth, size)], ["true view"]
+    columns, labels = [_on_page(truth, size)], [f"{reference_word(runs[0])} view"]
     for run, plan in zip(runs, plans):
         column = _on_page(_rendered_tile(run.pictures, index), size)
         column.paste(plan, ((truth.width - plan.width) // 2, truth.height + GAP))
         columns.append(column)
-        labels.append(f"{run.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
+        ratio = run.metrics["metrics"]["completion_ratio"]
+        labels.append(run.policy if ratio is None else f"{run.policy}, C.R. {ratio:.1f} %")
     page = _with_legend(tile_grid([columns], title=title, column_labels=labels, frames=False))
     return _with_note(page, f"{BLACK_NOTE} {camera_height_text([(run.trajectory, run.graph) for run in runs])}")
 
@@ -127,7 +141,9 @@ def _run_label(run: Run, *more: str) -> list[str]:
 
 
 def _cost(metrics: Mapping[str, Any]) -> str:
-    return f"{metrics['frames']} frames, {metrics['metres']:.1f} m, C.R. {metrics['completion_ratio']:.1f} %"
+    ratio = metrics["completion_ratio"]
+    result = "" if ratio is None else f", C.R. {ratio:.1f} %"
+    return f"{metrics['frames']} frames, {metrics['metres']:.1f} m{result}"
 
 
 def _on_page(image: Image.Image, size: tuple[int, int]) -> Image.Image:

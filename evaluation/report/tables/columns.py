@@ -11,6 +11,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import LEVELS
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
 from activestructure_gym.evaluation.protocols.metrics.base import Best
+from activestructure_gym.evaluation.protocols.metrics.without_truth import WITHOUT_TRUTH
 
 # Stages of timing.json whose seconds are added up in the columns "planning", "mapping" and "volume, planes".
 PLANNING = ("planning", "features", "policy")
@@ -102,7 +103,10 @@ COSTS = (
 
 # Main metrics: those of the cards and of the charts of differences. Accuracy and precision are left out, since a policy
 # that maps little has the best values of both.
-MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], Column.of(standard.PSNR), Column.of(standard.DEPTH))
+MAIN = (
+    RATIOS[2], _EXPLORATION, RATIOS[0], Column.of(standard.PSNR), Column.of(standard.DEPTH),
+    *map(Column.of, WITHOUT_TRUTH),
+)  # fmt: skip
 
 
 def own_metrics(runs: Sequence[Run]) -> list[Metric]:
@@ -166,11 +170,15 @@ def is_lower_bound(run: Run, key: str) -> bool:
 
 
 def ratios_text(run: Run) -> str:
-    """Return the ratios of a run as text: ``C.R. 82.5 %, C.R. surface 76.3 %, observed –`` (a dash if missing)."""
+    """Return the ratios of a run as text: ``C.R. 82.5 %, C.R. surface 76.3 %, observed –`` (a dash if missing).
+
+    Without ground truth the text has the known volume and the PSNR of keyframes.
+    """
     parts = []
-    for column in RATIOS:
+    for column in RATIOS if run.has_truth else map(Column.of, WITHOUT_TRUTH):
         value = value_of(run, column.key)
-        parts.append(f"{column.header} –" if value is None else f"{column.header} {value:.{column.digits}f} %")
+        text = "–" if value is None else f"{value:.{column.digits}f} {column.unit}"
+        parts.append(f"{column.header} {text}")
     return ", ".join(parts)
 
 

@@ -25,7 +25,7 @@ def contains(page: Image.Image, tile: np.ndarray) -> bool:
 
 def test_true_views_are_shown_pixel_for_pixel(make_run):
     run = make_run()
-    page = run_views(run.pictures, title="title")
+    page = run_views(run, title="title")
     for tile in run.pictures["true"]:
         assert contains(page, tile)
     # The rendered ones carry their PSNR in the lower right corner; the upper left is untouched.

@@ -14,6 +14,7 @@ from rich.text import Text
 from activestructure_gym.errors import FullDisk, pluralised
 from activestructure_gym.evaluation.cli.output import print_whole, width_of
 from activestructure_gym.streams import complain, escape, flat
+from activestructure_gym.worlds.registry import PREFIX, names_world
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
@@ -36,7 +37,7 @@ def print_end(
     from activestructure_gym.evaluation.report.page.method_text import trajectories_text
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
-    from activestructure_gym.evaluation.report.tables.columns import own_absences
+    from activestructure_gym.evaluation.report.tables.columns import own_absences, truth_absences
     from activestructure_gym.evaluation.report.tables.planning import rich_planning_table
     from activestructure_gym.evaluation.running.measuring import draw_missing_pictures
 
@@ -60,7 +61,11 @@ def print_end(
         left_out = print_result(console, result.runs, wide=wide)
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:
             print_whole(console, planning, wide=wide)
-        for text in [*own_absences(result.runs), *trajectories_text(Results(result.runs, []))]:
+        for text in [
+            *truth_absences(result.runs),
+            *own_absences(result.runs),
+            *trajectories_text(Results(result.runs, [])),
+        ]:
             console.print(escape(text.replace("`", "")))
         console.print(
             f"{pluralised(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, "
@@ -125,6 +130,8 @@ def next_commands(runs: Sequence[Run]) -> list[list[str]]:
     others = [run for run in runs if (run.scene, run.job.seed) == (first.scene, first.job.seed)]
     pair = [first, *(run for run in others if run.policy != first.policy)][:2]
     scene = [] if first.job.scene == "room" else ["--scene", first.job.scene]
+    if names_world(first.job.scene):
+        scene = ["--world", first.job.scene.removeprefix(PREFIX)]
     return [
         ["asg", "replay", *(str(run.directory) for run in pair)],
         ["asg", "watch", *scene, "--policy", "you"],

@@ -17,6 +17,7 @@ from activestructure_gym.errors import unknown_name
 GROUPS = {
     "Run": {
         "compare": "compare:Compare",
+        "explore": "explore:Explore",
         "watch": "watch:Watch",
         "train": "train:Train",
         "replay-trajectory": "replay_trajectory:ReplayTrajectory",

@@ -233,7 +233,7 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
             f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
         )
     # Code that the user names in an option of this call is trusted; code that only the record names is not.
-    words = {"scene": "scenes", "policy": "policies", "protocol": "protocols", "metric": "metrics"}
+    words = {"scene": "scenes", "world": "scenes", "policy": "policies", "protocol": "protocols", "metric": "metrics"}
     for kind, name in (code for job in jobs for code in code_of(job)):
         if not _typed(options, words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)

@@ -38,6 +38,8 @@ class Watch:
 
     scene: Annotated[str, option("SCENE")] = "room"
     """Explore this scene: a name (see `asg list scenes`) or a file."""
+    world: Annotated[str | None, option("WORLD", "")] = None
+    """Explore this world in place of a scene: a name or package.module:factory; see `asg explore --help`."""
     policy: Annotated[str, option("NAME")] = "activestructure"
     """Explore with this policy (see `asg list policies`); with `you`, choose every view yourself."""
     seed: int = 0
@@ -68,7 +70,7 @@ class Watch:
         env, policy = self._make()
         asks = self.policy == YOU
         view = LiveView(
-            f"{self.policy} · {self.scene} · seed {self.seed}",
+            f"{self.policy} · {self.world or self.scene} · seed {self.seed}",
             address=self.host,
             port=self.port,
             chooses=True,
@@ -99,12 +101,17 @@ class Watch:
     def _make(self) -> tuple[gym.Env[Any, Any], Policy]:
         from activestructure_gym.policies import make_env_and_policy
         from activestructure_gym.scenes.library import check_scene_name
+        from activestructure_gym.worlds.registry import PREFIX, check_world_name
 
         scenes = split_scenes((self.scene,))
         if not scenes:
             raise InputError(f"--scene names a scene to explore, got '{self.scene}'; `asg list scenes` lists the names")
-        for scene in scenes:
-            check_scene_name(scene)
+        if self.world is not None:
+            scenes = (PREFIX + self.world.removeprefix(PREFIX),)
+            check_world_name(scenes[0])
+        else:
+            for scene in scenes:
+                check_scene_name(scene)
         preset = self.preset or (NATIVE_PRESET if self.setup == "native" else "default")
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,

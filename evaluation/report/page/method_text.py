@@ -12,6 +12,7 @@ from activestructure_gym.evaluation.report.tables.columns import (
     own_metrics,
     quality_columns,
     reason_of,
+    truth_absences,
     value_of,
 )
 from activestructure_gym.evaluation.report.text_filters import without_folders
@@ -34,8 +35,7 @@ def missing_value_texts(results: Results) -> list[str]:
     Runs in worlds without ground truth get one sentence for all metrics that need it.
     """
     if not any(run.has_truth for run in results.runs):
-        names = ", ".join(metric.label for metric in STANDARD)
-        return [f"No ground truth: {names} and collisions are not measured."]
+        return truth_absences(results.runs)
     shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
     described = (*STANDARD, *own_metrics(results.runs))
     columns = [(metric.label, metric.name) for metric in described if not metric.name.startswith("tsdf_")] + [

@@ -115,6 +115,16 @@ def own_metrics(runs: Sequence[Run]) -> list[Metric]:
     return list(map(Metric.from_dict, found.values()))
 
 
+def truth_absences(runs: Sequence[Run]) -> list[str]:
+    """Return a text that names the metrics which runs without ground truth do not have; none if all runs have it."""
+    without = [run for run in runs if not run.has_truth]
+    if not without:
+        return []
+    where = "" if len(without) == len(runs) else f" in {len(without)} of {pluralised(len(runs), 'run')}"
+    names = ", ".join(metric.label for metric in standard.STANDARD)
+    return [f"No ground truth{where}: {names} and collisions are not measured."]
+
+
 def own_absences(runs: Sequence[Run]) -> list[str]:
     """Return one text per user's metric that is not defined in some runs, with the reason."""
     texts = []

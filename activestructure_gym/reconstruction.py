@@ -3,9 +3,6 @@
 Each decision runs: world -> frame -> map, volume, planes -> candidate views -> features. The caller then chooses a
 view, and the agent moves there (`Reconstruction.move_to`). Every frame costs 1 of the budget. Every
 ``keyframe_every``-th frame and the last frame of a path are keyframes: captured, integrated and mapped.
-
-`Reconstruction.start`, `move_to` and `follow` capture the keyframes in a `World`. `starting`, `moving` and `following`
-are generators that ask their caller for each keyframe instead.
 """
 
 from __future__ import annotations
@@ -13,11 +10,10 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -48,6 +44,7 @@ from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.views import CandidatePool, CandidateTable, GivenViews, without_overlap
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.worlds import (
+    CaptureFailed,
     SceneWorld,
     World,
     checked_bounds,
@@ -56,28 +53,7 @@ from activestructure_gym.worlds import (
     frame_from,
 )
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class CaptureRequest:
-    """Ask for the next keyframe: the poses to pass, one per frame, and the pose to take it at.
-
-    Attributes
-    ----------
-    path
-        ``world_from_camera`` [P, 4, 4], P >= 1, without the agent's current pose; the keyframe is taken at the last.
-    """
-
-    path: np.ndarray
-
-    @property
-    def pose(self) -> np.ndarray:
-        """Return the pose [4, 4] of the keyframe."""
-        return np.asarray(self.path[-1])
-
-
-Capturing = Generator[CaptureRequest, Frame, T]  # asks for keyframes, receives them, and returns a T
+_MAX_FAILURES = 3  # captures in a row that may fail; the next failure ends the episode with its error
 
 
 @dataclass(frozen=True)
@@ -147,10 +123,6 @@ class Reconstruction:
         InputError
             If the pose is outside the scene or in collision, or the world's camera is not the configured one.
         """
-        return self._captured(self.starting(world, seed, start_pose))
-
-    def starting(self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Capturing[Frame]:
-        """Do the same as `start`, but ask for the keyframe."""
         config = self.config
         # One random stream per consumer: a policy's choices cannot change the noise, nor the noise the planned paths.
         choice, noise, mapping, planning, pool, sources = np.random.SeedSequence(seed).spawn(6)
@@ -219,32 +191,19 @@ class Reconstruction:
         self.frames = 0
         self.metres = 0.0
         self.decisions = 0
+        self._failures = 0  # captures in a row that have failed
         # wall-clock time by stage; never part of an observation
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
         # The start pose is collision-free, so a sphere within the start's clearance is marked as free.
         self.volume.mark_free_sphere(start_pose[:3, 3], min(motion.start_free_radius, start.free_radius))
-        frame = yield from self._keyframe(start.pose[None])
+        frame = self._keyframe(start.pose[None])
         self.frames = 1
         self._refresh()
         return frame
 
     def _set_scene(self, world: SceneWorld) -> None:
         self.world, self._exact, self.scene, self.sensor = world, True, world.scene, world.sensor
-
-    def _captured(self, asking: Capturing[T]) -> T:
-        """Run a generator that asks for keyframes, capture them in the world, and return its result."""
-        try:
-            request = next(asking)
-            while True:
-                with self._timed("sensor"):
-                    if (travel := getattr(self.world, "travel", None)) is not None:
-                        travel(request.path.copy())
-                    frame = self.world.capture(request.pose)
-                request = asking.send(frame)
-        except StopIteration as done:
-            result: T = done.value
-            return result
 
     @property
     def agent(self) -> Agent:
@@ -271,17 +230,15 @@ class Reconstruction:
         return self.frames >= self.config.frame_budget
 
     def move_to(self, index: int) -> StepResult:
-        """Execute candidate ``index`` of the current table and capture the keyframes on the path; see `moving`."""
-        return self._captured(self.moving(index))
-
-    def moving(self, index: int) -> Capturing[StepResult]:
-        """Execute candidate ``index`` of the current table and ask for the keyframes on the path to it.
+        """Execute candidate ``index`` of the current table and map on the path to it.
 
         Most rows are views to move to. Others optimise in place, look at a point on the path, end the episode, or
         switch to another candidate stage, which costs no frame. An index beyond the table, and a view without a path,
         cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
         observed obstacles block ends before the obstacle. A path ends too if a keyframe was taken elsewhere than asked
-        for, by more than one frame's step or turn; planning continues from there.
+        for, by more than one frame's step or turn; planning continues from there. A keyframe that the world cannot take
+        (`CaptureFailed`) ends the path at the keyframe before it and costs one frame; the fourth failure in a row is
+        raised.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
@@ -308,7 +265,7 @@ class Reconstruction:
                 self.pool.drop(int(self.candidates.ids[index]))
                 self._let_pass()
             else:
-                reached, keyframes = yield from self._walk(poses, revisits=bool(self.candidates.revisit[index]))
+                reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
                 if not reached and not self.exhausted:
                     # Blocked by an obstacle that is now in the volume: the same view is not tried again.
                     self.pool.drop(int(self.candidates.ids[index]))
@@ -325,10 +282,6 @@ class Reconstruction:
         self.frames = min(self.frames + 1, self.config.frame_budget)
 
     def follow(self, segment: PathSegment) -> StepResult:
-        """Execute given poses and capture the keyframes; see `following`."""
-        return self._captured(self.following(segment))
-
-    def following(self, segment: PathSegment) -> Capturing[StepResult]:
         """Execute given poses in place of a decision, within the budget, and map at the segment's keyframes.
 
         Neither collisions nor the distance between poses are checked. The last frame of the budget is a keyframe.
@@ -343,7 +296,7 @@ class Reconstruction:
                 break
             self._step_to(pose)
             if refine_factor or self.exhausted:
-                keyframes.append((yield from self._keyframe(segment.poses[since:number], refine_factor or 1)))
+                keyframes.append(self._keyframe(segment.poses[since:number], refine_factor or 1))
                 since = number
         self.frames = min(self.frames + segment.lost, self.frame_budget)
         self.stops.append(self.pose)
@@ -389,8 +342,8 @@ class Reconstruction:
         self.trajectory.append(pose)
         self.frames += 1
 
-    def _walk(self, poses: np.ndarray, *, revisits: bool) -> Capturing[tuple[bool, list[Frame]]]:
-        """Execute frames until the goal, the end of the budget, an obstacle, or a keyframe taken elsewhere.
+    def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
+        """Execute frames until the goal, the end of the budget, an obstacle, or a keyframe elsewhere or not taken.
 
         Return whether the goal was reached, and the keyframes.
 
@@ -398,7 +351,7 @@ class Reconstruction:
         """
         keyframes: list[Frame] = []
         index, end = 0, len(poses)  # poses[:end] is free in the current volume
-        since = 0  # first pose after the last keyframe
+        since, kept = 0, (self.frames, self.metres, self.pose)  # first pose after the last keyframe; state there
         while index < end and not self.exhausted:
             self._step_to(poses[index])
             index += 1
@@ -406,8 +359,17 @@ class Reconstruction:
             if due and (view := self._capturable(poses[index - 1])) is not None:
                 refine_factor = self.config.revisit_rounds if revisits and index == len(poses) else 1
                 path = np.concatenate([poses[since : index - 1], view[None]])
-                keyframes.append((yield from self._keyframe(path, refine_factor)))
-                since = index
+                try:
+                    keyframes.append(self._keyframe(path, refine_factor))
+                except CaptureFailed:
+                    self._failures += 1
+                    if self._failures > _MAX_FAILURES:
+                        raise
+                    del self.trajectory[len(self.trajectory) - (index - since) :]
+                    self.frames, self.metres, self.pose = kept
+                    self._let_pass()
+                    return False, keyframes
+                since, kept = index, (self.frames, self.metres, self.pose)
                 if not self._exact and not arrived_at(self.pose, poses[index - 1], self.config.motion):
                     return False, keyframes
                 with self._timed("planning"):

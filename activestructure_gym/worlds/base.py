@@ -98,7 +98,10 @@ class World(Protocol):
 
 
 class CaptureFailed(RuntimeError):
-    """Report that a world could not take a frame."""
+    """Report that a world could not take a frame, for example since the robot does not reach the pose.
+
+    The planner then chooses another view. The fourth failure in a row ends the episode with this error.
+    """
 
 
 def is_world(value: Any) -> TypeGuard[World]:

@@ -5,6 +5,7 @@ A folder of captures holds::
     world.json     bounds, camera, start.
     000000.npz     the first frame: rgb, depth, pose (where it was taken), asked (the pose that was asked for).
     000001.npz     the second frame, and so on.
+    000002.failed  the message of a capture that failed, in place of its frame.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class StoredCaptures:
     Parameters
     ----------
     folder
-        Folder of the captures; made if it is missing.
+        Folder of the captures; made if it is missing. Failures at its end are forgotten if a world is given.
     world
         The world to capture in after the stored frames; None to replay only.
 
@@ -58,14 +59,24 @@ class StoredCaptures:
         for name in ("truth", "views"):
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
+        while world is not None and self._failure(self.stored - 1).exists():
+            self._failure(self.stored - 1).unlink()  # the world is asked again
+
+    @property
+    def exhausted(self) -> bool:
+        """Return whether the next capture is neither stored nor can be taken."""
+        return self.world is None and not self._is_stored(self._next)
 
     @property
     def stored(self) -> int:
-        """Return the number of stored frames."""
+        """Return the number of stored captures."""
         count = 0
-        while self._file(count).exists():
+        while self._is_stored(count):
             count += 1
         return count
+
+    def _is_stored(self, number: int) -> bool:
+        return self._file(number).exists() or self._failure(number).exists()
 
     @property
     def bounds(self) -> np.ndarray:
@@ -93,7 +104,7 @@ class StoredCaptures:
 
     def travel(self, path: np.ndarray) -> None:
         """Send the path [P, 4, 4] to the world, unless the frame at its end is stored."""
-        if not self._file(self._next).exists() and (travel := getattr(self.world, "travel", None)) is not None:
+        if not self._is_stored(self._next) and (travel := getattr(self.world, "travel", None)) is not None:
             travel(path)
 
     def capture(self, world_from_camera: np.ndarray) -> Frame:
@@ -102,28 +113,34 @@ class StoredCaptures:
         Raise `InputError` if the stored frame was asked for at another pose than ``world_from_camera`` [4, 4], and
         `CaptureFailed` if there is neither a stored frame nor a world.
         """
-        file = self._file(self._next)
-        if file.exists():
-            frame = self._stored_frame(file, world_from_camera)
-        elif self.world is None:
-            raise CaptureFailed(f"'{self.folder}' holds {self._next} captures, and the episode asks for another one")
-        else:
-            frame = self.world.capture(world_from_camera)
-            self.store(frame, world_from_camera)
+        number = self._next
+        if self.exhausted:
+            raise CaptureFailed(f"'{self.folder}' holds {number} captures, and the episode asks for another one")
         self._next += 1
+        if (failure := self._failure(number)).exists():
+            raise CaptureFailed(failure.read_text(encoding="utf-8", errors="replace"))
+        if self._file(number).exists():
+            return self._stored_frame(self._file(number), world_from_camera)
+        assert self.world is not None
+        self._read_or_ask()  # world.json comes first
+        try:
+            frame = self.world.capture(world_from_camera)
+        except CaptureFailed as error:
+            with replaced(failure) as stream:
+                stream.write(str(error).encode())
+            raise
+        images = {"rgb": np.asarray(frame.rgb), "depth": np.asarray(frame.depth)}
+        poses = {"pose": np.asarray(frame.world_from_camera), "asked": np.asarray(world_from_camera)}
+        with replaced(self._file(number)) as stream:
+            np.savez_compressed(stream, **images, **poses)  # type: ignore[arg-type]
         return frame
 
     def frame(self, number: int) -> Frame:
-        """Return stored frame ``number``, counted from 0; raise `InputError` if it is missing or damaged."""
-        return self._stored_frame(self._file(number))
-
-    def store(self, frame: Frame, asked: np.ndarray) -> None:
-        """Write the next frame's file; ``asked`` is the pose [4, 4] that was asked for."""
-        self._read_or_ask()  # world.json comes first
-        arrays = {"rgb": frame.rgb, "depth": frame.depth, "pose": frame.world_from_camera, "asked": asked}
-        with replaced(self._file(self._next)) as stream:
-            named: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
-            np.savez_compressed(stream, **named)
+        """Return frame ``number`` of those that did not fail, counted from 0; raise `InputError` if it is damaged."""
+        taken = [file for k in range(self.stored) if (file := self._file(k)).exists()]
+        if number >= len(taken):
+            raise InputError(f"'{self.folder}' holds {len(taken)} frames, and frame {number} is asked for")
+        return self._stored_frame(taken[number])
 
     def close(self) -> None:
         """Release the world."""
@@ -133,18 +150,22 @@ class StoredCaptures:
     def _file(self, number: int) -> Path:
         return self.folder / f"{number:0{_DIGITS}}.npz"
 
+    def _failure(self, number: int) -> Path:
+        return self.folder / f"{number:0{_DIGITS}}.failed"
+
     def _stored_frame(self, file: Path, wanted: np.ndarray | None = None) -> Frame:
         try:
             arrays = read_npz(file)
-            rgb, depth, pose, asked = (arrays[name] for name in ("rgb", "depth", "pose", "asked"))
-        except (OSError, ValueError, KeyError) as error:
+            if missing := {"asked", "rgb", "depth", "pose"} - arrays.keys():
+                raise ValueError(f"it lacks {', '.join(sorted(missing))}")
+        except (OSError, ValueError) as error:
             raise InputError(f"'{file}' is damaged: {error}; delete it and all later captures, and resume") from error
-        if wanted is not None and not np.array_equal(asked, wanted):
+        if wanted is not None and not np.array_equal(arrays["asked"], wanted):
             raise InputError(
                 f"'{file}' was taken for another pose than the episode now asks for: the code, the settings or the "
                 "seed have changed since; begin a new episode in another folder"
             )
-        return Frame(rgb=rgb, depth=depth, world_from_camera=pose, camera=self.camera)
+        return Frame(rgb=arrays["rgb"], depth=arrays["depth"], world_from_camera=arrays["pose"], camera=self.camera)
 
     def _read_or_ask(self) -> tuple[np.ndarray, PinholeCamera, Start]:
         """Return the facts of ``world.json``; take them from the world and write the file if there is none."""

@@ -47,7 +47,10 @@ def test_an_interrupted_episode_goes_on_as_if_nothing_had_happened(tmp_path: Pat
     with pytest.raises(CaptureFailed, match="battery"):
         played(StoredCaptures(tmp_path / "a", robot(Breaking)))
     stored = StoredCaptures(tmp_path / "a")
-    assert stored.stored == 5
+    assert stored.stored == 9  # five frames, and four failures in a row
+    assert [path.name for path in sorted((tmp_path / "a").glob("*.failed"))][0] == "000005.failed"
+    with pytest.raises(CaptureFailed, match="battery"):  # a replay fails in the same way
+        played(stored)
 
     fresh = robot()
     asked = list[np.ndarray]()

@@ -386,9 +386,13 @@ class Reconstruction:
         motion = self.config.motion
         return self.pool.at(pose, metres=motion.max_step_m, degrees=motion.max_turn_deg)
 
-    def _keyframe(self, path: np.ndarray, refine_factor: int = 1) -> Capturing[Frame]:
-        """Ask for a keyframe at the last pose of ``path`` [P, 4, 4], integrate it and return it as integrated."""
-        frame = yield CaptureRequest(path)
+    def _keyframe(self, path: np.ndarray, refine_factor: int = 1) -> Frame:
+        """Travel along ``path`` [P, 4, 4], capture a keyframe at its end, integrate it and return it as integrated."""
+        with self._timed("sensor"):
+            if (travel := getattr(self.world, "travel", None)) is not None:
+                travel(path.copy())
+            frame = self.world.capture(path[-1])
+        self._failures = 0
         sensor = self.config.sensor
         if not self._exact:
             frame = frame_from(frame.rgb, frame.depth, frame.world_from_camera, sensor.camera, sensor.max_range)

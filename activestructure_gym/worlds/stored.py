@@ -3,6 +3,7 @@
 A folder of captures holds::
 
     world.json     bounds, camera, start.
+    views.npz      the poses that can be captured, if the world has `Views`.
     000000.npz     the first frame: rgb, depth, pose (where it was taken), asked (the pose that was asked for).
     000001.npz     the second frame, and so on.
     000002.failed  the message of a capture that failed, in place of its frame.
@@ -24,9 +25,10 @@ from activestructure_gym.files import replaced
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.npz import read_npz
-from activestructure_gym.worlds.base import CaptureFailed, Start, World, checked_bounds, checked_start
+from activestructure_gym.worlds.base import CaptureFailed, Start, Views, World, checked_bounds, checked_start
 
 WORLD_FILE = "world.json"
+_VIEWS_FILE = "views.npz"
 _FORMAT = 1
 _DIGITS = 6  # of a frame's file name
 
@@ -56,9 +58,11 @@ class StoredCaptures:
         self._facts = self._read() if (self.folder / WORLD_FILE).exists() else None
         if self._facts is None and world is None:
             raise InputError(f"'{self.folder}' holds no captures to replay: it has no {WORLD_FILE}")
-        for name in ("truth", "views"):
-            if hasattr(world, name):
-                setattr(self, name, getattr(world, name))
+        self.truth = getattr(world, "truth", None)
+        self.views: Views | None = getattr(world, "views", None)
+        if (self.folder / _VIEWS_FILE).exists():
+            arrays = _read_arrays(self.folder / _VIEWS_FILE, ("world_from_camera", "free_radius"))
+            self.views = Views(arrays["world_from_camera"], arrays["free_radius"])
         while world is not None and self._failure(self.stored - 1).exists():
             self._failure(self.stored - 1).unlink()  # the world is asked again
 
@@ -154,12 +158,7 @@ class StoredCaptures:
         return self.folder / f"{number:0{_DIGITS}}.failed"
 
     def _stored_frame(self, file: Path, wanted: np.ndarray | None = None) -> Frame:
-        try:
-            arrays = read_npz(file)
-            if missing := {"asked", "rgb", "depth", "pose"} - arrays.keys():
-                raise ValueError(f"it lacks {', '.join(sorted(missing))}")
-        except (OSError, ValueError) as error:
-            raise InputError(f"'{file}' is damaged: {error}; delete it and all later captures, and resume") from error
+        arrays = _read_arrays(file, ("asked", "rgb", "depth", "pose"))
         if wanted is not None and not np.array_equal(arrays["asked"], wanted):
             raise InputError(
                 f"'{file}' was taken for another pose than the episode now asks for: the code, the settings or the "
@@ -180,6 +179,10 @@ class StoredCaptures:
                 "start": {"pose": start.pose.tolist(), "free_radius": start.free_radius},
             }
             self.folder.mkdir(parents=True, exist_ok=True)
+            if self.views is not None:
+                with replaced(self.folder / _VIEWS_FILE) as stream:
+                    poses, radii = self.views.world_from_camera, self.views.free_radius
+                    np.savez_compressed(stream, world_from_camera=poses, free_radius=radii)
             with replaced(self.folder / WORLD_FILE) as stream:
                 stream.write((json.dumps(content, indent=1) + "\n").encode())
             self._facts = bounds, camera, start
@@ -201,3 +204,14 @@ class StoredCaptures:
             return bounds, camera, checked_start(start, bounds)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"'{file}' is damaged: {error}") from error
+
+
+def _read_arrays(file: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return the named arrays of a file; raise `InputError` if it is damaged or lacks one."""
+    try:
+        arrays = read_npz(file)
+        if missing := set(names) - arrays.keys():
+            raise ValueError(f"it lacks {', '.join(sorted(missing))}")
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{file}' is damaged: {error}; delete it and all later captures, and resume") from error
+    return arrays

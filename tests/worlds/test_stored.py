@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.worlds import CaptureFailed, StoredCaptures
+from activestructure_gym.worlds import CaptureFailed, StoredCaptures, Views
 from activestructure_gym.worlds.simulated_world import SimulatedRobot
 
 
@@ -104,3 +104,15 @@ def test_damaged_captures_are_named(tmp_path: Path) -> None:
     (tmp_path / "world.json").write_text("[")
     with pytest.raises(InputError, match="damaged"):
         StoredCaptures(tmp_path)
+
+
+def test_the_views_of_a_world_are_stored_too(tmp_path: Path) -> None:
+    poses = np.stack([SimulatedRobot("room")._space.start_poses[k] for k in range(3)])
+    first = SimulatedRobot("room", width=64, height=36)
+    first.views = Views(poses, np.full(3, 0.4))  # type: ignore[attr-defined]
+    world = StoredCaptures(tmp_path, first)
+    world.capture(world.start.pose)
+    again = StoredCaptures(tmp_path)
+    assert again.views is not None
+    np.testing.assert_array_equal(again.views.world_from_camera, poses)
+    assert again.views.free_radius.tolist() == [0.4] * 3

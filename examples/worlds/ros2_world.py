@@ -32,9 +32,10 @@ WAIT = Duration(seconds=10.0)  # for pictures and transforms
 class Ros2World:
     """Drive a robot along the planner's paths and take its camera's frames."""
 
-    def __init__(self, bounds: tuple[float, float, float, float, float, float], *, camera="/camera", fixed="map"):
+    def __init__(self, bounds: tuple[float, ...], *, free_radius: float = 0.6, camera="/camera", fixed="map"):
         rclpy.init()
-        self._node, self._fixed, self._seen = rclpy.create_node("explorer"), fixed, None
+        self._node, self._seen = rclpy.create_node("explorer"), None
+        self._fixed, self._free_radius = fixed, free_radius
         self._tf, self._drive = tf2_ros.Buffer(), ActionClient(self._node, FollowPath, "follow_path")
         self._listener = tf2_ros.TransformListener(self._tf, self._node)
         topics = [Subscriber(self._node, kind, f"{camera}/{name}") for name, kind in TOPICS.items()]
@@ -45,7 +46,11 @@ class Ros2World:
         # ROS counts pixels from the centre of the first one, we from its corner.
         self.camera = PinholeCamera(info.width, info.height, info.k[0], info.k[4], info.k[2] + 0.5, info.k[5] + 0.5)
         self.bounds, self._optical = checked_bounds(np.reshape(bounds, (2, 3))), colour.header.frame_id
-        self.start = Start(self._pose(fixed, self._optical, Time.from_msg(colour.header.stamp)), free_radius=0.4)
+
+    @property
+    def start(self):
+        # The camera's current pose. Its surroundings must be free when an episode begins.
+        return Start(self._pose(self._fixed, self._optical, Time()), self._free_radius)
 
     def travel(self, path):
         goal = FollowPath.Goal()

@@ -30,6 +30,8 @@ class SimulatedRobot:
     pose_noise_m, pose_noise_deg
         Standard deviation of the reported position (metres per axis) and rotation (degrees per axis). The robot itself
         goes exactly where it is sent.
+    backend
+        Renderer: auto, raycast or pyrender.
     seed
         Seed of the layout, and until the first reset of noise and start pose.
     """
@@ -44,6 +46,7 @@ class SimulatedRobot:
         depth_noise: DepthNoise = "none",
         pose_noise_m: float = 0.0,
         pose_noise_deg: float = 0.0,
+        backend: str = "auto",
         seed: int = 0,
     ) -> None:
         procedural = scene in ("room", "apartment", "box")
@@ -56,6 +59,7 @@ class SimulatedRobot:
             depth_noise=depth_noise,
             pose_noise_m=pose_noise_m,
             pose_noise_deg=pose_noise_deg,
+            backend=backend,
         )
         self._space, self._scene, self._config = known.free_space, known.scene, sensor
         self.bounds = known.scene.bounds

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.worlds.rooms import mjcf
+from tests.worlds.rooms import mjcf, room
 
 
 @pytest.fixture(scope="session")
@@ -24,4 +24,21 @@ def mujoco_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if "EGL" not in str(error):
             raise
         pytest.skip(str(error))
+    return path
+
+
+@pytest.fixture(scope="session")
+def mesh_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The room of boxes as a mesh file; skips without EGL or GL."""
+    import trimesh
+
+    from activestructure_gym.sensors import renderer_status
+
+    status = renderer_status()["pyrender"]
+    if status != "works":
+        pytest.skip(status)
+    mesh = room().mesh
+    path = tmp_path_factory.mktemp("mesh") / "room.ply"
+    colours = (255 * mesh.colors).round().astype("uint8")
+    trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False).export(path)
     return path

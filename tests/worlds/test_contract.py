@@ -13,6 +13,7 @@ RANGE = 1000.0  # metres: anything beyond is no measurement
 # World: fixtures that its name needs, the name with these values.
 NAMES: dict[str, tuple[tuple[str, ...], str]] = {
     "simulated": ((), "simulated?scene=box&width=48&height=32"),
+    "pyrender": (("mesh_room",), "pyrender?file={mesh_room}&width=48&height=32"),
     "mujoco": (("mujoco_room",), "mujoco?model={mujoco_room}&width=48&height=32"),
 }
 

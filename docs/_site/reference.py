@@ -6,11 +6,10 @@ import ast
 import dataclasses
 import importlib
 import inspect
-import io
-import tokenize
 from functools import cache
 from typing import Any
 
+from activestructure_gym.evaluation.cli.config import field_notes
 from activestructure_gym.features.table import feature_table
 
 # Titles of the rooms in docs/guide/api.md. A name that several rooms have is described in the last of these.
@@ -71,32 +70,15 @@ def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
 
 
 def field_words(kind: type) -> list[tuple[str, str, str, str]]:
-    """Return (name, type, default, description) of each field that a dataclass defines itself and does not inherit.
-
-    The description is the comment on the field's line, else the string below it, else the comment above it.
-    """
+    """Return (name, type, default, description) of each field that a dataclass defines itself and does not inherit."""
     source = inspect.cleandoc("\n" + inspect.getsource(kind))
-    comments = {
-        token.start[0]: (token.string.lstrip("# "), token.line.lstrip().startswith("#"))
-        for token in tokenize.generate_tokens(io.StringIO(source).readline)
-        if token.type == tokenize.COMMENT
-    }
     (body,) = (node.body for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
-    names, rows = {field.name for field in dataclasses.fields(kind)}, []
-    for at, node in enumerate(body):
-        if not (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id in names):
-            continue
-        lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-        words = " ".join(comments[line][0] for line in lines if line in comments)
-        after = body[at + 1] if at + 1 < len(body) else None
-        if not words and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-            words = " ".join(str(after.value.value).split())
-        if not words:
-            above = node.lineno - 1
-            while comments.get(above, ("", False))[1]:
-                words, above = f"{comments[above][0]} {words}".strip(), above - 1
-        rows.append((node.target.id, ast.unparse(node.annotation), _default(node.value), words))
-    return rows
+    names, notes = {field.name for field in dataclasses.fields(kind)}, field_notes(kind)
+    return [
+        (node.target.id, ast.unparse(node.annotation), _default(node.value), notes[node.target.id])
+        for node in body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id in names
+    ]
 
 
 def escaped(text: str) -> str:

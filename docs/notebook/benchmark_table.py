@@ -78,7 +78,7 @@ Table = dict[str, dict[Cell, dict[str, float]]]  # metrics by policy, then by (s
 
 
 def added(place: Path, directories: Sequence[Path]) -> None:
-    """Add the runs in comparison directories to the CSV file ``place``, or replace them if it has them already."""
+    """Add the runs in comparison directories to the CSV file ``place``; lines of the same runs are replaced."""
     rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
     for run in gather(directories).runs:
         values = {key: value_of(run, key) for key in KEPT}

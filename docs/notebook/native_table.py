@@ -72,7 +72,7 @@ def rows() -> list[dict[str, str]]:
 
 
 def added(directories: Sequence[Path]) -> None:
-    """Add the runs in comparison directories to native.csv, or replace them if it has them already."""
+    """Add the runs in comparison directories to native.csv; lines of the same runs are replaced."""
     lines = {tuple(row[name] for name in NAMES[:3]): row for row in rows()}
     for run in gather(directories).runs:
         row = line_of(run)

@@ -31,7 +31,7 @@ _CRITIC_WEIGHT = 0.5  # weight of the critic's squared error in the loss; its gr
 class OrdinalRanks(nn.Module):
     """Compute the CORAL loss of ordinal ranks ([cao2020]): P(rank > k) = sigmoid(score + b_k) with thresholds b_k.
 
-    Since all thresholds share one score, P(rank > k) falls with k once the thresholds do.
+    All thresholds share one score, so P(rank > k) falls with k if b_k does.
     """
 
     def __init__(self, bins: int) -> None:

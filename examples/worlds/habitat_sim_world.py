@@ -2,7 +2,7 @@
 
     PYTHONPATH=examples/worlds python examples/play.py --scene "world:habitat_sim_world:HabitatWorld?scene=FILE.glb"
 
-Habitat's world has y up, and its cameras look along -z with y up.
+The world frame of Habitat has y up, and its cameras look along -z with y up.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.worlds import Start, frame_from
 
-OURS_FROM_HABITAT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-FLIP = np.diag([1.0, -1.0, -1.0])  # between the camera axes of OpenGL and OpenCV
+OURS_FROM_HABITAT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # world with y up to world with z up
+FLIP = np.diag([1.0, -1.0, -1.0])  # from OpenCV's camera axes to OpenGL's, or back
 
 
 class HabitatWorld:
-    """Draw a scene in Habitat-Sim; places on its navigation mesh are the starts."""
+    """Render a scene in Habitat-Sim; an episode begins at a random point of its navigation mesh."""
 
     def __init__(
         self, scene: str, *, width: int = 160, height: int = 90, hfov: float = 90.0, camera_height: float = 1.2

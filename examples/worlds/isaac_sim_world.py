@@ -3,7 +3,7 @@
     world="world:isaac_sim_world:IsaacWorld?usd=FILE.usd&bounds=-5,-5,0,5,5,3&start=0,0,1.2,0"
     PYTHONPATH=examples/worlds ./python.sh examples/play.py --scene "$world"
 
-The stage has z up and metres. A camera looks along its own -z with y up.
+The USD stage must have z up and metres as its unit. Its cameras look along their own -z with y up.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.worlds import CaptureFailed, Start, checked_bounds, frame_from
 
-FLIP = np.diag([1.0, -1.0, -1.0])  # between the camera axes of USD and OpenCV
-SETTLE, PATIENCE = 8, 100  # updates after a move until the picture shows it; updates to wait for a picture
+FLIP = np.diag([1.0, -1.0, -1.0])  # from OpenCV's camera axes to USD's, or back
+SETTLE, PATIENCE = 8, 100  # updates after a move until images show it, and largest number of updates to wait for images
 
 
 class IsaacWorld:
-    """Draw a stage with the RTX renderer."""
+    """Render a USD stage with the RTX renderer of Isaac Sim."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class IsaacWorld:
         hfov: float = 90.0,
         free_radius: float = 0.5,
     ) -> None:
-        self._app = SimulationApp({"headless": True})  # other modules of Isaac Sim are imported after it
+        self._app = SimulationApp({"headless": True})  # must exist before other modules of Isaac Sim are imported
         from isaacsim.core.experimental.utils import app, stage
         from isaacsim.sensors.experimental.rtx import CameraSensor, RtxCamera
 
@@ -42,7 +42,7 @@ class IsaacWorld:
         while stage.is_stage_loading():
             self._app.update()
         self._prim = RtxCamera("/World/ActiveStructureCamera")
-        focal = 0.5 / np.tan(np.radians(hfov) / 2.0)  # for an aperture of 1 across
+        focal = 0.5 / np.tan(np.radians(hfov) / 2.0)  # for a horizontal aperture of 1
         self._prim.camera.set_focal_lengths(focal)
         self._prim.camera.set_apertures((1.0, height / width))
         self._prim.camera.set_clipping_ranges(0.05, 1000.0)
@@ -62,7 +62,7 @@ class IsaacWorld:
             self._app.update()
             images = [self._sensor.get_data(name)[0] for name in ("rgb", "distance_to_image_plane")]
             if update >= SETTLE and all(image is not None for image in images):
-                rgb, depth = (image.numpy() for image in images)  # depth of the sky is infinite
+                rgb, depth = (image.numpy() for image in images)  # the depth of the sky is infinite
                 return frame_from(rgb, depth, world_from_camera, self.camera, np.inf)
         raise CaptureFailed(f"Isaac Sim gave no picture in {PATIENCE} updates")
 

@@ -3,8 +3,8 @@
     pip install 'activestructure-gym[mujoco]' gymnasium-robotics
     python examples/worlds/mujoco_kitchen.py --policy unknown_volume --picture kitchen.png
 
-MuJoCo draws through EGL; Debian's packages libegl1 and libgl1 bring it. The kitchen has two walls and no ceiling, so
-bounds and start are given.
+MuJoCo renders by EGL, which Debian's packages libegl1 and libgl1 install. The kitchen has two walls and no ceiling, so
+this file gives the bounds and the start pose.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MODEL = "envs/assets/kitchen_franka/kitchen_assets/kitchen_env_model.xml"
 
 @dataclass
 class Args:
-    """Define the options."""
+    """Hold the command-line options."""
 
     policy: str = "activestructure"
     preset: str = "default"
@@ -35,7 +35,7 @@ class Args:
 
 
 def kitchen() -> str:
-    """Return the world's name; raise `InputError` without the package."""
+    """Return the name of the kitchen as a world; raise `InputError` if gymnasium-robotics is not installed."""
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or found.origin is None:
         raise InputError("the kitchen is a part of another package: pip install gymnasium-robotics")
@@ -44,7 +44,7 @@ def kitchen() -> str:
 
 
 def main(args: Args) -> None:
-    """Play one episode and print each decision."""
+    """Play one episode in the kitchen, and print the result of each decision."""
     env, policy = make_env_and_policy(
         args.policy, kitchen(), preset=args.preset, frame_budget=args.frames, render_mode="rgb_array"
     )

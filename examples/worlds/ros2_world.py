@@ -1,9 +1,9 @@
-"""Explore with a robot under ROS 2, from Humble on; Nav2's controller drives it along each path.
+"""Explore with a robot by ROS 2 (Humble or later); the controller of Nav2 drives the robot along each path.
 
     world="world:ros2_world:Ros2World?bounds=-5,-5,0,5,5,2.5"
     PYTHONPATH=examples/worlds python examples/play.py --scene "$world"
 
-The robot's driver, localisation and Nav2 must run. Depth is registered to colour.
+The robot's driver, its localisation and Nav2 must run. Depth images must be registered to colour images.
 """
 
 import threading
@@ -26,11 +26,11 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.worlds import CaptureFailed, Start, checked_bounds, frame_from
 
 TOPICS = {"color/image_raw": Image, "aligned_depth_to_color/image_raw": Image, "color/camera_info": CameraInfo}
-WAIT = Duration(seconds=10.0)  # for pictures and transforms
+WAIT = Duration(seconds=10.0)  # longest time to wait for images and transforms
 
 
 class Ros2World:
-    """Drive a robot along the planner's paths and take its camera's frames."""
+    """Drive a robot along the planner's paths, and return the frames of its camera."""
 
     def __init__(self, bounds: tuple[float, ...], *, free_radius: float = 0.6, camera="/camera", fixed="map"):
         rclpy.init()
@@ -43,7 +43,7 @@ class Ros2World:
         self._together.registerCallback(lambda *messages: setattr(self, "_seen", messages))
         threading.Thread(target=rclpy.spin, args=(self._node,), daemon=True).start()
         colour, _, info = self._next()
-        # ROS counts pixels from the centre of the first one, we from its corner.
+        # In ROS, the origin of pixel coordinates is the centre of the first pixel; in this project it is its corner.
         self.camera = PinholeCamera(info.width, info.height, info.k[0], info.k[4], info.k[2] + 0.5, info.k[5] + 0.5)
         self.bounds, self._optical = checked_bounds(np.reshape(bounds, (2, 3))), colour.header.frame_id
 
@@ -59,20 +59,20 @@ class Ros2World:
             turn = Quaternion(**dict(zip("xyzw", Rotation.from_matrix(base[:3, :3]).as_quat())))
             place = Point(**dict(zip("xyz", base[:3, 3])))
             goal.path.poses.append(PoseStamped(header=goal.path.header, pose=Pose(position=place, orientation=turn)))
-        self._drive.send_goal(goal)  # returns when the robot has stopped, at the end or before it
+        self._drive.send_goal(goal)  # returns when the robot has stopped, at the end of the path or before
 
     def capture(self, world_from_camera):
         colour, depth, _ = self._next()
         rgb, metres = CvBridge().imgmsg_to_cv2(colour, "rgb8"), CvBridge().imgmsg_to_cv2(depth, "passthrough")
         metres = metres * np.float32(0.001 if depth.encoding == "16UC1" else 1.0)
-        pose = self._pose(self._fixed, self._optical, Time.from_msg(colour.header.stamp))  # where the robot really is
+        pose = self._pose(self._fixed, self._optical, Time.from_msg(colour.header.stamp))  # the pose really reached
         return frame_from(rgb, metres, pose, self.camera, np.inf)
 
     def close(self):
         rclpy.try_shutdown()
 
     def _next(self):
-        """Return the first pictures that were taken after this call."""
+        """Return the first colour image, depth image and camera info that are taken after this call."""
         began = self._node.get_clock().now()
         while self._seen is None or Time.from_msg(self._seen[0].header.stamp) < began:
             if self._node.get_clock().now() - began > WAIT:
@@ -81,7 +81,7 @@ class Ros2World:
         return self._seen
 
     def _pose(self, target, source, when):
-        """Return ``target_from_source`` [4, 4] at a time."""
+        """Return the transform [4, 4] from the frame ``source`` to the frame ``target`` at the time ``when``."""
         found = self._tf.lookup_transform(target, source, when, WAIT).transform
         turn, place, pose = found.rotation, found.translation, np.eye(4)
         pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN_VIEWS = 4
-TRUE, CAPTURED = "true", "captured"  # words for the images that renderings are compared with
+TRUE, CAPTURED = "true", "captured"  # names of reference images: true held-out views, or captured keyframes
 BLACK_NOTE = "Black: the map has no Gaussian there."
 
 
 def reference_word(run: Run) -> str:
-    """Return what the images of a run are compared with: ``true`` held-out views, or ``captured`` keyframes."""
+    """Return the name of the images with which a run's rendered images are compared: "true" or "captured"."""
     return TRUE if run.has_truth else CAPTURED
 
 

@@ -116,7 +116,7 @@ def own_metrics(runs: Sequence[Run]) -> list[Metric]:
 
 
 def truth_absences(runs: Sequence[Run]) -> list[str]:
-    """Return a text that names the metrics which runs without ground truth do not have; none if all runs have it."""
+    """Return a sentence on the metrics that runs without ground truth lack, as a list; [] if all runs have it."""
     without = [run for run in runs if not run.has_truth]
     if not without:
         return []

@@ -6,7 +6,21 @@ from pathlib import Path
 
 import pytest
 
+from tests.worlds.recordings import record, recorded_poses
 from tests.worlds.rooms import mjcf, room
+from tests.worlds.splats import write_box
+
+
+@pytest.fixture(scope="session")
+def recorded_box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 24 frames in the box."""
+    return record(tmp_path_factory.mktemp("recorded") / "box", recorded_poses())
+
+
+@pytest.fixture(scope="session")
+def splat_box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of a run in the box."""
+    return write_box(tmp_path_factory.mktemp("splat") / "box.ply")
 
 
 @pytest.fixture(scope="session")

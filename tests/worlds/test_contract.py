@@ -14,6 +14,8 @@ RANGE = 1000.0  # metres: anything beyond is no measurement
 NAMES: dict[str, tuple[tuple[str, ...], str]] = {
     "simulated": ((), "simulated?scene=box&width=48&height=32"),
     "pyrender": (("mesh_room",), "pyrender?file={mesh_room}&width=48&height=32"),
+    "recorded": (("recorded_box",), "recorded?path={recorded_box}&up=-y&width=48"),
+    "splat": (("splat_box",), "splat?file={splat_box}&width=48&height=32"),
     "mujoco": (("mujoco_room",), "mujoco?model={mujoco_room}&width=48&height=32"),
 }
 

@@ -10,44 +10,22 @@ import pytest
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.mapping.axes import FILE_FROM_WORLD, turned_map
 from activestructure_gym.mapping.files import read_map
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, QUATERNION, ROWS, GaussianMap
 from activestructure_gym.mapping.keyframe_mapper import psnr
 from activestructure_gym.mapping.ply import write_ply
-from activestructure_gym.policies import make_env_and_policy, make_policy
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.worlds import CaptureFailed, load_world
 from activestructure_gym.worlds.splat_world import SplatWorld
+from tests.worlds.splats import CONFIG, explored
 
 GARDEN = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats" / "gsplat_test_garden.npz"
-CONFIG = {"sensor.width": 64, "sensor.height": 36, "mapper.iterations": 4, "keyframe_every": 5}
-
-
-def explored(env: ReconstructionEnv, policy: str) -> KeyframeMapper:
-    """Play an episode and return its mapper."""
-    acting = make_policy(policy)
-    acting.bind(env)
-    observation, _ = env.reset(seed=0)
-    acting.reset(0)
-    ended = False
-    while not ended:
-        observation, _, terminated, truncated, _ = env.step(acting.act(observation))
-        ended = terminated or truncated
-    return env.reconstruction.mapper
 
 
 @pytest.fixture(scope="module")
-def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map of a run in the box, 4 x 3 x 2.5 m."""
-    made, _ = make_env_and_policy("hole_area", "box?seed=0", preset="fast", frame_budget=60, config=CONFIG)
-    file = tmp_path_factory.mktemp("splat") / "box.ply"
-    env = made.unwrapped
-    assert isinstance(env, ReconstructionEnv)
-    write_ply(explored(env, "hole_area").map, file)
-    made.close()
-    return file
+def box(splat_box: Path) -> Path:
+    return splat_box
 
 
 def made(file: Path, **options: object) -> SplatWorld:

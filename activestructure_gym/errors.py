@@ -1,4 +1,4 @@
-"""Define the package's error and warning for user input, and helpers that format names, values and counts."""
+"""Define the error and the warning for user input, and helpers that format names, values and counts for messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 MAX_NAMES = 5  # maximum number of names in a message
-# Commands that list the names of each kind.
+# Commands that list the known names of each kind.
 _LISTS = {
     "policy": "asg list policies",
     "feature": "asg list features",
@@ -22,7 +22,7 @@ MAX_CHARACTERS = 1500  # maximum length of a message, characters
 
 
 def printable(text: str) -> str:
-    r"""Return the text with control characters escaped (``\x1b``); line ends stay, a tab becomes a space.
+    r"""Return the text with control characters escaped (``\x1b``); line ends remain, and a tab becomes a space.
 
     Bidirectional control characters and lone surrogates are escaped as well.
     """
@@ -32,8 +32,11 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return foreign text as one printable line; the middle is cut out of a long one."""
-    if len(text) > 20 * MAX_CHARACTERS:  # the rest would be cut anyway
+    """Return a text from outside this program as one printable line of at most `MAX_CHARACTERS` characters.
+
+    The middle of a longer text is left out.
+    """
+    if len(text) > 20 * MAX_CHARACTERS:  # the middle is left out anyway
         text = f"{text[: 10 * MAX_CHARACTERS]} {text[-10 * MAX_CHARACTERS :]}"
     text = printable(" ".join(text.split()))
     return text if len(text) <= MAX_CHARACTERS else f"{text[: MAX_CHARACTERS - 200]} ... {text[-150:]}"
@@ -44,11 +47,11 @@ def _written(character: str) -> str:
 
 
 class InputError(ValueError):
-    """Report user input that cannot be used: an option, a file, a name, a keyword.
+    """Report user input that cannot be used: an option, a file, a name or a keyword.
 
     The message is one sentence: what is wrong, what was expected, what to do. The command line prints it without a
-    traceback and exits with code 2. It is always one printable line of at most `MAX_CHARACTERS` characters, whatever
-    text from a file or a name it contains.
+    traceback and exits with code 2. The message is always one printable line of at most `MAX_CHARACTERS` characters,
+    even if it contains text from a file or a name.
     """
 
     def __init__(self, *said: object) -> None:
@@ -56,25 +59,24 @@ class InputError(ValueError):
 
 
 class FullDisk(InputError):
-    """Report that a file cannot grow: a full disk, a quota, a size limit.
+    """Report that a file cannot grow, because of a full disk, a quota or a file size limit.
 
-    The input is valid; the command line exits with code 1 instead of 2.
+    The user's input is valid in this case, so the command line exits with code 1 and not 2.
     """
 
 
 class UnknownKeyword(InputError, TypeError):
-    """Report a keyword that a function does not have.
+    """Report a keyword argument that a function does not have.
 
-    It is a `TypeError` too and starts with Python's own wording. TorchRL and Gymnasium try keywords on every
-    environment and drop those refused with that error.
+    The class is also a `TypeError`, and its message begins like Python's own. TorchRL and Gymnasium pass keywords to
+    every environment and drop a keyword if they get this error.
     """
 
 
 class InputWarning(UserWarning):
-    """Warn that user input is used although it is doubtful or ambiguous.
+    """Warn that user input is doubtful or ambiguous, although it is used.
 
-    It is issued through `warnings`; the command line prints it as one line. The message has the form of an
-    `InputError`.
+    The warning is issued through `warnings`; the command line prints it as one line. The message is one printable line.
     """
 
     def __init__(self, *said: object) -> None:
@@ -82,9 +84,10 @@ class InputWarning(UserWarning):
 
 
 def renamed(old: str, given: T | None, new: str, value: T) -> T:
-    """Return the value of keyword ``new``; a value given under its former name ``old`` replaces it and warns.
+    """Return the value of keyword ``new``, which may also be given under its former name ``old``.
 
-    Raise `InputError` if both are given: an empty ``value`` counts as not given.
+    ``value`` was given as ``new`` and ``given`` as ``old``; None means that ``old`` was not given. If it was, warn and
+    return ``given``. Raise `InputError` if both are given; an empty ``value`` counts as not given.
     """
     if given is None:
         return value
@@ -95,22 +98,22 @@ def renamed(old: str, given: T | None, new: str, value: T) -> T:
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
-    """Return the error for a mistyped name, with the nearest name and the command that lists all of them.
+    """Return the error for an unknown ``name``, with the nearest known name and the command that lists all names.
 
-    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg list policies` lists the names``. At most
-    `MAX_NAMES` names are listed.
+    ``kind`` is the kind of name. For example: ``unknown policy 'frontire'; did you mean 'frontier'? `asg list policies`
+    lists the names``. If there is no command, at most `MAX_NAMES` names are listed.
     """
     command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
     return InputError(f"unknown {kind} {short_repr(name)}{_nearest(name, known, command)}")
 
 
 def unknown_keyword(function: str, name: str, known: Iterable[str]) -> UnknownKeyword:
-    """Return the error for a keyword that ``function`` does not have, with the nearest valid one."""
+    """Return the error for a keyword ``name`` that ``function`` does not have, with the nearest ``known`` keyword."""
     return UnknownKeyword(f"{function}() got an unexpected keyword argument '{name}'{_nearest(name, known)}")
 
 
 def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
-    """Return the end of a message about an unknown name: the nearest name and where to find all."""
+    """Return the end of a message about an unknown name: the nearest known name, and where all names are listed."""
     names = sorted(known)
     word = name if isinstance(name, str) else ""
     close = difflib.get_close_matches(word, names, n=1)
@@ -126,21 +129,27 @@ def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
 
 
 def listed(names: Iterable[object], most: int = MAX_NAMES) -> str:
-    """Return the names in one line: ``a, b``; of a long list the first ``most`` and the number of the others."""
+    """Return names separated by commas.
+
+    Of a long list, return the first ``most`` names and the number of the others.
+    """
     words = [str(name) for name in names]
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(words[:most]) + more
 
 
 def short_repr(value: object) -> str:
-    """Return the ``repr`` of a value for an error message: one line, shortened if long."""
+    """Return the ``repr`` of a value for an error message, as one line of about 200 characters at most."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # integers of thousands of digits, and faulty __repr__ methods
+    except Exception:  # an integer of thousands of digits, or a faulty __repr__ method
         return f"something of the kind {type(value).__name__}"
     return text if len(text) <= 200 else f"{text[:160]}... ({len(text)} characters)"
 
 
 def pluralised(number: int, one: str, many: str | None = None) -> str:
-    """Return a count with its noun: ``1 run``, ``2 runs``."""
+    """Return a count with its noun in the right number, such as ``1 run`` or ``2 runs``.
+
+    ``many`` is an irregular plural.
+    """
     return f"{number} {one if number == 1 else many or one + 's'}"

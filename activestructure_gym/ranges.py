@@ -1,4 +1,4 @@
-"""Check that numbers of a configuration lie in ranges, written as in mathematics: ``[0, 1)``."""
+"""Check that the numbers of a configuration are within ranges, written in interval notation: ``[0, 1)``."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, short_repr
 
-# Limits of a valid run; other configurations are refused before the first frame.
+# Limits of all runs; a configuration beyond them is refused before the first frame.
 MAX_COORDINATE_M = 1e6  # metres from the world's origin along each axis
 MAX_ASPECT_RATIO = 8  # largest ratio of a camera image's longer to its shorter side
-MAX_FRAMES = 10**6  # per episode: all poses are kept in memory
+MAX_FRAMES = 10**6  # largest number of frames per episode: all poses are kept in memory
 
 
 def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:
-    """Raise `InputError` for fields of a dataclass outside their ranges; for a tuple, every entry is checked.
+    """Raise `InputError` if a field of the dataclass ``config`` is outside its range.
 
-    Infinity and NaN lie in no range. None is accepted where the field's type allows it.
+    ``ranges`` maps field names to intervals. Every entry of a tuple is checked. Infinity and NaN are in no range. None
+    is accepted if the field's type allows it. ``label`` precedes the field's name in messages; with ``--`` the name is
+    written as an option of the command line.
     """
     kinds = _kinds(config.__class__)
     for name, text in ranges.items():
@@ -76,7 +78,7 @@ def _interval(text: str) -> _Interval:
 
 @cache
 def _kinds(kind: type) -> dict[str, tuple[bool, bool, bool]]:
-    """Return for each field: whether it holds integers, whether it is a tuple, whether it may be None."""
+    """Return three facts about each field of a dataclass: it holds integers, it is a tuple, it may be None."""
     found = {}
     for field in dataclasses.fields(kind):
         hint = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))

@@ -1,4 +1,4 @@
-"""Provide rigid motions, the pinhole camera and directions on the sphere.
+"""Provide rigid transforms, the pinhole camera and unit directions on the sphere.
 
 Conventions of the whole project:
 
@@ -7,7 +7,7 @@ Conventions of the whole project:
 - ``world_from_camera``: 4x4 transform from camera to world points.
 - Pixel (column u, row v): its centre is (u + 0.5, v + 0.5).
 - Depth: metres along the optical axis, 0 = no return.
-- Quaternions: wxyz.
+- Quaternions: order w, x, y, z (written wxyz).
 """
 
 from activestructure_gym.geometry.camera import PinholeCamera

@@ -1,4 +1,4 @@
-"""Model the pinhole camera."""
+"""Define the pinhole camera: rays through pixels, back-projection of depth, projection of points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Lens(NamedTuple):
-    """Hold focal lengths and principal point in pixels, for kernels."""
+    """Hold focal lengths and principal point in pixels as a named tuple, the form that compiled kernels accept."""
 
     fx: float
     fy: float
@@ -19,7 +19,9 @@ class Lens(NamedTuple):
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Hold the intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5).
+    """Hold the intrinsics of a pinhole camera without distortion.
+
+    Pixel (column u, row v) covers [u, u + 1) x [v, v + 1); its centre is (u + 0.5, v + 0.5).
 
     Parameters
     ----------
@@ -54,7 +56,8 @@ class PinholeCamera:
     def from_size(cls, width: int, height: int, horizontal_fov_deg: float = 90.0) -> PinholeCamera:
         """Return a camera with square pixels and a central principal point.
 
-        The default field of view gives f = width / 2 (the paper's 60 x 90 deg).
+        ``width`` and ``height`` are in pixels. The default field of view of 90 degrees gives a focal length of
+        ``width / 2`` pixels (the paper's 60 x 90 degrees).
         """
         if not 0.0 < horizontal_fov_deg < 180.0:
             raise ValueError(f"horizontal_fov_deg must lie in (0, 180), got {horizontal_fov_deg}")
@@ -68,18 +71,19 @@ class PinholeCamera:
 
     @property
     def lens(self) -> Lens:
-        """Return the intrinsics without the image size."""
+        """Return fx, fy, cx and cy in pixels, without the image size."""
         return Lens(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def matrix(self) -> np.ndarray:  # [3, 3]
-        """Return the intrinsic matrix K."""
+        """Return the 3x3 intrinsic matrix K in pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def rays(self, supersample: int = 1) -> np.ndarray:  # [H * s, W * s, 3] float32
-        """Return camera-frame ray directions through the (sub)pixel centres.
+        """Return one ray direction in the camera frame through the centre of each pixel.
 
-        The directions have z = 1, so a ray parameter is a depth.
+        With ``supersample`` = s, each pixel is divided into s x s subpixels and has one ray per subpixel. Each
+        direction has z = 1, so that direction times depth is the point at that depth.
         """
         u = (np.arange(self.width * supersample) + 0.5) / supersample
         v = (np.arange(self.height * supersample) + 0.5) / supersample
@@ -90,10 +94,10 @@ class PinholeCamera:
         return rays
 
     def backproject(self, depth: np.ndarray) -> np.ndarray:  # depth [H, W] -> [H, W, 3] camera frame
-        """Return the camera-frame point of each pixel in metres (the origin where depth is 0)."""
+        """Return the camera-frame point of each pixel in metres; pixels with depth 0 give the origin."""
         return self.rays() * depth[..., None]
 
     def project(self, points: np.ndarray) -> np.ndarray:  # [..., 3] camera frame -> [..., 2] pixels
-        """Project points to the image; the caller must pass points with z > 0."""
+        """Project camera-frame points in metres to pixel coordinates (u, v); all points must have z > 0."""
         z = points[..., 2]
         return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)

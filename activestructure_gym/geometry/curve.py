@@ -1,14 +1,17 @@
-"""Order points in space along a Morton curve, so that neighbours stay close."""
+"""Order points along a Morton (Z-order) curve, which keeps points that are close in space close in the order."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_BITS = 16  # per axis
+_BITS = 16  # bits per axis of a cell's index: each axis is divided into 2^16 cells
 
 
 def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
-    """Return the indices that sort finite points [N, 3] along a Morton curve through their bounding box."""
+    """Return the indices that sort finite points [N, 3] along a Morton curve through their bounding box.
+
+    Points with the same cell of the 2^16 x 2^16 x 2^16 grid keep their order.
+    """
     if not len(points):
         return np.zeros(0, np.int64)
     low = points.min(axis=0)
@@ -21,7 +24,7 @@ def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
 
 
 def _spread(value: np.ndarray) -> np.ndarray:
-    """Spread the lowest 16 bits of each number to every third bit."""
+    """Move bit i of each number to bit 3 i, for the lowest 16 bits, so that three numbers can be interleaved."""
     for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
         value = (value | (value << np.uint64(shift))) & np.uint64(mask)
     return value

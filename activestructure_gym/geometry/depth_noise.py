@@ -1,4 +1,4 @@
-"""Model the axial noise of a structured-light depth camera; used by the sensor and by plane detection."""
+"""Model the axial noise of a structured-light depth camera, for the simulated sensor and for plane detection."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 Depth = TypeVar("Depth", float, np.ndarray)
 
-MIN_SIGMA_M = 0.0012  # metres
-GROWTH = 0.0019  # metres per square metre
+MIN_SIGMA_M = 0.0012  # metres: standard deviation at depth MIN_DEPTH_M
+GROWTH = 0.0019  # metres of standard deviation per square metre of depth beyond MIN_DEPTH_M
 MIN_DEPTH_M = 0.4  # metres
 
 
 def axial_sigma(depth: Depth) -> Depth:
-    """Return the standard deviation of a Kinect v1's depth in metres, seen head-on: 0.0012 + 0.0019 (z - 0.4)^2.
+    """Return the standard deviation in metres of the depth that a Kinect v1 measures on a surface it views head-on.
 
-    This is the part of the error that is independent of the incidence angle ([nguyen2012]). Kernels call the version
-    compiled by `kernel`.
+    It is 0.0012 + 0.0019 (z - 0.4)^2 for depth z in metres, the part of the noise model of [nguyen2012] that does not
+    depend on the incidence angle. Kernels compile this function with `kernel`.
     """
     return MIN_SIGMA_M + GROWTH * (depth - MIN_DEPTH_M) ** 2

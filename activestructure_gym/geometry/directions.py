@@ -1,4 +1,4 @@
-"""Spread directions over the sphere."""
+"""Distribute unit directions evenly over the sphere."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 def fibonacci_directions(count: int) -> np.ndarray:  # [count, 3] unit
     """Return near-uniform unit directions on the sphere: the Fibonacci lattice (paper, Sec. 3.4).
 
-    Exact form of ActiveGAMER: z = 1 - (2i + 1) / K, azimuth 2 pi i / golden ratio. Deterministic.
+    Direction i of K = ``count`` has z = 1 - (2i + 1) / K and azimuth 2 pi i / golden ratio, as in ActiveGAMER's code.
     """
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")

@@ -1,4 +1,4 @@
-"""Hold one RGB-D observation."""
+"""Define one posed RGB-D observation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from activestructure_gym.geometry import PinholeCamera, transform_points
 
 @dataclass(frozen=True)
 class Frame:
-    """Hold colour, depth and the sensor's reported pose, which may be noisy."""
+    """Hold a colour image, its depth image and the pose that the sensor reports, which may contain noise."""
 
     rgb: np.ndarray  # [H, W, 3] uint8
     depth: np.ndarray  # [H, W] float32 metres along the optical axis, 0 = no return
-    world_from_camera: np.ndarray  # [4, 4] float64
-    camera: PinholeCamera  # of both rgb and depth
+    world_from_camera: np.ndarray  # [4, 4] float64 reported pose
+    camera: PinholeCamera  # intrinsics of both images
 
     def world_points(self) -> np.ndarray:  # [M, 3] float64
-        """Return the world points of all pixels with a return, row by row, in metres."""
+        """Return the world points in metres of all pixels with depth above 0, in row-major order of the pixels."""
         return transform_points(self.world_from_camera, self.camera.backproject(self.depth)[self.depth > 0])

@@ -1,6 +1,7 @@
-"""Convert rotations between matrices and quaternions wxyz. Imported separately, since it loads the compiler.
+"""Convert between rotation matrices and unit quaternions in the order w, x, y, z.
 
-Conversions that are rare, or need no exact result, use `scipy.spatial.transform.Rotation`.
+Import this module directly: the package ``geometry`` does not import it, because it loads numba. Conversions that are
+not frequent use `scipy.spatial.transform.Rotation`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.compiling import kernel
 
-# Error bound of products of rotation matrices. scipy orthonormalises matrices that are off by 1e-12.
+# Rounding gives products of rotation matrices errors below this. Matrices with larger errors go to scipy, which
+# orthonormalises matrices that are off by 1e-12.
 _ORTHONORMAL = 1e-13
 
 
 def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:  # 3 rows of 3
-    """Return the rotation matrix of a unit quaternion row by row; arguments are numbers or arrays of one shape."""
+    """Return the rotation matrix of the unit quaternion w + xi + yj + zk, row by row.
+
+    The arguments are four numbers or four arrays of one shape; each entry of the result has that shape.
+    """
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -26,14 +31,14 @@ def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], .
 
 
 def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
-    """Return the Hamilton products ``rotation * quaternions`` of [4] with [N, 4]."""
+    """Return the Hamilton products ``rotation * q`` of one quaternion [4] with each q of ``quaternions`` [N, 4]."""
     w, x, y, z = rotation
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return quaternions @ matrix.T
 
 
 def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
-    """Return the unit quaternion of a rotation matrix [3, 3]."""
+    """Return the unit quaternion of a rotation matrix [3, 3], with w >= 0."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
 
@@ -41,9 +46,9 @@ def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
 def quaternions(
     rotations: np.ndarray,  # [N, 3, 3]
     *,
-    canonical: bool = False,  # of q and -q return the one whose first nonzero component is positive
+    canonical: bool = False,  # whether to choose between q and -q the one with a positive first nonzero component
 ) -> np.ndarray:  # [N, 4] unit, wxyz
-    """Return unit quaternions [N, 4] wxyz, bit-equal to scipy's `Rotation.from_matrix` but faster.
+    """Return the unit quaternions of rotation matrices, bit-equal to scipy's `Rotation.from_matrix` but faster.
 
     Raises `ValueError` for a matrix without a nearest rotation (a reflection), as scipy does.
     """
@@ -54,8 +59,11 @@ def quaternions(
 
 
 @kernel
-def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  # [N, 4], largest error of a matrix
-    """Compute quaternions by the largest of the four squares ([shepperd1978]), and the matrices' largest error."""
+def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  # [N, 4] wxyz, largest |R R^T - I|
+    """Compute the unit quaternions of matrices m [N, 3, 3] from the largest of the four squares ([shepperd1978]).
+
+    Also return the largest deviation of a matrix from orthonormality; it is infinite if one is a reflection.
+    """
     result, error = np.empty((len(m), 4)), 0.0
     for n in range(len(m)):
         determinant = 0.0

@@ -1,4 +1,4 @@
-"""Build a Gaussian map from posed RGB-D frames, and read and write map files."""
+"""Build a map of 3D Gaussians from posed RGB-D frames, and read and write map files."""
 
 from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
 from activestructure_gym.mapping.config import MapperConfig

@@ -1,7 +1,7 @@
 """Define the interface of a mapper, and the configuration common to all mappers.
 
-A mapper builds a Gaussian map from posed RGB-D frames. Any object with the six names of `MapperProtocol` can be used;
-`adapted` adds the other methods that features and observations need.
+A mapper builds a map of 3D Gaussians from posed RGB-D frames. Any object with the six members of `MapperProtocol` can
+be used; `adapted` adds the other members that features and observations need.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from activestructure_gym.splatting.backends import BACKENDS
 
 @dataclass(frozen=True)
 class MappingReport:
-    """Hold counts and losses of one mapping event."""
+    """Hold counts and losses of one mapping event: a new keyframe or a refinement."""
 
-    added: int  # Gaussians seeded
-    replaced: int  # Gaussians replaced by finer ones, since the frame is much closer to their surface
-    pruned: int  # Gaussians removed: transparent, too large or not finite
-    left_out: int  # seeds beyond ``max_gaussians``
-    count: int  # Gaussians after the event
-    new_share: float  # share of the image missing in the map; pixels of replaced Gaussians count as missing
-    views: tuple[int, ...]  # keyframe index of every iteration
-    color_loss: float  # mean over the iterations; nan without any
-    depth_loss: float  # metres, mean over the iterations
-    ssim: float  # mean over the iterations
-    psnr: float  # dB, of the observed frame after the event; nan for a refinement
+    added: int  # number of Gaussians inserted
+    replaced: int  # number of Gaussians removed because the new ones at their surface are finer
+    pruned: int  # number of Gaussians removed because they are transparent, too large or not finite
+    left_out: int  # number of seeds not inserted because of ``max_gaussians``
+    count: int  # number of Gaussians after the event
+    new_share: float  # share of the image's pixels missing in the map, including those of removed coarse Gaussians
+    views: tuple[int, ...]  # index of the keyframe used in each iteration
+    color_loss: float  # mean colour error over the iterations; nan without any
+    depth_loss: float  # mean depth error over the iterations, metres
+    ssim: float  # mean SSIM over the iterations
+    psnr: float  # PSNR of the new keyframe after the event, dB; nan for a refinement
 
 
 class MapperProtocol(Protocol):
-    """Define the names of a mapper. Poses are ``world_from_camera`` [4, 4] in metres: x right, y down, z forward."""
+    """Define the members of a mapper. Poses are ``world_from_camera`` [4, 4] in metres: x right, y down, z forward."""
 
     @property
     def map(self) -> GaussianMap:
-        """Return the Gaussians, in world coordinates."""
+        """Return the map's Gaussians, in world coordinates."""
 
     @property
     def keyframes(self) -> Sequence[Frame]:
-        """Return every observed frame, in order; a mapper may store fewer pixels."""
+        """Return all observed frames in order. A mapper may store them with fewer pixels."""
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
         """Add a keyframe and optimise the map.
@@ -84,7 +84,7 @@ class MapperProtocol(Protocol):
         """
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render the map: colour [H, W, 3] in 0..1, accumulated depth [H, W] in metres, alpha [H, W] in 0..1."""
+        """Render colour [H, W, 3] in 0..1, accumulated depth [H, W] in metres and alpha [H, W] in 0..1 from a pose."""
 
     def render_depth_alpha(
         self,
@@ -98,15 +98,15 @@ class MapperProtocol(Protocol):
 class BaseMapperConfig:
     """Configure a mapper: the fields common to all mappers.
 
-    A subclass adds its own constants, and names its mapper in `made_by` or overrides `make`.
+    A subclass adds its own constants. It sets `made_by` to the class of its mapper, or overrides `make`.
     """
 
-    made_by: ClassVar[str] = ""  # package.module:Class; imported only when a mapper is made, since it can load torch
+    made_by: ClassVar[str] = ""  # package.module:Class of the mapper; imported by `make` only, since it can load torch
 
-    name: str = ""  # registered name of the mapper, or package.module:Name
-    backend: str = "cpu"  # cpu (our kernels), gsplat (CUDA), reference (torch), or package.module:Name
-    iterations: int = 5  # per keyframe (row C15; 15 for higher quality)
-    keyframe_reduction: int = 1  # divides the image size of stored keyframes, per side; seeds use all pixels
+    name: str = ""  # name under which the mapper is registered, or package.module:Name
+    backend: str = "cpu"  # rasteriser: cpu (compiled kernels), gsplat (CUDA), reference (torch), or package.module:Name
+    iterations: int = 5  # optimiser steps per keyframe (row C15; 15 for higher quality)
+    keyframe_reduction: int = 1  # factor by which stored keyframes have fewer pixels per side; seeds use all pixels
     tracking: TrackingConfig = field(default_factory=TrackingConfig)  # tracking of keyframe poses; off by default
 
     def __post_init__(self) -> None:
@@ -114,27 +114,7 @@ class BaseMapperConfig:
         check_ranges(self, {"iterations": "[0, 100000]", "keyframe_reduction": "[1, 64]"})
 
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
-        """Return an empty mapper: an object of the class `made_by`, from this configuration, ``rng`` and ``bounds``.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            The only source of randomness.
-        bounds : ndarray
-            [2, 3] metres, the box around the scene.
-        depth_noise_scale : float
-            Depth noise of the sensor, as a factor on the axial noise of a Kinect; 0 without noise.
-
-        Returns
-        -------
-        MapperProtocol
-            The mapper.
-
-        Raises
-        ------
-        InputError
-            `made_by` is empty.
-        """
+        """Return a new mapper with an empty map: an object of the class `made_by`."""
         if not self.made_by:
             raise InputError(
                 f"{type(self).__name__} makes no mapper: set made_by = 'package.module:Class' or define make"

@@ -1,4 +1,4 @@
-"""Bound blocks of a map by boxes; the `BLOCK` Gaussians of a block are consecutive and mostly close in space."""
+"""Compute a bounding box for each block of a map: `BLOCK` consecutive Gaussians, which are mostly close in space."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-BLOCK = 256  # Gaussians
-_LANES = 16  # vector width; the capacity of a map is a multiple of it
+BLOCK = 256  # Gaussians per block
+_LANES = 16  # vector width of the processor; the capacity of a map is a multiple of it
 
 
 def block_boxes(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
-) -> np.ndarray:  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
-    """Return one box per block of `BLOCK` columns; means that are nan are ignored, since they are not rendered."""
+) -> np.ndarray:  # [B, 7] float64 metres: minimum x, y, z and maximum x, y, z of the means, largest sigma
+    """Return the box of each block of `BLOCK` columns. Means that are nan are ignored, since they are not rendered."""
     blocks = -(-count // BLOCK)
     boxes = np.empty((blocks, 7))
     renew_boxes(parameters, count, np.arange(blocks), boxes)
@@ -25,11 +25,12 @@ def block_boxes(
 def renew_boxes(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
-    blocks: np.ndarray,  # [b] int64
-    boxes: np.ndarray,  # [B, 7] as of `block_boxes`
+    blocks: np.ndarray,  # [b] int64, indices of the blocks to compute
+    boxes: np.ndarray,  # [B, 7] changed in place, see `block_boxes`
 ) -> None:
-    """Compute the boxes of some blocks again, in place."""
-    # One extreme per lane: the compiler vectorises these comparisons, but not a reduction to one extreme.
+    """Compute the boxes of some blocks of the map's first ``count`` Gaussians, in place."""
+    # Keep one minimum and maximum per vector lane: the compiler vectorises these comparisons, but not a reduction to
+    # one.
     least, greatest = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
     for block in blocks:
         first, stop = block * BLOCK, min(count, (block + 1) * BLOCK)
@@ -37,7 +38,7 @@ def renew_boxes(
         for row in (0, 1, 2, 7, 8, 9):
             for lane in range(_LANES):
                 least[lane], greatest[lane] = np.float32(np.inf), np.float32(-np.inf)
-            # Whole vectors: unused columns behind the last Gaussian can only enlarge the last box.
+            # The last vector can include unused columns. They can only enlarge the last box.
             for i in range(first, stop, _LANES):
                 for lane in range(_LANES):
                     value = parameters[row, i + lane]

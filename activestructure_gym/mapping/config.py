@@ -1,4 +1,4 @@
-"""Define the constants of our mapper, and the recipes that combine them."""
+"""Define the configuration of the default mapper, and the recipes: named sets of its values."""
 
 from __future__ import annotations
 
@@ -42,85 +42,103 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MapperConfig(BaseMapperConfig):
-    """Configure our mapper: posed RGB-D frames on a CPU. The defaults are the recipe ``default``.
+    """Configure the default mapper, which maps posed RGB-D frames on a CPU.
 
-    "Row B8" in a comment is a row of the table in docs/notebook/groundwork.md. "Measured" refers to
-    docs/notebook/map.md, which compares held-out views.
+    The default values are the recipe ``default``. "Row B8" in a comment is a row of the table in
+    docs/notebook/groundwork.md. "Measured" refers to docs/notebook/map.md, which compares held-out views.
     """
 
     made_by: ClassVar[str] = "activestructure_gym.mapping.mapper:Mapper"
 
-    name: str = "default"  # of the recipe that these values are based on
+    name: str = "default"  # name of the recipe on which these values are based
 
-    # Shape
-    isotropic: bool = False  # balls with one scale instead of disks on the surface (SplaTAM: True)
+    # Shape of the Gaussians
+
+    # Whether Gaussians are balls with one scale instead of disks on the surface (SplaTAM: True).
+    isotropic: bool = False
 
     # Seeding
-    seed_spacing: float | None = 0.045  # metres from surface point to mean, at most; None: SplaTAM's rule (measured)
-    seed_pixels: float = 1.2  # the same in pixels, at texture and edges (measured)
-    texture_contrast: float = 0.02  # 0..1, smallest difference of neighbouring pixels that is texture (measured)
-    seed_footprint: float = 1.05  # in-plane sigma / spacing; with SplaTAM's rule / (stride * z / f) (measured)
-    border_sigmas: float | None = 1.0  # sigmas from a mean to the boundary of its surface; None = no limit (measured)
+
+    # Metres, largest distance from a surface point to a mean; None uses SplaTAM's rule (measured).
+    seed_spacing: float | None = 0.045
+    seed_pixels: float = 1.2  # the same distance in pixels, at texture and edges (measured)
+    # Smallest colour difference of neighbouring pixels that counts as texture, 0..1 (measured).
+    texture_contrast: float = 0.02
+    # In-plane sigma / spacing; with SplaTAM's rule, in-plane sigma / (stride z / f) (measured).
+    seed_footprint: float = 1.05
+    # Smallest number of sigmas from a mean to the boundary of its surface; None means no limit (measured).
+    border_sigmas: float | None = 1.0
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: no effect in 0.02..0.3)
-    seed_opacity: float = 0.99  # 0..1 (measured: with 0.9 walls transmit 3 %, which gains of holes add up)
-    min_incidence_cosine: float = 0.05  # a smaller cosine is a depth edge: seed a ball (own choice, 87 degrees)
-    coarse_ratio: float | None = 1.6  # replace Gaussians larger than this multiple of a seed; None = never (measured)
-    # Depth noise that `local_planes` removes before seeding, as a factor on the axial noise of a Kinect (measured). An
-    # environment raises it to the noise of its sensor.
+    # Opacity of a seed, 0..1 (measured: with 0.9, walls transmit 3 %, which adds up in hole features).
+    seed_opacity: float = 0.99
+    # Seeds with a smaller cosine between normal and line of sight are balls (own choice: 87 degrees, a depth edge).
+    min_incidence_cosine: float = 0.05
+    # Gaussians wider than a new seed by this factor are replaced; None means never (measured).
+    coarse_ratio: float | None = 1.6
+    # Depth noise that is removed before seeding (`local_planes`), as a factor on the axial noise of a Kinect
+    # (measured). An environment raises the value to the noise of its sensor.
     depth_noise_scale: float = 0.0
 
-    # Seeding by SplaTAM's rule: pixels missing in the rendered map
-    seed_stride: int = 2  # pixels between seeds
-    covered_alpha: float = 0.5  # smallest accumulated alpha of a mapped pixel (SplaTAM; row B20)
-    in_front_factor: float = 50.0  # tolerance of the depth of a mapped pixel, as a factor on the median error (SplaTAM)
-    in_front_floor: float = 0.03  # metres, smallest tolerance (own choice; sensor noise is not seeded)
+    # Seeding by SplaTAM's rule: at pixels missing in the rendered map
+    seed_stride: int = 2  # pixels between two seeds
+    covered_alpha: float = 0.5  # a pixel with at least this accumulated alpha is mapped (SplaTAM; row B20)
+    in_front_factor: float = 50.0  # depth tolerance of a mapped pixel, as a factor on the median depth error (SplaTAM)
+    # Metres, smallest depth tolerance of a mapped pixel (own choice: no seeds from sensor noise).
+    in_front_floor: float = 0.03
 
     # Optimisation
-    image_weight: float = 0.5  # of the image term (SplaTAM)
+    image_weight: float = 0.5  # weight of the image term in the loss (SplaTAM)
     l1_share: float = 0.8  # weight of L1 in the image term; the rest is 1 - SSIM (3DGS)
-    normalised_depth: bool = True  # depth divided by alpha where alpha > 0.5; False = accumulated (SplaTAM: False)
-    centre_depth: bool = False  # depth of centres instead of ray intersections (SplaTAM: True)
-    depth_weight: float = 0.5  # of the depth term, per metre (measured; SplaTAM: 1)
-    alpha_weight: float = 0.5  # weight of missing opacity at a depth return; keeps black walls opaque (measured)
-    # Seeds have measured positions and colours, so mainly their scales are optimised. SplaTAM's colour rate improves
-    # training views and makes held-out views worse (measured). Opacity is constant.
-    mean_rate: float = 1.5e-4  # metres per step
-    quaternion_rate: float = 1e-3  # per step
-    log_scale_rate: float = 8e-3  # per step
-    opacity_rate: float = 0.0  # logit per step
-    color_rate: float = 3e-4  # of the 0..1 range per step
-    refine_shapes: bool = False  # refinement changes more than colours (measured: held-out views get worse)
-    adam_beta1: float = 0.9  # [adam]
-    adam_beta2: float = 0.999  # [adam]
-    adam_epsilon: float = 1e-15  # [kerbl2023, code]
-    adam_reset: bool = False  # zero moments and bias correction in every event (SplaTAM: True; row C12: −0.7 dB)
+    # Whether depth is divided by alpha where alpha > 0.5; False is accumulated depth (SplaTAM: False).
+    normalised_depth: bool = True
+    centre_depth: bool = False  # whether depth is that of centres instead of ray intersections (SplaTAM: True)
+    depth_weight: float = 0.5  # weight of the depth term in the loss, per metre (measured; SplaTAM: 1)
+    alpha_weight: float = 0.5  # weight of missing opacity at a depth return; it keeps black walls opaque (measured)
+    # Seeds have measured positions and colours, so mainly their scales are optimised. SplaTAM's learning rate for
+    # colours improves training views and makes held-out views worse (measured). Opacities are constant.
+    mean_rate: float = 1.5e-4  # learning rate of the means, metres per step
+    quaternion_rate: float = 1e-3  # learning rate of the quaternions, per step
+    log_scale_rate: float = 8e-3  # learning rate of the log scales, per step
+    opacity_rate: float = 0.0  # learning rate of the opacities, logit per step
+    color_rate: float = 3e-4  # learning rate of the colours in 0..1, per step
+    refine_shapes: bool = False  # whether refinement changes more than colours (measured: held-out views get worse)
+    adam_beta1: float = 0.9  # decay rate of the first moment [adam]
+    adam_beta2: float = 0.999  # decay rate of the second moment [adam]
+    adam_epsilon: float = 1e-15  # term that prevents division by 0 [kerbl2023, code]
+    # Whether every event starts Adam anew, with bias correction (SplaTAM: True; row C12: −0.7 dB).
+    adam_reset: bool = False
 
     # View selection
-    window: int = 24  # local keyframes of an event, including the current and the previous one (SplaTAM, Replica)
-    overlap_pixels: int = 1600  # pixels of the current frame projected into other keyframes (SplaTAM)
-    overlap_border: float = 1.0 / 60.0  # share of the image width without overlap test (SplaTAM: 20 of 1200 pixels)
+    window: int = 24  # local keyframes of an event, including the newest two (SplaTAM, Replica)
+    overlap_pixels: int = 1600  # pixels of the new frame projected into other keyframes to find overlap (SplaTAM)
+    # Share of the image width at each border that is not tested for overlap (SplaTAM: 20 of 1200 pixels).
+    overlap_border: float = 1.0 / 60.0
     global_psnr: float = 34.0  # dB; keyframes with a lower PSNR are global keyframes (ActiveGAMER)
-    global_new_share: float = 0.1  # so are keyframes with a larger share of new pixels (ActiveGAMER)
-    psnr_refresh: int = 1  # keyframes per event whose PSNR is measured again, in turn (own choice)
+    global_new_share: float = 0.1  # keyframes with a larger share of new pixels are global keyframes too (ActiveGAMER)
+    psnr_refresh: int = 1  # keyframes per event, besides the new one, whose PSNR is measured again in turn (own choice)
 
     # Pruning
     prune_opacity: float = 0.005  # Gaussians with a lower opacity are removed (SplaTAM)
-    prune_scale: float = 0.1  # share of the scene radius; larger Gaussians are removed (SplaTAM)
-    prune_steps: tuple[int, ...] = (-1,)  # iterations of an event with pruning before them; -1 = after the last
-    scene_radius: float | None = None  # metres; None = 1/3 of the largest measured depth (SplaTAM)
-    max_gaussians: int | None = None  # limits memory: 176 MB per million; None = no limit
+    prune_scale: float = 0.1  # Gaussians larger than this share of the scene radius are removed (SplaTAM)
+    # Steps of an event before which Gaussians are pruned; -1 means after the last step.
+    prune_steps: tuple[int, ...] = (-1,)
+    scene_radius: float | None = None  # metres; None means a third of the largest measured depth (SplaTAM)
+    max_gaussians: int | None = None  # limits the memory: 176 MB per million Gaussians; None means no limit
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, _RANGES)
 
     def make(self, rng: np.random.Generator, bounds: np.ndarray, *, depth_noise_scale: float = 0.0) -> MapperProtocol:
-        """Return an empty mapper that removes at least this depth noise before seeding."""
+        """Return a new mapper that removes at least the depth noise ``depth_noise_scale`` before seeding.
+
+        See `BaseMapperConfig`.
+        """
         scale = max(self.depth_noise_scale, depth_noise_scale)
         return super(MapperConfig, replace(self, depth_noise_scale=scale)).make(rng, bounds)
 
     def learning_rates(self, *, refining: bool = False) -> np.ndarray:  # [14] float32
-        """Return the step size of every parameter row, in a mapping event or in a refinement."""
+        """Return the learning rate of every row of the map's parameters, in a mapping event or in a refinement."""
         shapes = not refining or self.refine_shapes
         return learning_rates(
             mean=shapes * self.mean_rate,
@@ -131,16 +149,16 @@ class MapperConfig(BaseMapperConfig):
         )
 
 
-# Differences of each recipe from the defaults of `MapperConfig`.
+# Recipes: differences from the default values of `MapperConfig`.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
-    # Our own: docs/notebook/groundwork.md, "The mapper's recipe", and later measurements.
+    # Own recipe: docs/notebook/groundwork.md, "The mapper's recipe", and later measurements.
     "default": {},
-    # SplaTAM-S with given poses and ActiveGAMER's schedule ([splatam, code], [activegamer, code]), the common mapper of
-    # active reconstruction methods. Values without a comment are from SplaTAM's Replica-S configuration.
+    # SplaTAM-S with given poses and ActiveGAMER's schedule ([splatam, code], [activegamer, code]). Many active
+    # reconstruction methods use this mapper. Values without a comment are from SplaTAM's Replica-S configuration.
     "splatam": {
         "isotropic": True,
         "seed_spacing": None,
-        "seed_footprint": 1.0,  # one pixel of the image with the seeds
+        "seed_footprint": 1.0,  # one pixel of the seeded image
         "seed_opacity": 0.5,
         "normalised_depth": False,
         "centre_depth": True,
@@ -157,7 +175,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "opacity_rate": 5e-2,
         "color_rate": 2.5e-3,
         "window": 32,
-        "psnr_refresh": 0,  # the PSNR of a keyframe is measured once, after its event (ActiveGAMER)
+        "psnr_refresh": 0,  # the PSNR of a keyframe is measured once, after its own event (ActiveGAMER)
         "prune_steps": (0, 20),
     },
 }

@@ -1,7 +1,7 @@
-"""Choose the positions of new Gaussians, with a density that depends on surface and texture, not on pixels.
+"""Choose the positions of new Gaussians, with a density that depends on surface and texture and not on pixels.
 
 A frame is converted to surface samples: its pixels, and interpolated points between distant pixels of one surface. A
-sample becomes a Gaussian if no mean is within the spacing wanted there. A surface is therefore filled once, from any
+sample becomes a Gaussian (a seed) if no mean is within the spacing wanted there. So a surface is filled once, from any
 distance, and a second frame adds only detail that the first one did not resolve.
 """
 
@@ -16,31 +16,33 @@ from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, faces_away
 
-# Each side of a pixel pair defines a plane, by a pixel of the pair and the next one outwards. Below the first share of
-# the depth, the other pixel of the pair is on the plane (8 cm at 4 m, about three sigmas of a Kinect). Above the second
-# share, it is on another surface. In between, as where wall and floor meet, the plane of one side suffices (measured).
+# Tolerances of the test whether two neighbouring pixels are on one surface (`same_surface`), as shares of the depth.
+# Each of the two pixels defines a plane together with the next pixel outwards. If the other pixel is within the first
+# tolerance of one plane, both are on one surface (8 cm at 4 m, about three sigmas of a Kinect). If it is beyond the
+# second tolerance of a reliable plane, they are not. In between, as where wall and floor meet, one plane suffices
+# (measured).
 _SAME_SURFACE, _OTHER_SURFACE = 0.02, 0.04
 _MAX_GAP_M = 0.5  # metres; larger gaps between neighbouring pixels are not filled
-_MAX_PARTS = 32  # parts per gap, which limits a pixel to about 1000 samples
-_LEVELS = 255.0
+_MAX_PARTS = 32  # parts per gap between two pixels, which limits the samples per pixel to about 1000
+_LEVELS = 255.0  # largest value of a uint8 colour
 
 
 class SurfaceSamples(NamedTuple):
-    """Hold n surface points of a frame; those of its pixels come first."""
+    """Hold n surface points of a frame. Points at pixels come first, and interpolated points follow."""
 
     points: np.ndarray  # [n, 3] float32 metres, camera frame
-    pixels: np.ndarray  # [n] int64, flat index of the pixel; for an interpolated point, of the upper left pixel
+    pixels: np.ndarray  # [n] int64, flat index of the pixel; of the upper left pixel for an interpolated point
     colors: np.ndarray  # [n, 3] float32 0..1
 
 
 def wanted_spacing(
     frame: Frame,
     *,
-    plain: float,  # metres, spacing on surfaces without texture
-    pixels: float,  # spacing in pixels at texture and edges
-    contrast: float,  # 0..1, smallest difference of a channel between neighbouring pixels that is texture
+    plain: float,  # metres, wanted spacing on surfaces without texture
+    pixels: float,  # wanted spacing in pixels, at texture and edges
+    contrast: float,  # smallest difference of a colour channel between neighbouring pixels that counts as texture, 0..1
 ) -> np.ndarray:  # [H, W] float32 metres
-    """Return the wanted spacing of Gaussians: the distance within which a surface point should have a mean."""
+    """Return the wanted spacing of Gaussians per pixel: a surface point should have a mean within this distance."""
     resolved = pixels * frame.depth / np.float32(0.5 * (frame.camera.fx + frame.camera.fy))
     spacing = np.where(_textured(frame.rgb, frame.depth, contrast), np.minimum(resolved, plain), plain)
     return np.ascontiguousarray(spacing, dtype=np.float32)
@@ -50,9 +52,9 @@ def wanted_spacing(
 def _textured(
     rgb: np.ndarray,  # [H, W, 3] uint8
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
-    contrast: float,
+    contrast: float,  # smallest difference of a channel that counts as texture, 0..1
 ) -> np.ndarray:  # [H, W] bool
-    """Return the pixels that differ from one of their four neighbours in colour or surface."""
+    """Return a mask of the pixels that differ from one of their four neighbours in colour or surface."""
     height, width = depth.shape
     least = contrast * _LEVELS
     textured = np.zeros((height, width), np.bool_)
@@ -65,7 +67,8 @@ def _textured(
                 if not same_surface(depth, row, column, down, right):
                     textured[row, column] = textured[i, j] = True
                 for channel in range(3):
-                    # Not int(): compiled, int() of a uint8 is unsigned, and the difference would wrap around.
+                    # np.int64 and not int(): in compiled code int() of a uint8 is unsigned, and the difference would
+                    # wrap around.
                     step = np.int64(rgb[row, column, channel]) - np.int64(rgb[i, j, channel])
                     if abs(step) > least:
                         textured[row, column] = textured[i, j] = True
@@ -74,10 +77,12 @@ def _textured(
 
 @kernel
 def same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
-    """Return whether a pixel and the one below or to the right of it are on one surface.
+    """Return whether pixel (row, column) and its neighbour (row + down, column + right) are on one surface.
 
-    1 / z is linear along a plane. The plane of one side must meet the other pixel. A plane of the other side must not
-    miss the pixel by far: otherwise Gaussians in free space would connect a surface to the edge of another one.
+    1 / depth is linear along a plane, so each pixel and the next one outwards predict the depth of the other pixel. At
+    least one prediction must agree. A prediction that is far off counts against the pair if its own two pixels are on
+    one plane with the pixel beyond. Otherwise Gaussians in free space would connect a surface to the edge of another
+    one.
     """
     agrees = False
     here, there = _depth_at(depth, row, column), _depth_at(depth, row + down, column + right)
@@ -97,7 +102,7 @@ def same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int
 
 @kernel
 def _depth_at(depth: np.ndarray, row: int, column: int) -> float:
-    """Return the depth of a pixel; 0 outside the image."""
+    """Return the depth of pixel (row, column) in metres; 0 outside the image."""
     height, width = depth.shape
     inside = row >= 0 and column >= 0 and row < height and column < width
     return float(depth[row, column]) if inside else 0.0
@@ -105,7 +110,11 @@ def _depth_at(depth: np.ndarray, row: int, column: int) -> float:
 
 @kernel
 def _on_plane(near: float, beyond: float, target: float, share: float) -> bool:
-    """Return whether ``target`` is on the plane of ``near`` and ``beyond``, three pixels in a line; 0 = no return."""
+    """Return whether three pixels in a line are on one plane: depths ``beyond``, ``near``, ``target`` in this order.
+
+    The depth predicted for the last one may differ by the fraction ``share`` of ``target``. False if a depth is 0 (no
+    return).
+    """
     if not (near > 0.0 and beyond > 0.0 and target > 0.0):
         return False
     inverse = 2.0 / near - 1.0 / beyond
@@ -115,7 +124,7 @@ def _on_plane(near: float, beyond: float, target: float, share: float) -> bool:
 def surface_samples(frame: Frame, spacing: np.ndarray) -> SurfaceSamples:
     """Return surface points of a frame that are at most ``spacing`` [H, W] metres apart."""
     points = np.ascontiguousarray(frame.camera.backproject(frame.depth), dtype=np.float32)
-    room = 4 * int(np.count_nonzero(frame.depth > 0)) + 64
+    room = 4 * int(np.count_nonzero(frame.depth > 0)) + 64  # the second attempt has room for all samples
     while True:
         arrays = (np.empty((room, 3), np.float32), np.empty(room, np.int64), np.empty((room, 3), np.float32))
         count = _sample(points, np.ascontiguousarray(frame.rgb), frame.depth, spacing, SurfaceSamples(*arrays))
@@ -126,7 +135,11 @@ def surface_samples(frame: Frame, spacing: np.ndarray) -> SurfaceSamples:
 
 @kernel
 def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
-    """Write the samples that fit into the arrays; return the number of all samples."""
+    """Write the surface samples of a frame to arrays; return the number of all samples, including those without room.
+
+    ``points`` [H, W, 3] are camera-frame points in metres, ``rgb`` the image, ``spacing`` [H, W] in metres, and
+    ``into`` the `SurfaceSamples` to write.
+    """
     height, width = depth.shape
     room, count = len(into.pixels), 0
     scale = np.float32(1.0 / _LEVELS)
@@ -188,7 +201,11 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
 
 @kernel
 def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
-    """Return the number of parts of the gap between two pixels, so that a grid of samples covers the surface."""
+    """Return the number of parts into which samples divide the gap between pixels (row, column) and (i, j).
+
+    ``points`` [H, W, 3] are camera-frame points in metres. ``spacing`` is the wanted spacing in metres at the first
+    pixel.
+    """
     gap = np.float32(0.0)
     for k in range(3):
         step = points[i, j, k] - points[row, column, k]
@@ -197,27 +214,28 @@ def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
     if gap > _MAX_GAP_M:
         return 1
     parts = max(1, min(_MAX_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
-    # Of parts shorter than the spacing, every other end is dropped as redundant; an odd number would drop two in a row.
+    # If parts are shorter than the spacing, every other sample is redundant. An odd number of parts would then leave
+    # two redundant samples in a row.
     return parts + 1 if parts % 2 == 1 and parts > 1 and gap <= parts * spacing else parts
 
 
-COVERED, SEED, REDUNDANT = 0, 1, 2  # a mean is within the spacing; becomes a Gaussian; another seed is near
+COVERED, SEED, REDUNDANT = 0, 1, 2  # states of a sample: near a mean; becomes a Gaussian; near another seed
 
 
 def states_of_samples(
     samples: SurfaceSamples,
-    spacing: np.ndarray,  # [H, W] metres
-    parameters: np.ndarray,  # [14, capacity] Gaussians of the map
-    count: int,
+    spacing: np.ndarray,  # [H, W] metres, wanted spacing
+    parameters: np.ndarray,  # [14, capacity] parameters of the map
+    count: int,  # number of Gaussians
     frame: Frame,
     *,
-    unseen: np.ndarray | None = None,  # [chunks] bool, chunks of the map outside the view of the frame
-    leaving: np.ndarray | None = None,  # [count] bool, Gaussians to ignore
+    unseen: np.ndarray | None = None,  # [chunks] bool, chunks outside the frame's view
+    leaving: np.ndarray | None = None,  # [count] bool, Gaussians to ignore because they will be removed
 ) -> np.ndarray:  # [n] uint8 `COVERED`, `SEED` or `REDUNDANT`
-    """Return which samples become Gaussians: those without a mean or another seed within the spacing.
+    """Return the state of each sample.
 
-    Only means with an opacity of at least 0.5 count, and disks that face away do not: the other side of a thin wall is
-    another surface.
+    A sample becomes a seed if no mean and no other seed is within the wanted spacing. Means with an opacity below 0.5
+    do not count. Neither do disks that face away: the other side of a thin wall is another surface.
     """
     pose = frame.world_from_camera
     points = (samples.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
@@ -227,20 +245,20 @@ def states_of_samples(
 
 
 class _FrameView(NamedTuple):
-    """Hold a frame in the form that the kernels take."""
+    """Hold depth, pose and camera of a frame as one kernel argument."""
 
     measured: MeasuredDepth
-    eye: np.ndarray  # [3] float32 metres, world
-    unseen: np.ndarray  # [chunks] bool
+    eye: np.ndarray  # [3] float32 metres, camera position in the world
+    unseen: np.ndarray  # [chunks] bool, chunks of the map outside the view
 
 
 def chunks_to_skip(unseen: np.ndarray | None, count: int) -> np.ndarray:  # [chunks] bool
-    """Return `MapParts.unseen` as an array; None, that of a small map, means that no chunk is skipped."""
+    """Return the mask ``unseen``; if it is None, return a mask that skips no chunk of a map of ``count`` Gaussians."""
     return np.zeros(-(-count // CHUNK), dtype=bool) if unseen is None else unseen
 
 
 def measured_depth(frame: Frame) -> MeasuredDepth:
-    """Return depth and camera of a frame in the form that the kernels of `map_passes` take."""
+    """Return depth, pose and camera of a frame as a kernel argument of `map_passes`."""
     camera = frame.camera
     return MeasuredDepth(
         np.ascontiguousarray(frame.depth, dtype=np.float32),
@@ -257,7 +275,7 @@ def _choose(points, reach, parameters, count, leaving, view):  # type: ignore[no
         return state
     cell = np.float32(reach.max())
     in_view = _means_in_view(parameters, count, leaving, view, cell)
-    # A hash table of cells with linked lists: first the means of the map, then the chosen samples.
+    # The hash table has linked lists of the points in each cell: first the means of the map, then the chosen samples.
     size = 16
     while size < 2 * (len(in_view) + n):
         size *= 2
@@ -305,17 +323,21 @@ def _choose(points, reach, parameters, count, leaving, view):  # type: ignore[no
 
 @kernel
 def bucket(a: int, b: int, c: int, size: int) -> int:
-    """Return the bucket of a cell in a hash table; ``size`` is a power of 2."""
+    """Return the bucket of grid cell (a, b, c) in a hash table with ``size`` buckets, a power of 2."""
     return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & (size - 1)
 
 
 @kernel
 def _means_in_view(parameters, count, leaving, view, margin):  # type: ignore[no-untyped-def]
-    """Return the columns of opaque Gaussians that face the camera, with means in view (``margin`` in metres)."""
+    """Return the columns of Gaussians that are opaque, face the camera and have a mean in view.
+
+    A mean counts as in view up to ``margin`` metres outside the view frustum. ``leaving`` [count] marks Gaussians to
+    leave out, and ``view`` is a `_FrameView`.
+    """
     (depth, m, intrinsics), eye, unseen = view
     height, width = depth.shape
     far = depth.max() + margin
-    # Distance of a mean `margin` metres outside a side of the image, times focal length.
+    # Largest distance of such a mean from a side of the image, in metres times focal length in pixels.
     margin_x = margin * np.hypot(intrinsics[0], max(intrinsics[2], width - intrinsics[2]))
     margin_y = margin * np.hypot(intrinsics[1], max(intrinsics[3], height - intrinsics[3]))
     found, at = np.empty(count, np.int32), 0

@@ -1,4 +1,4 @@
-"""Downsample frames for the optimiser."""
+"""Reduce the resolution of frames for the optimiser."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from activestructure_gym.geometry.frame import Frame
 def reduced(frame: Frame, factor: int) -> Frame:
     """Return the frame with ``factor`` times fewer pixels per side.
 
-    The colour of a pixel is the mean of its block. Its depth is the (lower) median of the block's returns, which is the
-    depth of one surface. It is 0 if less than half of the block has a return. Raises `ValueError` if the image size is
-    not a multiple of ``factor``.
+    The colour of a pixel is the mean colour of its block of pixels. Its depth is the lower median of the block's depth
+    returns, so it is the depth of one surface. It is 0 if less than half of the block has a return. Raises `ValueError`
+    if the image size is not a multiple of ``factor``.
     """
     if factor == 1:
         return frame

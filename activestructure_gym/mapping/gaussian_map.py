@@ -1,4 +1,4 @@
-"""Define the Gaussian map: a growing array of coloured ellipsoids and their Adam moments."""
+"""Define the map of 3D Gaussians: a growing array of coloured ellipsoids and their Adam moments."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from activestructure_gym.mapping.boxes import BLOCK, renew_boxes
 from activestructure_gym.npz import read_npz
 from activestructure_gym.splatting.workspace import aligned_zeros
 
-# Rows of the parameter array. One row per quantity (structure of arrays): the kernels load 16 Gaussians at once.
+# Rows of the parameter array. Each quantity has its own row (structure of arrays), so that kernels load 16 Gaussians at
+# once.
 MEAN = slice(0, 3)  # metres, world
-QUATERNION = slice(3, 7)  # wxyz, of any length
+QUATERNION = slice(3, 7)  # wxyz, not necessarily of unit length
 LOG_SCALE = slice(7, 10)  # natural logarithm of the standard deviation in metres, along the axes of the ellipsoid
-OPACITY_LOGIT = 10
-COLOR = slice(11, 14)  # RGB, about 0..1; not clamped
-ROWS = 14
+OPACITY_LOGIT = 10  # logit of the opacity at the centre
+COLOR = slice(11, 14)  # RGB, about 0..1, not clamped
+ROWS = 14  # number of parameters per Gaussian
 
-_LANES = 16  # the kernels' vector width: the capacity is a multiple of it
+_LANES = 16  # vector width of the kernels; the capacity is a multiple of it
 _CHUNK = 1024  # Gaussians per chunk of the rasteriser
-_FORMAT_VERSION = 1
-_MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map allowed
+_FORMAT_VERSION = 1  # version of the npz format
+_MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # largest accepted npz file: parameters and moments of 100 million Gaussians
 
 
 class GaussianMap:
     """Hold Gaussians and their Adam moments.
 
-    The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
-    are in use; the values of the others are undefined. Kernels read and write these arrays in place. ``ids`` [capacity]
-    int64 identifies every Gaussian: its column can change, its id cannot. Code that writes means or scales into
-    ``parameters`` must call `touched`, since `boxes` updates changed blocks only.
+    ``parameters``, ``first_moment`` and ``second_moment`` are arrays [14, capacity] float32. Their first ``count``
+    columns are in use; the values of the others are undefined. Kernels read and write these arrays in place. ``ids``
+    [capacity] int64 identifies every Gaussian: its column can change, its id cannot. Code that changes means or scales
+    in ``parameters`` must call `touched`, since `boxes` computes only the boxes of changed blocks.
 
     Parameters
     ----------
     capacity : int
-        Initial number of Gaussians that fit without growing the arrays.
+        Number of Gaussians that fit before the arrays are enlarged.
 
     Examples
     --------
@@ -53,7 +54,7 @@ class GaussianMap:
         self.second_moment = _empty_rows(_rounded_up(capacity))
         self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
         self._boxes, self._stale = _empty_boxes(_rounded_up(capacity))
-        self.next_id = 0  # number of Gaussians ever added
+        self.next_id = 0  # number of Gaussians added so far, the next id
         self.count = 0
 
     def __len__(self) -> int:
@@ -61,17 +62,17 @@ class GaussianMap:
 
     @property
     def capacity(self) -> int:
-        """Return the number of Gaussians that fit without growing the arrays."""
+        """Return the number of Gaussians that fit before the arrays are enlarged."""
         return self.parameters.shape[1]
 
     @property
     def means(self) -> np.ndarray:  # [N, 3] metres, world
-        """Return a copy of the centres."""
+        """Return a copy of the means."""
         return self.parameters[MEAN, : self.count].T.copy()
 
     @property
     def quaternions(self) -> np.ndarray:  # [N, 4] wxyz, unit
-        """Return the normalised orientations; a zero quaternion becomes the identity."""
+        """Return the orientations as unit quaternions; a zero quaternion becomes the identity."""
         raw = self.parameters[QUATERNION, : self.count].T
         length = np.linalg.norm(raw, axis=1, keepdims=True)
         identity = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
@@ -79,12 +80,12 @@ class GaussianMap:
 
     @property
     def scales(self) -> np.ndarray:  # [N, 3] metres
-        """Return the standard deviations along the axes of `quaternions`."""
+        """Return the standard deviations along the axes given by `quaternions`."""
         return np.exp(self.parameters[LOG_SCALE, : self.count].T)
 
     @property
     def opacities(self) -> np.ndarray:  # [N] 0..1
-        """Return the peak opacities."""
+        """Return the opacities at the centres."""
         return _sigmoid(self.parameters[OPACITY_LOGIT, : self.count])
 
     @property
@@ -93,13 +94,14 @@ class GaussianMap:
         return self.parameters[COLOR, : self.count].T.copy()
 
     def append(self, block: np.ndarray) -> None:
-        """Append Gaussians (``block`` [14, n]) with zero moments; raise `ValueError` for another shape."""
+        """Append Gaussians ``block`` [14, n] with zero Adam moments; raise `ValueError` for another shape."""
         block = np.asarray(block)
         if block.ndim != 2 or block.shape[0] != ROWS:
             raise ValueError(f"a block of Gaussians has the shape (14, n), got {block.shape}")
         start, stop = self.count, self.count + block.shape[1]
         if stop > self.capacity:
-            # Grow by half: constant copying cost per Gaussian, without doubling the memory of a large map.
+            # The capacity grows by half: the copying cost per Gaussian is constant, and less memory is unused than with
+            # doubling.
             self._resize(_rounded_up(max(stop, self.capacity + self.capacity // 2)))
         self.parameters[:, start:stop] = block
         self.first_moment[:, start:stop] = 0.0
@@ -117,10 +119,11 @@ class GaussianMap:
         return self.remove(np.flatnonzero(~mask))
 
     def remove(self, columns: np.ndarray) -> int:
-        """Remove the Gaussians in these columns ([n] int, rising); return the number removed.
+        """Remove the Gaussians in ``columns`` ([n] int, increasing); return the number removed.
 
-        The last remaining columns move into the gaps, with their moments; the others keep their columns. The cost is
-        proportional to the number removed, not to the size of the map. Raises `ValueError` for invalid columns.
+        The last remaining columns move into the gaps, with their moments and ids; the others keep their columns. The
+        cost is proportional to the number removed and not to the size of the map. Raises `ValueError` for invalid
+        columns.
         """
         columns = np.asarray(columns)
         if len(columns) and not (columns[0] >= 0 and columns[-1] < self.count and (np.diff(columns) > 0).all()):
@@ -134,7 +137,7 @@ class GaussianMap:
                 array[:, gaps] = array[:, movers]
             self.ids[gaps] = self.ids[movers]
             self._stale[gaps // BLOCK] = True
-            self._stale[kept // BLOCK] = True  # the last block is shorter
+            self._stale[kept // BLOCK] = True  # the last block is shorter now
             self.count = kept
         return removed
 
@@ -150,14 +153,20 @@ class GaussianMap:
         self.touched()
 
     def touched(self, chunks: np.ndarray | None = None) -> None:
-        """Mark chunks of 1024 Gaussians ([chunks] bool; None: all) whose means or scales were changed."""
+        """Mark chunks of 1024 Gaussians in which means or scales were changed.
+
+        ``chunks`` [chunks] bool, None means all.
+        """
         if chunks is None:
             self._stale[:] = True
         else:
             self._stale.reshape(-1, _CHUNK // BLOCK)[: len(chunks)] |= chunks[:, None]
 
     def boxes(self) -> np.ndarray:  # [B, 7] float64, see `block_boxes`; read-only
-        """Return the boxes of all blocks; only blocks changed since the last call are computed."""
+        """Return the bounding boxes of all blocks of 256 Gaussians.
+
+        Only blocks changed since the last call are computed.
+        """
         blocks = -(-self.count // BLOCK)
         renew_boxes(self.parameters, self.count, np.flatnonzero(self._stale[:blocks]), self._boxes)
         self._stale[:blocks] = False
@@ -182,7 +191,10 @@ class GaussianMap:
         self._boxes, self._stale = boxes, stale
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
-        """Write parameters and moments, so that mapping can continue from the file. Replaces the file atomically."""
+        """Write parameters and Adam moments to a file, so that mapping can continue from it.
+
+        An existing file is replaced only when the new one is complete.
+        """
         with replaced(path) as file:
             np.savez(
                 file,
@@ -194,7 +206,7 @@ class GaussianMap:
 
     @classmethod
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
-        """Read a file written by `save_npz`, without pickle; raise `InputError` for any other file."""
+        """Read a map written by `save_npz`; raise `InputError` for any other file. Pickled objects are never loaded."""
         try:
             content = read_npz(path, _MAX_BYTES)
         except FileNotFoundError:
@@ -227,7 +239,7 @@ class GaussianMap:
 def learning_rates(
     *, mean: float, quaternion: float, log_scale: float, opacity: float, color: float
 ) -> np.ndarray:  # [14] float32
-    """Return the step size of every row of the map's parameters."""
+    """Return the learning rate of every row of the map's parameters, from one rate per quantity."""
     rates = np.zeros(ROWS, dtype=np.float32)
     rates[MEAN], rates[QUATERNION], rates[LOG_SCALE] = mean, quaternion, log_scale
     rates[OPACITY_LOGIT], rates[COLOR] = opacity, color
@@ -235,12 +247,12 @@ def learning_rates(
 
 
 def _empty_rows(capacity: int) -> np.ndarray:  # [14, capacity] float32 zeros
-    # Every row begins on a cache line, since the capacity is a multiple of 16.
+    # The capacity is a multiple of 16, so every row begins on a cache line.
     return aligned_zeros(ROWS * capacity).reshape(ROWS, capacity)
 
 
 def _empty_boxes(capacity: int) -> tuple[np.ndarray, np.ndarray]:  # [B, 7] float64, [B] bool: outdated
-    # One chunk more than a full map has, since `remove` marks the block behind the end.
+    # There is one chunk more than a full map has, since `remove` can mark the block behind the last Gaussian.
     blocks = (capacity // _CHUNK + 1) * (_CHUNK // BLOCK)
     return np.empty((blocks, 7)), np.ones(blocks, dtype=bool)
 
@@ -250,5 +262,5 @@ def _rounded_up(capacity: int) -> int:
 
 
 def _sigmoid(x: np.ndarray) -> np.ndarray:
-    # By tanh: no overflow for any finite logit.
+    # The form with tanh does not overflow for any finite logit.
     return 0.5 * (1.0 + np.tanh(0.5 * x))

@@ -1,4 +1,4 @@
-"""Define the common part of our mapper and the other systems: a map with stored keyframes."""
+"""Define the common part of all mappers of this package: a map of Gaussians with stored keyframes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ from activestructure_gym.mapping.keyframes import KeyframeStore
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 
-# Keyframes rendered per decision to find those with the lowest PSNR: an eighth of the pixels of 256 candidates at half
-# the size (own choice, docs/notebook/performance.md).
+# Keyframes rendered per decision to find the ones with the lowest PSNR. Their pixels are an eighth of the pixels of 256
+# candidates at half the size (own choice, docs/notebook/performance.md).
 PSNR_RENDERS = 8
 
 
 @runtime_checkable
 class StepFollower(Protocol):
-    """Define methods of objects in `KeyframeMapper.memory` that are called around the steps of every mapping event."""
+    """Define the methods that are called around the optimiser steps of a mapping event.
+
+    They are called on the objects in `KeyframeMapper.memory` that have them.
+    """
 
     def before_steps(self) -> None:
-        """Run after the seeding and before the steps of an event."""
+        """Run before the steps of an event, after the seeds were inserted."""
 
     def after_steps(self) -> None:
         """Run after the steps of an event. Steps can remove Gaussians but not add any."""
@@ -40,9 +43,9 @@ class KeyframeMapper(ABC):
     Parameters
     ----------
     config : BaseMapperConfig
-        The constants of the mapper.
+        The configuration of the mapper.
     rng : numpy.random.Generator
-        Draws keyframes and seeds.
+        Generator that draws keyframes and seeds.
     border_share : float
         Share of the image width at each border that is ignored when keyframes are tested for overlap.
 
@@ -53,7 +56,7 @@ class KeyframeMapper(ABC):
     """
 
     map: GaussianMap
-    isotropic = False  # whether every Gaussian has one scale
+    isotropic = False  # whether every Gaussian is a ball with one scale
 
     def __init__(self, config: BaseMapperConfig, rng: np.random.Generator, *, border_share: float = 0.0) -> None:
         rasterizer(config.backend)  # raises InputError if the backend cannot run here
@@ -61,59 +64,60 @@ class KeyframeMapper(ABC):
         self.map = GaussianMap()
         self._rng = rng
         self._store = KeyframeStore(border_share=border_share)
-        self.events = 0  # number of observations and refinements
-        self.memory: dict[Hashable, Any] = {}  # state of features, see `FeatureContext.episode`
+        self.events = 0  # number of mapping events: new keyframes and refinements
+        self.memory: dict[Hashable, Any] = {}  # state that features keep over an episode, see `FeatureContext.episode`
 
     @abstractmethod
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe and optimise the map; ``iterations`` defaults to that of the configuration."""
+        """Add a keyframe and optimise the map in ``iterations`` steps (None: as configured)."""
 
     @abstractmethod
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all or the given keyframes, without adding one."""
+        """Optimise the map in ``iterations`` steps on all or the given keyframes, without adding one."""
 
     @property
     def rasterizer(self) -> Rasterizer:
-        """Return the rasteriser, which renders and optimises the map."""
+        """Return the rasteriser that renders and optimises the map."""
         return rasterizer(self.config.backend)
 
     @property
     def persistent_map(self) -> GaussianMap:
-        """Return the map, for features that identify Gaussians by id over several events."""
+        """Return the map for features that identify Gaussians by id over several events."""
         return self.map
 
     @property
     def keyframes(self) -> list[Frame]:
-        """Return all observed frames in order, downsampled by ``config.keyframe_reduction``."""
+        """Return all observed frames in order, with their resolution divided by ``config.keyframe_reduction``."""
         return self._store.frames
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
-        """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
+        """Render colour [H, W, 3], accumulated depth [H, W] in metres and alpha [H, W] from a pose."""
         unseen = MapParts(self.map, kept=True).unseen(camera, world_from_camera)
         return self.rasterizer.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
     def render_depth_alpha(
         self,
         camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [C, 4, 4]
-    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
+        world_from_camera: np.ndarray,  # [C, 4, 4] poses
+    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W] metres, alpha [C, H, W]
         """Render depth and alpha from many poses, for scoring candidate views."""
         parameters, count = MapParts(self.map, kept=True).in_view(camera, world_from_camera)
         return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 
-    def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
-        """Measure the PSNR of ``renders`` keyframes again, and return the last value of every keyframe.
+    def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 dB
+        """Return the PSNR of every keyframe.
 
-        A quarter of the rendered keyframes have the oldest values, the others the lowest. No value is therefore older
-        than ``ceil(T / ceil(renders / 4))`` calls, and the cost does not grow with the number of keyframes. All values
-        are current with up to ``renders`` keyframes, or with ``renders=None``.
+        It is measured again for ``renders`` keyframes, and is the last value for others. A quarter of the rendered
+        keyframes have the oldest values, the others the lowest. So no value is older than ``ceil(T / ceil(renders /
+        4))`` calls, and the cost does not grow with the number of keyframes. With ``renders=None`` all keyframes are
+        measured.
         """
         count = len(self.keyframes) if renders is None else renders
         self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
 
     def _shuffled_views(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
-        """Return ``iterations`` keyframe indices, by repeated shuffling of the given ones (None: all)."""
+        """Return ``iterations`` keyframe indices, by repeated shuffling of ``keyframe_indices`` (None: all)."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -123,19 +127,19 @@ class KeyframeMapper(ABC):
         return views[:iterations]
 
     def _before_steps(self) -> None:
-        """Notify the objects in `memory` that seeding is done and the steps of an event begin."""
+        """Call ``before_steps`` of the objects in `memory`: the seeds of an event are inserted and its steps begin."""
         for kept in self.memory.values():
             if isinstance(kept, StepFollower):
                 kept.before_steps()
 
     def _after_steps(self) -> None:
-        """Notify the objects in `memory` that the steps and the pruning of an event are done."""
+        """Call ``after_steps`` of the objects in `memory`: the steps and the pruning of an event are done."""
         for kept in self.memory.values():
             if isinstance(kept, StepFollower):
                 kept.after_steps()
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
-        """Return the depth behind which Gaussians do not affect a keyframe; None if it is unknown."""
+        """Return the depth beyond which Gaussians do not affect the image of a keyframe; None if it is unknown."""
         return None
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
@@ -149,7 +153,7 @@ class KeyframeMapper(ABC):
 
 
 def checked_frame(frame: Frame) -> Frame:
-    """Return the frame with depths that are not finite set to 0, which means no return.
+    """Return the frame with all depths that are not finite set to 0 (no return).
 
     Raises `ValueError` if the sizes of image and camera differ.
     """
@@ -174,7 +178,10 @@ def report_of(
     new_share: float = 0.0,
     psnr: float = float("nan"),
 ) -> MappingReport:
-    """Return the report of an event from the losses [steps, 3] (colour, depth, ssim) of its steps."""
+    """Return the report of an event; ``losses`` [steps, 3] holds colour, depth and ssim of each step.
+
+    ``count`` is the number of Gaussians after the event; the other arguments are those of `MappingReport`.
+    """
     means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
     return MappingReport(
         added=added,
@@ -192,11 +199,11 @@ def report_of(
 
 
 def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """Return the colours of a frame in the range 0..1."""
+    """Return the colours of a frame as numbers in 0..1."""
     return frame.rgb * np.float32(1.0 / 255.0)
 
 
 def psnr(shown: np.ndarray, true: np.ndarray) -> float:  # any equal shapes, 0..1
-    """Return the PSNR in dB, at most 100."""
+    """Return the PSNR of image ``shown`` against image ``true`` in dB, at most 100."""
     error = float(np.mean(np.square(shown - true), dtype=np.float64))
     return float(-10.0 * np.log10(max(error, 1e-10)))

@@ -1,4 +1,4 @@
-"""Store the keyframes of a map, and choose those that optimisation steps render."""
+"""Store the keyframes of a map, and select keyframes for the optimiser steps."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame
 
-# Keyframes per overlap test; the intermediate array fits into the cache of the processor.
+# Number of keyframes tested for overlap at once; the intermediate array fits into the processor's cache.
 _CHUNK = 16
 
 
 class KeyframeStore:
-    """Hold all keyframes, with the statistics for view selection.
+    """Hold all keyframes, with the statistics by which they are selected.
 
-    A frame uses 7 bytes per pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe.
+    A frame uses 7 bytes per pixel (uint8 colour, float32 depth). ``psnr`` is the last measured PSNR of each keyframe.
     ``new_share`` is the share of its pixels that the map did not cover when it was added.
     """
 
     def __init__(self, *, border_share: float) -> None:
         self.frames: list[Frame] = []
-        self.psnr: list[float] = []  # dB
-        self.new_share: list[float] = []  # 0..1
+        self.psnr: list[float] = []  # [T] dB
+        self.new_share: list[float] = []  # [T] 0..1
         self._border_share = border_share
-        self._sides: list[np.ndarray] = []  # per keyframe [4, 4], see `viewing_sides`
-        self._measured: list[int] = []  # per keyframe, index of its last PSNR measurement; -1 = none
+        self._sides: list[np.ndarray] = []  # [4, 4] per keyframe, see `viewing_sides`
+        self._measured: list[int] = []  # per keyframe, number of its last PSNR measurement; -1 if there was none
         self._measurements = 0
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def append(self, frame: Frame, *, new_share: float) -> int:
-        """Store a copy of a frame, since sensors can reuse their arrays; return its index."""
+        """Store a copy of a frame and return its index. A copy is needed because sensors can reuse their arrays."""
         stored = Frame(
             rgb=np.array(frame.rgb, dtype=np.uint8, order="C"),
             depth=np.array(frame.depth, dtype=np.float32, order="C"),
@@ -50,13 +50,13 @@ class KeyframeStore:
         index: int,
         rng: np.random.Generator,
         *,
-        pixels: int,  # number of pixels drawn from those with a return
-        limit: int,
+        pixels: int,  # number of pixels with a depth return that are drawn
+        limit: int,  # largest number of keyframes returned
     ) -> list[int]:
-        """Return at most ``limit`` other keyframes, drawn uniformly from those that overlap with keyframe ``index``.
+        """Return at most ``limit`` other keyframes, drawn uniformly from the keyframes that overlap with ``index``.
 
-        Two keyframes overlap if a point of one projects into the image of the other; occlusion is not tested. This is
-        SplaTAM's rule without its ranking by overlap, which has no effect before a random choice.
+        Two keyframes overlap if a surface point of one projects into the image of the other; occlusion is not tested.
+        This is SplaTAM's rule without its ranking by overlap, which has no effect before a random choice.
         """
         frame = self.frames[index]
         measured = np.flatnonzero(frame.depth)
@@ -67,8 +67,8 @@ class KeyframeStore:
         points = np.ones((4, len(drawn)), dtype=np.float32)
         points[:3] = _world_points(frame, drawn).T
         found: list[int] = []
-        # Keyframes are tested in random order until enough are found. Those with the bounding sphere of the points
-        # outside one side of the image are skipped.
+        # Keyframes are tested in random order until enough are found. A keyframe is skipped if the bounding sphere of
+        # the points is outside one side of its image.
         order = order[(order != index) & self._may_see(points)[order]]
         for start in range(0, len(order), _CHUNK):
             chunk = order[start : start + _CHUNK]
@@ -80,14 +80,14 @@ class KeyframeStore:
         return found[:limit]
 
     def _may_see(self, points: np.ndarray) -> np.ndarray:  # [4, N] homogeneous -> [T] bool
-        """Return False for keyframes that certainly see none of the points."""
+        """Return False for each keyframe that certainly sees none of the points."""
         middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
         radius = np.linalg.norm(points - middle[:, None], axis=0).max() * 1.001
         sides = np.stack(self._sides)  # [T, 4, 4]
         return (sides @ middle + radius * np.linalg.norm(sides[..., :3], axis=-1) > 0).all(axis=1)
 
     def record_psnr(self, index: int, psnr: float) -> None:
-        """Set the PSNR of keyframe ``index``, in dB."""
+        """Set the PSNR of keyframe ``index`` to ``psnr`` dB, as its newest measurement."""
         self.psnr[index] = psnr
         self._measured[index] = self._measurements
         self._measurements += 1
@@ -98,15 +98,15 @@ class KeyframeStore:
         return [int(index) for index in order[: max(0, count)]]
 
     def to_measure(self, *, oldest: int, count: int) -> list[int]:
-        """Return ``count`` keyframes: the ``oldest`` ones of `stalest`, then those with the lowest last PSNR."""
+        """Return the ``count`` keyframes to measure: ``oldest`` of them by `stalest`, the others by lowest PSNR."""
         first = self.stalest(min(oldest, count))
         worst = [int(index) for index in np.argsort(self.psnr, kind="stable") if index not in first]
         return first + worst[: max(0, count - len(first))]
 
     def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
-        """Return the global keyframes: those with a PSNR below a threshold (dB), or with many new pixels.
+        """Return the keyframes with a PSNR below a threshold (dB) or a share of new pixels above a threshold.
 
-        Both conditions are ActiveGAMER's. The ranking of its Matterport3D variant made no measurable difference.
+        These are ActiveGAMER's global keyframes. The ranking in its Matterport3D variant made no measurable difference.
         """
         return [
             k
@@ -119,11 +119,11 @@ def viewing_sides(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     *,
-    border_share: float = 0.0,  # share of the image width ignored on each side
+    border_share: float = 0.0,  # share of the image width ignored at each border
 ) -> np.ndarray:  # [4, 4] float32
-    """Return the four side planes of the frustum: a point (x, y, z, 1) is inside if all four products are above 0.
+    """Return the planes of the four image sides: a world point (x, y, z, 1) is in view if all products are above 0.
 
-    A point between the left and the right side has a depth above 0.
+    A point inside both the left and the right side has a depth above 0.
     """
     border = min(border_share * camera.width, 0.49 * min(camera.width, camera.height))
     sides = np.array(
@@ -139,13 +139,14 @@ def viewing_sides(
 
 def draw_views(
     iterations: int,
-    local: list[int],
-    remote: list[int],
+    local: list[int],  # keyframe indices; the first one is the current frame
+    remote: list[int],  # keyframe indices
     rng: np.random.Generator,
 ) -> list[int]:
-    """Return the keyframe of each iteration: the first half from ``local``, the second from ``remote`` if not empty.
+    """Return the keyframe of each iteration: the first half is drawn from ``local``, the second from ``remote``.
 
-    ``local[0]`` is the current frame. It is used first, since only it has seen its new Gaussians.
+    Without ``remote`` keyframes all are drawn from ``local``. The first iteration uses ``local[0]``, the current frame,
+    since only this frame has seen its new Gaussians.
     """
     half = iterations if not remote else (iterations + 1) // 2
     views = [local[k] for k in rng.integers(len(local), size=half)] if local else []

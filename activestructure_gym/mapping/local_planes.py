@@ -1,8 +1,8 @@
-"""Denoise a depth image by a local plane at every pixel, fitted to the neighbours on the same surface.
+"""Reduce the noise of a depth image by fitting a plane to each pixel's neighbours on the same surface.
 
 At large distances, the noise of a depth camera exceeds the spacing of Gaussians. Seeds at the measured depth would form
-a cloud around a wall, and each new frame would add another one, since it measures other depths. The plane averages the
-neighbours of a pixel. Neighbours beyond an edge are excluded, so that edges are preserved.
+a cloud around a wall, and each new frame would add another cloud, since its noise differs. The plane averages over the
+neighbours of a pixel. Neighbours beyond an edge are excluded, so edges are preserved.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.depth_noise import axial_sigma
 
-_REACHES = (1, 2, 2)  # pixels, window radius per iteration (measured: 3 or 4 is no better and blurs small objects)
-_GATE = 3.0  # sigmas; a neighbour farther from the previous plane is on another surface (measured against 4)
-_IN_LINE = 6.0  # sigmas, largest deviation of three pixels of one surface from a line (measured)
-_MIN_WEIGHT = 2.5  # smallest total weight of the pixels, at most 1 each, for a fit (own choice)
-_MIN_SPREAD = 1e-2  # pixels^4; below it the pixels are collinear, and the slope is undefined (own choice)
+_REACHES = (1, 2, 2)  # pixels: window radius of each iteration (measured: 3 or 4 is no better and blurs small objects)
+_GATE = 3.0  # sigmas: a neighbour this far from the plane is on another surface (measured against 4)
+_IN_LINE = 6.0  # sigmas: largest second difference of three pixels that count as a line (measured)
+_MIN_WEIGHT = 2.5  # smallest sum of the weights (at most 1 per pixel) for a fit (own choice)
+_MIN_SPREAD = 1e-2  # pixels^4: below this determinant the pixels are collinear and the slope is undefined (own choice)
 
 
 def on_local_planes(
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
     noise_scale: float,  # factor on the axial noise of a Kinect
 ) -> np.ndarray:  # [H, W] float32 metres
-    """Replace each depth by that of a plane fitted to the pixel's neighbours on the same surface.
+    """Return the depth image with each depth replaced by that of a plane fitted to neighbours on the same surface.
 
     The fit is by iterated weighted least squares in 1 / z, which is linear in the image along a plane. A neighbour that
     is r sigmas from the plane of the previous iteration has the weight 1 - (r / 3)^2, and 0 from r = 3.
 
-    The first plane is parallel to the image. If more of the 3 x 3 neighbours fit a slanted plane, as on floors, that
-    one is used instead. Its slope along each axis comes from the pixel and two neighbours on one side. The side is the
-    one on which these three pixels are closer to a line.
+    The first plane is parallel to the image. If more of the 3 x 3 neighbours fit a slanted plane, as on floors, the
+    slanted plane is used instead. Its slope along each axis comes from the pixel and two neighbours on one side: the
+    side on which these three pixels are closer to a line.
 
     If the neighbours are collinear, the pixel gets their weighted mean of 1 / z. A pixel without a return or with too
     few neighbours keeps its depth.
     """
     seen = np.where(depth > 0, depth, np.float32(1.0)).astype(np.float64)
-    sigma = noise_scale * axial_sigma(seen) / seen**2  # of 1 / z, to first order
+    sigma = noise_scale * axial_sigma(seen) / seen**2  # standard deviation of 1 / z, to first order
     inverse = np.where(depth > 0, 1.0 / seen, 0.0)
     return _fitted(inverse, sigma, np.ascontiguousarray(depth, np.float32))
 
@@ -52,7 +52,7 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
             here, least = inverse[row, column], 1.0 / (_GATE * sigma[row, column])
             across, down = _start(inverse, row, column, least)
             for reach in _REACHES:
-                # Weighted sums over the neighbours: u, v = offset in pixels, d = 1 / z.
+                # Weighted sums over the neighbours. u and v are the offset in pixels, d = 1 / z.
                 n, u, v, d = 0.0, 0.0, 0.0, 0.0
                 uu, uv, vv, ud, vd = 0.0, 0.0, 0.0, 0.0, 0.0
                 for i in range(max(0, row - reach), min(height, row + reach + 1)):
@@ -84,7 +84,10 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
 
 @kernel
 def _start(inverse: np.ndarray, row: int, column: int, least: float) -> tuple[float, float]:
-    """Return the slopes of 1 / z per pixel, to the right and down, of the first plane."""
+    """Return the slopes of 1 / z per pixel, to the right and down, of the first plane at pixel (row, column).
+
+    ``inverse`` [H, W] is 1 / z. ``least`` is 1 / (3 sigma), so that a difference times ``least`` is 1 at three sigmas.
+    """
     height, width = inverse.shape
     across, down = _slope(inverse, row, column, 0, 1, least), _slope(inverse, row, column, 1, 0, least)
     flat, slanted = 0.0, 0.0
@@ -99,7 +102,11 @@ def _start(inverse: np.ndarray, row: int, column: int, least: float) -> tuple[fl
 
 @kernel
 def _slope(inverse: np.ndarray, row: int, column: int, downwards: int, rightwards: int, least: float) -> float:
-    """Return the change of 1 / z per pixel on the side where three pixels are closer to a line; 0 if on neither."""
+    """Return the change of 1 / z per pixel at (row, column), along the axis (``downwards``, ``rightwards``).
+
+    ``inverse`` [H, W] is 1 / z, and ``least`` is 1 / (3 sigma). The change comes from the pixel and two neighbours, on
+    the side where the three are closer to a line. It is 0 if neither side is close enough.
+    """
     height, width = inverse.shape
     best, slope = _IN_LINE / (_GATE * least), 0.0
     for side in (-1, 1):

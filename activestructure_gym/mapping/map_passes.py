@@ -1,6 +1,6 @@
-"""Compile the tests of a mapping event that read the whole map.
+"""Test all Gaussians of a map in one compiled pass each.
 
-The numpy versions spend most of their time on temporary arrays of the size of the map.
+Numpy versions would spend most of their time on temporary arrays of the size of the map.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.mapping.gaussian_map import ROWS
 
-CHUNK = 1024  # Gaussians whose sums fit into the first cache; the chunk of the rasteriser
+CHUNK = 1024  # Gaussians per chunk, as in the rasteriser; the sums of a chunk fit into the first-level cache
 
 
 class MeasuredDepth(NamedTuple):
-    """Hold a depth image and its camera."""
+    """Hold a depth image and its camera as one kernel argument."""
 
     depth: np.ndarray  # [H, W] float32 metres; 0 = no return
     camera_from_world: np.ndarray  # [3, 4] float32
@@ -27,10 +27,10 @@ class MeasuredDepth(NamedTuple):
 def unfit(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
-    least_logit: float,
-    most_log_scale: float,
-    changed: np.ndarray,  # [chunks] bool
-) -> np.ndarray:  # [n] int64, rising
+    least_logit: float,  # logit of the smallest allowed opacity
+    most_log_scale: float,  # logarithm of the largest allowed sigma in metres
+    changed: np.ndarray,  # [chunks] bool, chunks of 1024 Gaussians to test
+) -> np.ndarray:  # [n] int64 columns, increasing
     """Return the Gaussians in ``changed`` chunks that are too transparent, too large along an axis, or not finite."""
     found, at = np.empty(min(count, CHUNK * changed.sum()), np.int64), 0
     total = np.empty(CHUNK, np.float32)
@@ -43,7 +43,7 @@ def unfit(
         for row in range(ROWS):
             values = parameters[row, first : first + length]
             for i in range(length):
-                total[i] += values[i]  # a sum with a value that is not finite is not finite
+                total[i] += values[i]  # a sum is not finite if one of its values is not
         for i in range(length):
             column = first + i
             fits = (
@@ -61,7 +61,10 @@ def unfit(
 
 @kernel
 def faces_away(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> bool:
-    """Return whether Gaussian i is a disk facing away from a point (world, metres). Its third axis is the normal."""
+    """Return whether Gaussian i is a disk whose normal points away from the world point (x, y, z) in metres.
+
+    The normal is the third axis. A Gaussian is a disk if its third scale is smaller than the second one.
+    """
     if not parameters[9, i] < parameters[8, i]:
         return False
     p, q, r, s = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
@@ -77,13 +80,14 @@ def faces_away(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> 
 def too_wide(
     parameters: np.ndarray,  # [14, n] float32
     count: int,
-    unseen: np.ndarray,  # [chunks] bool, chunks to skip
+    unseen: np.ndarray,  # [chunks] bool, chunks of 1024 Gaussians to skip
     measured_depth: MeasuredDepth,
-    largest: np.ndarray,  # [H, W] float32 metres, largest allowed middle sigma
+    largest: np.ndarray,  # [H, W] float32 metres, largest allowed sigma at each pixel
 ) -> np.ndarray:  # [count] bool
-    """Return the Gaussians on the measured surface, within one sigma, that are wider than their pixel allows.
+    """Return a mask of the Gaussians on the measured surface that are wider than allowed at their pixel.
 
-    Disks that face away are left out: they belong to the other side of a thin object.
+    A Gaussian is on the surface if its mean is within one sigma of the measured depth; sigma is its middle scale. Disks
+    that face away are not in the mask, because they belong to the other side of a thin object.
     """
     depth, m, intrinsics = measured_depth
     eye = np.zeros(3, np.float32)

@@ -1,6 +1,6 @@
-"""Map posed RGB-D frames: seed Gaussians where the map is empty, take a few sparse Adam steps, prune.
+"""Map posed RGB-D frames: insert Gaussians where the map lacks surface, take a few optimiser steps, prune.
 
-`MapperConfig` selects the recipe (our own or SplaTAM's); measurements are in docs/notebook/groundwork.md. The backend
+`MapperConfig` selects the recipe (default or SplaTAM's); measurements are in docs/notebook/groundwork.md. The backend
 `MapperConfig.backend` renders and optimises (`activestructure_gym.splatting.rasterizers`).
 """
 
@@ -35,25 +35,25 @@ from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
 from activestructure_gym.splatting import LossWeights
 
-# Number of Gaussians above which the arrays are sorted spatially, and growth factor of the map until they are sorted
-# again. Late keyframes seed few Gaussians in many places, so blocks in order of insertion span rooms (measured in
-# docs/notebook/map.md, "Large maps").
+# A map with more Gaussians than the first number is sorted spatially, and again whenever it has grown by the second
+# factor. Late keyframes insert few Gaussians in many places, so blocks in order of insertion would span rooms (measured
+# in docs/notebook/map.md, "Large maps").
 _ORDERED_ABOVE = 200_000
 _ORDERED_AGAIN = 1.5
 
 
 class Mapper(KeyframeMapper):
-    """Map online from known poses. Equal configuration, generator and frames give equal parameters.
+    """Map online from given poses. Equal configuration, generator and frames give equal parameters.
 
-    The map grows with the observed surface (`activestructure_gym.mapping.density`). ``max_gaussians`` limits it: seeds
-    beyond the limit are left out evenly, and Gaussians are replaced only if all their replacements fit.
+    The map grows with the observed surface (`activestructure_gym.mapping.density`) up to ``max_gaussians``. Beyond this
+    limit, an even selection of the seeds is inserted, and coarse Gaussians are replaced only if all finer ones fit.
 
     Parameters
     ----------
     config : MapperConfig
         The recipe and its constants.
     rng : numpy.random.Generator
-        Draws keyframes and seeds.
+        Generator that draws keyframes and seeds.
     bounds : ndarray, optional
         Not used: the map is not limited to a box.
     """
@@ -62,9 +62,9 @@ class Mapper(KeyframeMapper):
 
     def __init__(self, config: MapperConfig, rng: np.random.Generator, bounds: np.ndarray | None = None) -> None:
         super().__init__(config, rng, border_share=config.overlap_border)
-        self._ordered_above = _ORDERED_ABOVE  # Gaussians
-        self._largest_seed = 0.0  # metres, sigma
-        self._largest_depth = 0.0  # metres
+        self._ordered_above = _ORDERED_ABOVE  # number of Gaussians above which the map is sorted next
+        self._largest_seed = 0.0  # largest sigma of a seed so far, metres
+        self._largest_depth = 0.0  # largest depth of all frames, metres
         self._weights = LossWeights(
             image=config.image_weight,
             l1_share=config.l1_share,
@@ -76,19 +76,19 @@ class Mapper(KeyframeMapper):
 
     @property
     def isotropic(self) -> bool:  # type: ignore[override]
-        """Return whether every Gaussian has one scale."""
+        """Return whether every Gaussian is a ball with one scale."""
         return self.config.isotropic
 
     @property
     def scene_radius(self) -> float:
-        """Return about half the size of the scene in metres, the reference for limits on lengths."""
+        """Return about half the size of the scene in metres. It is the reference for limits on lengths."""
         if self.config.scene_radius is not None:
             return self.config.scene_radius
-        # The largest depth of all frames, since the first frame can be close to a wall.
+        # The largest depth is over all frames, since the first frame can be close to a wall.
         return self._largest_depth / 3.0 if self._largest_depth > 0 else 2.0
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
-        """Add a keyframe, seed where the map lacks surface, and optimise (default: ``config.iterations``)."""
+        """Add a keyframe, seed where the map lacks surface, and take ``iterations`` steps (None: as configured)."""
         frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self.events += 1
@@ -98,10 +98,10 @@ class Mapper(KeyframeMapper):
         replaced, added, left_out, new_share = self._seed(frame, unseen)
         index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
         views: list[int] = []
-        if iterations:  # choosing views takes as long as rendering one
+        if iterations:  # selecting views takes as long as rendering one
             views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views)
-        # The new keyframe is unmeasured and comes first, then those with the oldest PSNR.
+        # The new keyframe is measured, and then the keyframes with the oldest measurement.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return report_of(
             self.map.count,
@@ -116,9 +116,9 @@ class Mapper(KeyframeMapper):
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all or the given keyframes, shuffled repeatedly, without seeding; then prune.
+        """Optimise in ``iterations`` steps on all or the given keyframes, shuffled repeatedly, without seeding.
 
-        Only colours are optimised, unless ``config.refine_shapes``.
+        Then prune. Only colours are optimised, unless ``config.refine_shapes``.
         """
         views = self._shuffled_views(iterations, keyframe_indices)
         self.events += 1
@@ -126,10 +126,10 @@ class Mapper(KeyframeMapper):
         return report_of(self.map.count, views, losses, pruned)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
-        """Insert Gaussians where the map lacks them, and remove Gaussians coarser than the new ones.
+        """Insert Gaussians where the map lacks surface, and remove Gaussians that are coarser than the new ones.
 
-        ``unseen`` marks chunks of the map outside the view of the frame. Returns the numbers of Gaussians removed,
-        added, and left out because of ``max_gaussians``, and the share of new pixels.
+        ``unseen`` marks chunks of the map outside the view of the frame. Returns the number removed, the number
+        inserted, the number left out because of ``max_gaussians``, and the share of new pixels.
         """
         config, replaced = self.config, 0
         if config.seed_spacing is None:
@@ -147,7 +147,8 @@ class Mapper(KeyframeMapper):
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             leaving = np.flatnonzero(coarse)
             if len(leaving) and not self._room_for(len(sigma) - len(leaving)):
-                coarse[:], leaving = False, leaving[:0]  # without room for the finer ones, removal would leave a gap
+                # Without room for the finer Gaussians, removal would leave a gap.
+                coarse[:], leaving = False, leaving[:0]
                 seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             replaced = self.map.remove(leaving)
         count = len(sigma)
@@ -164,7 +165,10 @@ class Mapper(KeyframeMapper):
         return replaced, len(sigma), count - len(sigma), new_share
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
-        """Return the measured depth: seeds by spacing are opaque at once and occlude all Gaussians behind it."""
+        """Return the measured depth.
+
+        Seeds of the default recipe are opaque at once and occlude all Gaussians behind it.
+        """
         return None if self.config.seed_spacing is None else frame.depth
 
     def _room_for(self, more: int) -> bool:
@@ -174,8 +178,11 @@ class Mapper(KeyframeMapper):
 
     def _seeds_by_rendering(
         self, frame: Frame, unseen: np.ndarray | None
-    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
-        """Choose grid pixels where the rendered map is transparent or behind the measured depth (SplaTAM's rule)."""
+    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n seeds, their sigmas [n] in metres, share of new pixels
+        """Return seeds on a pixel grid where the rendered map is transparent or too deep (SplaTAM's rule).
+
+        ``unseen`` marks chunks of the map outside the view.
+        """
         config, camera, pose = self.config, frame.camera, frame.world_from_camera
         if self.map.count:
             rendering = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen)
@@ -197,15 +204,19 @@ class Mapper(KeyframeMapper):
 
     def _seeds_by_spacing(
         self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None, leaving: np.ndarray
-    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
-        """Choose samples of the surface without a mean within the wanted spacing [H, W]."""
+    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n seeds, their sigmas [n] in metres, share of new pixels
+        """Return seeds at the surface samples that have no mean within the wanted ``spacing`` [H, W] in metres.
+
+        ``unseen`` marks chunks of the map outside the view, and ``leaving`` [count] marks Gaussians that will be
+        removed.
+        """
         samples = surface_samples(frame, spacing)
         states = states_of_samples(
             samples, spacing, self.map.parameters, self.map.count, frame, unseen=unseen, leaving=leaving
         )
         wanted = np.flatnonzero(states == SEED)
         seeds = SurfaceSamples(*(array[wanted] for array in samples))
-        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != COVERED)  # samples of pixels come first
+        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != COVERED)  # samples at pixels come first
         return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / frame.depth.size
 
     def _new_gaussians(self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray) -> np.ndarray:
@@ -223,7 +234,10 @@ class Mapper(KeyframeMapper):
         )
 
     def _coarse(self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None) -> np.ndarray:  # [count] bool
-        """Return a mask of visible surface Gaussians that are wider than the seeds of this frame."""
+        """Return a mask of the surface Gaussians in view that are wider than the seeds of this frame.
+
+        ``spacing`` [H, W] is the wanted spacing in metres, and ``unseen`` marks chunks outside the view.
+        """
         ratio, count = self.config.coarse_ratio, self.map.count
         if ratio is None or not count:
             return np.zeros(count, dtype=bool)
@@ -231,7 +245,7 @@ class Mapper(KeyframeMapper):
         return too_wide(self.map.parameters, count, chunks_to_skip(unseen, count), measured_depth(frame), largest)
 
     def _local_views(self, index: int) -> list[int]:
-        """Return the current keyframe, the previous one, and keyframes that overlap with the current one."""
+        """Return the local keyframes: keyframe ``index``, the previous one, and others that overlap with ``index``."""
         local = [index] if index == 0 else [index, index - 1]
         overlapping = self._store.overlapping(
             index, self._rng, pixels=self.config.overlap_pixels, limit=self.config.window - 1
@@ -244,18 +258,18 @@ class Mapper(KeyframeMapper):
         return [k for k in poor if k != index]
 
     def _slack(self, iterations: int, *, refining: bool = False) -> dict[str, float]:
-        """Return upper bounds of a Gaussian's displacement (m) and growth (factor) in ``iterations`` steps."""
+        """Return upper bounds of a Gaussian's displacement (metres) and growth (factor) in ``iterations`` steps."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(refining=refining)
-        with np.errstate(over="ignore"):  # inf for very many steps
+        with np.errstate(over="ignore"):  # the bound is infinite for very many steps
             growth = float(np.exp(farthest[LOG_SCALE].max()))
         return {"shift": float(farthest[MEAN].max()), "growth": growth}
 
     def _optimize(self, views: Sequence[int], *, refining: bool = False) -> tuple[np.ndarray, int]:
-        """Take one optimiser step per entry of ``views``, and prune.
+        """Take one optimiser step on the keyframe of each entry of ``views``, and prune.
 
-        Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and the number of Gaussians pruned.
+        Returns the losses of every step ([steps, 3]: colour, depth, ssim) and the number of Gaussians pruned.
         """
         config = self.config
         losses = np.full((len(views), 3), np.nan)
@@ -265,7 +279,8 @@ class Mapper(KeyframeMapper):
         own_rates, epsilon = config.learning_rates(refining=refining), config.adam_epsilon
         rates = own_rates
         pruned = 0
-        changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; unknown at first
+        # Chunks changed since the last pruning; at first all may have changed.
+        changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)
         parts: MapParts | None = None  # boxes that remain valid for all remaining steps
         for step, view in enumerate(views):
             if step in config.prune_steps:
@@ -276,7 +291,7 @@ class Mapper(KeyframeMapper):
                 parts = MapParts(self.map, **self._slack(len(views), refining=refining), kept=True)
                 changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
             if config.adam_reset:
-                # Adam's bias correction by rate and epsilon, since the kernel has none.
+                # Adam's bias correction is applied to learning rate and epsilon, since the kernel has none.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
                 rates = own_rates * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
@@ -309,23 +324,24 @@ class Mapper(KeyframeMapper):
         return losses, pruned
 
     def _prune(self, changed: np.ndarray) -> int:
-        """Remove Gaussians that are transparent, too large or not finite.
+        """Remove Gaussians that are transparent, too large or not finite; return their number.
 
-        Only ``changed`` chunks [chunks] are tested: the others passed the last test, and the limits only rise.
+        Only ``changed`` chunks ([chunks] bool) are tested: the others passed the last test, and the size limit only
+        rises.
         """
         threshold = self.config.prune_opacity
-        # At a coarse resolution, seeds can exceed the share of the scene radius; they must not be removed.
+        # At a coarse resolution, seeds can exceed the size limit; they must not be removed.
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
-        with np.errstate(divide="ignore"):  # thresholds of 0 and 1
+        with np.errstate(divide="ignore"):  # the thresholds 0 and 1 give infinite logits
             least_logit = float(np.log(threshold) - np.log1p(-threshold))
         return self.map.remove(unfit(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed))
 
 
 def largest_adam_step(beta1: float, beta2: float) -> float:
-    """Return an upper bound of |first moment| / sqrt(second moment), the length of a step in units of the rate.
+    """Return an upper bound of the length of an Adam step without bias correction, in units of the learning rate.
 
-    The bound is (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)), by the Cauchy-Schwarz inequality over all past gradients. It
-    is inf if the sum diverges.
+    b1 and b2 are the decay rates ``beta1`` and ``beta2``. The bound is (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)), by
+    the Cauchy-Schwarz inequality over all past gradients. It is infinite if b1^2 >= b2.
     """
     rest = 1.0 - beta1**2 / beta2
     return (1.0 - beta1) / np.sqrt((1.0 - beta2) * rest) if rest > 0 else np.inf

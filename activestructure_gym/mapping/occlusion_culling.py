@@ -1,8 +1,8 @@
 """Find blocks of the map that are occluded by the measured surface of a keyframe.
 
-Gaussians behind a wall are inside the frustum of many keyframes without being visible. A block is occluded if every
-pixel that it can affect has a depth return nearer than the block's nearest point by more than `MARGIN`. Pixels without
-a return occlude nothing.
+Gaussians behind a wall are inside the view frustum of many keyframes without being visible. A block is occluded if
+every pixel that it can affect has a depth return more than `MARGIN` in front of the block's nearest point. Pixels
+without a return occlude nothing.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-MARGIN = 0.5  # metres behind the measured surface: larger than depth noise and map error (own choice)
-_TILE = 8  # pixels
-_REACH = 3.35  # sigma (the rasteriser stops at 3.34)
-_BORDER = 2.0  # pixels by which the blur of the rasteriser enlarges a Gaussian
-_MIN_DEPTH_M = 0.05  # metres; a box with a smaller depth is never occluded
+MARGIN = 0.5  # metres behind the measured surface, more than depth noise and map error (own choice)
+_TILE = 8  # pixels per side of a tile
+_REACH = 3.35  # radius of a Gaussian in sigmas (the rasteriser stops at 3.34)
+_BORDER = 2.0  # pixels by which the rasteriser's blur enlarges a Gaussian
+_MIN_DEPTH_M = 0.05  # metres; a box that reaches a smaller depth is never occluded
 
 
 class DepthTiles(NamedTuple):
-    """Hold the largest depth per tile of a depth image, and its camera."""
+    """Hold the largest depth in each tile of 8 x 8 pixels of a depth image, and its camera, as one kernel argument."""
 
     farthest: np.ndarray  # [h, w] float32 metres; inf if a pixel of the tile has no return
     camera_from_world: np.ndarray  # [3, 4] float64
@@ -35,7 +35,7 @@ def depth_tiles(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
 ) -> DepthTiles:
-    """Return the largest depth of every tile of a depth image, with the camera."""
+    """Return the largest depth of every tile of a depth image, together with its camera."""
     height, width = depth.shape
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     pose = np.ascontiguousarray(invert_rigid(world_from_camera)[:3])
@@ -43,8 +43,8 @@ def depth_tiles(
 
 
 @kernel
-def _farthest(depth: np.ndarray) -> np.ndarray:  # [H, W] float32 -> [h, w]
-    """Return the largest depth of every tile; inf if a pixel has no return."""
+def _farthest(depth: np.ndarray) -> np.ndarray:  # [H, W] float32 metres -> [h, w]
+    """Return the largest depth of every tile of 8 x 8 pixels; inf if a pixel of the tile has no return."""
     height, width = depth.shape
     farthest = np.zeros((-(-height // _TILE), -(-width // _TILE)), np.float32)
     for v in range(height):
@@ -57,10 +57,10 @@ def _farthest(depth: np.ndarray) -> np.ndarray:  # [H, W] float32 -> [h, w]
 
 @kernel
 def behind_the_measured(
-    boxes: np.ndarray,  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
+    boxes: np.ndarray,  # [B, 7] float64 metres, see `block_boxes`
     tiles: DepthTiles,
 ) -> np.ndarray:  # [B] bool
-    """Return the boxes that are completely more than `MARGIN` behind the measured surface."""
+    """Return a mask of the boxes that are completely more than `MARGIN` behind the measured surface."""
     farthest, m, intrinsics, (width, height) = tiles
     hidden = np.zeros(len(boxes), np.bool_)
     for block in range(len(boxes)):

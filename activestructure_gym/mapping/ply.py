@@ -1,8 +1,9 @@
 """Read and write Gaussian maps as 3DGS PLY files, a format of most splat viewers and converters.
 
-Files are binary little endian, with one ``vertex`` element of 17 float properties (SH degree 0) and zero normals. The
-axes are those of the map: world, z up, metres. The format has no field for axes. Viewers that expect y down show such a
-map on its back; `axes.turned_map` rotates it. The layout is that of the programs of [kerbl2023] and [gsplat].
+Files are binary little endian, with one ``vertex`` element of 17 float properties (spherical harmonics of degree 0) and
+zero normals. The axes are those of the map: world, z up, metres. The format has no field for axes. Viewers that expect
+y down show such a map on its back; `axes.turned_map` rotates it. The layout is that of the programs of [kerbl2023] and
+[gsplat].
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from activestructure_gym.ply_header import (
     read_header,
 )
 
-# The order in files of other tools; readers use the names.
+# Order of the properties in files of other programs. Readers find them by name.
 PLY_PROPERTIES = (
     *("x", "y", "z"),
     *("nx", "ny", "nz"),
@@ -45,26 +46,26 @@ PLY_PROPERTIES = (
     *("rot_0", "rot_1", "rot_2", "rot_3"),
 )
 
-_SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the spherical harmonic of degree 0
-_FLAT = np.log(0.1)  # relative thickness for Gaussians with two scales, as in seeding
+_SH_C0 = 0.28209479177387814  # value of the spherical harmonic of degree 0, 1 / (2 sqrt(pi))
+_FLAT = np.log(0.1)  # log of the thickness relative to the smaller scale, for Gaussians with two scales, as in seeding
 
 
 def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: UpInFile = "z") -> None:
-    """Write the Gaussians to a PLY file, without moments. Reading and writing again gives the same bytes.
+    """Write the Gaussians to a PLY file, without Adam moments. Reading and writing the file again gives the same bytes.
 
     Parameters
     ----------
     gaussians : GaussianMap
         The map.
     path : str or path-like
-        The file, which is replaced atomically.
+        The file. An existing file is replaced only when the new one is complete.
     up : {"z", "y", "-y"}
         The up axis that the comment of the file states. The map is not rotated.
     """
     used = gaussians.parameters[:, : gaussians.count]
     rows = np.zeros((gaussians.count, len(PLY_PROPERTIES)), dtype="<f4")
     rows[:, 0:3] = used[MEAN].T
-    # In double precision, so that reading and writing again gives the same colour.
+    # Double precision, so that reading and writing the file again gives the same colours.
     rows[:, 6:9] = (used[COLOR].T.astype(np.float64) - 0.5) / _SH_C0
     rows[:, 9] = used[OPACITY_LOGIT]
     rows[:, 10:13] = used[LOG_SCALE].T
@@ -79,10 +80,10 @@ def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: UpInF
 def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
     """Read a binary 3DGS PLY file of either byte order.
 
-    Properties are found by name; unknown ones are ignored, for example normals and the view-dependent colour
-    ``f_rest_*`` (the map has SH degree 0). A file with ``scale_0`` only contains balls, one with ``scale_0`` and
-    ``scale_1`` thin disks. Without ``rot_*``, all rotations are the identity. Gaussians with a value that is not finite
-    are dropped, with a warning.
+    Properties are found by name, and unknown ones are ignored. These include normals and the view-dependent colour
+    ``f_rest_*``, since the map has spherical harmonics of degree 0. Gaussians are balls if the file has only
+    ``scale_0``, and thin disks if it has only ``scale_0`` and ``scale_1``. Without ``rot_*``, all rotations are the
+    identity. Gaussians with a value that is not finite are dropped, with a warning.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
     Returns
     -------
     GaussianMap
-        The Gaussians, in metres and in the axes of the file; moments are 0.
+        The Gaussians, in metres and in the axes of the file; Adam moments are 0.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
         block[:, QUATERNION] = columns("rot_0", "rot_1", "rot_2", "rot_3")
     else:
         block[:, QUATERNION] = (1.0, 0.0, 0.0, 0.0)
-    with np.errstate(over="ignore"):  # a double beyond float32's range becomes infinite and is dropped below
+    with np.errstate(over="ignore"):  # a double beyond the range of float32 becomes infinite and is dropped below
         block32 = block.astype(np.float32)
     usable = np.isfinite(block32).all(axis=1)
     if not usable.all():
@@ -140,11 +141,12 @@ def _log_scales(columns, names: set[str]) -> np.ndarray:  # [n, 3]
     return columns("scale_0", "scale_1", "scale_2")
 
 
-def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, one record per vertex
+def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured array with one record per vertex
     try:
         with open(path, "rb") as file:
             count, dtype = _vertices(read_header(file), path)
-            # Compared before reading: with a damaged count, more memory than the file's size would be allocated.
+            # The sizes are compared before reading, because a damaged count could require more memory than the file's
+            # size.
             announced, present = count * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
             payload = file.read(announced) if announced <= present else b""
     except FileNotFoundError:
@@ -160,7 +162,7 @@ def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, o
 
 
 def _vertices(header: PlyHeader | None, path: str | os.PathLike[str]) -> tuple[int, np.dtype]:
-    """Return vertex count and record type of a header; raise `InputError` if it is not that of a map."""
+    """Return the number of vertices and the record type of a header; raise `InputError` if it describes no map."""
     if header is None:
         raise InputError(f"'{path}' is not a PLY file: it does not begin with 'ply'")
     if header.format and header.format not in NUMPY_ORDERS:

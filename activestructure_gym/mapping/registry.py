@@ -1,4 +1,4 @@
-"""Register mappers by name; an entry is the configuration that makes the mapper."""
+"""Register mappers by name. An entry is the configuration class or object that creates the mapper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAPPERS: Registry[BaseMapperConfig | type[BaseMapperConfig]] = Registry(
 
 
 def mapper_config(name: str) -> BaseMapperConfig:
-    """Return the configuration registered as ``name``, with its field ``name`` set to it.
+    """Return the configuration registered as ``name``, with its field ``name`` set to ``name``.
 
     Raises `InputError` for an unknown name, and for an entry that is not the configuration of a mapper.
     """

@@ -18,20 +18,20 @@ from activestructure_gym.mapping.surface_boundaries import nearest_boundaries
 
 
 def missing_pixels(
-    depth: np.ndarray,  # [H, W] metres, measured; 0 = no return
-    rendered_depth: np.ndarray,  # [H, W] accumulated: sum of weight * z
-    alpha: np.ndarray,  # [H, W] 0..1
+    depth: np.ndarray,  # [H, W] measured depth in metres, 0 = no return
+    rendered_depth: np.ndarray,  # [H, W] accumulated depth: sum of weight times z
+    alpha: np.ndarray,  # [H, W] rendered alpha, 0..1
     *,
     covered_alpha: float = 0.5,  # pixels with a lower alpha are missing
-    error_factor: float = 50.0,  # factor on the median depth error of the image
-    error_floor: float = 0.03,  # metres
-    normalised: bool = True,
+    error_factor: float = 50.0,  # depth tolerance as a factor on the median depth error
+    error_floor: float = 0.03,  # metres, smallest depth tolerance
+    normalised: bool = True,  # whether the rendered depth is divided by alpha
 ) -> np.ndarray:  # [H, W] bool
-    """Return the pixels that need new Gaussians: the map is transparent, or behind the measured surface.
+    """Return a mask of the pixels that need new Gaussians: the map is transparent, or behind the measured surface.
 
-    The test against the median error is SplaTAM's. In a converged map the median is below 1 mm; the floor then prevents
-    seeds from sensor noise. ``normalised=False`` is SplaTAM's exact rule: accumulated depth, and the median over all
-    pixels, with error 0 for those without a return.
+    The tolerance from the median error is SplaTAM's. In a converged map the median is below 1 mm; the floor then
+    prevents seeds from sensor noise. ``normalised=False`` is SplaTAM's exact rule: accumulated depth, and the median
+    over all pixels, with error 0 for pixels without a return.
     """
     measured = depth > 0
     covered = alpha >= covered_alpha
@@ -46,7 +46,7 @@ def missing_pixels(
 
 
 def _median(values: np.ndarray) -> float:
-    """Return the median of finite numbers, faster than `numpy.median` since nothing is checked."""
+    """Return the median of finite numbers, faster than `numpy.median`, which checks its input."""
     low, high = (values.size - 1) // 2, values.size // 2
     ordered = np.partition(values, (low, high), axis=None)
     return float((ordered[low] + ordered[high]) / 2.0)
@@ -54,29 +54,30 @@ def _median(values: np.ndarray) -> float:
 
 def grid_pixels(
     mask: np.ndarray,  # [H, W] bool
-    stride: int,
+    stride: int,  # pixels per side of a grid cell
 ) -> tuple[np.ndarray, np.ndarray]:  # rows [n], columns [n]
-    """Return the pixels of the seed grid inside the mask: the central pixel of each whole ``stride`` x ``stride`` cell.
+    """Return the pixels of ``mask`` on the seed grid, which has one pixel per cell of ``stride`` x ``stride`` pixels.
 
-    They are ordered by rows: neighbours in the image become neighbours in the map, which improves cache use.
+    It is the central pixel of the cell. The pixels are in row-major order: neighbours in the image become neighbours in
+    the map, which improves cache use.
     """
-    down, right = (min(stride // 2, size - 1) for size in mask.shape)  # last pixel of an image smaller than a cell
+    down, right = (min(stride // 2, size - 1) for size in mask.shape)  # the last pixel, in an image smaller than a cell
     rows, columns = np.nonzero(mask[down::stride, right::stride])
     return rows * stride + down, columns * stride + right
 
 
 def surface_steps(
-    points: np.ndarray,  # [H, W, 3] camera frame, z = 0 where there is no return
-    rows: np.ndarray,  # [n]
-    columns: np.ndarray,  # [n]
+    points: np.ndarray,  # [H, W, 3] metres, camera frame; z = 0 means no return
+    rows: np.ndarray,  # [n] rows of the pixels
+    columns: np.ndarray,  # [n] columns of the pixels
     *,
-    min_cosine: float = 0.05,  # of the angle between normal and line of sight
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # per column [n, 3], per row [n, 3], defined [n] bool
-    """Return the change of the surface point per pixel: one-sided differences towards the smaller depth difference.
+    min_cosine: float = 0.05,  # least cosine between normal and line of sight
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # step per column [n, 3], step per row [n, 3], defined [n] bool
+    """Return how the surface point changes from a pixel to the next column and to the next row, in metres.
 
-    This is exact on a plane. At a depth edge, it is the side that remains on the surface. The result is undefined if a
-    direction has no neighbour with a return, or if the angle to the surface is too small, as between two depth edges
-    of a thin object.
+    Differences are one-sided, towards the neighbour with the smaller depth difference. This is exact on a plane, and at
+    a depth edge it uses the side on the same surface. The result is undefined if a direction has no neighbour with a
+    return, or if the surface is viewed at a grazing angle, as between two depth edges of a thin object.
     """
     center = points[rows, columns]
     per_column, column_found = _one_sided_difference(points, rows, columns, center, 0, 1)
@@ -105,14 +106,14 @@ def _one_sided_difference(
 def seed_disks(
     frame: Frame,
     seeds: SurfaceSamples,
-    sigma: np.ndarray,  # [n] metres, in the plane
+    sigma: np.ndarray,  # [n] metres, in-plane sigma
     *,
-    thickness: float = 0.1,  # sigma along the normal, as a share of the in-plane sigma
-    opacity: float = 0.9,
-    min_cosine: float = 0.05,
-    border_sigmas: float | None = None,  # sigmas from the centre of a disk to the boundary of its surface
+    thickness: float = 0.1,  # sigma along the normal / in-plane sigma
+    opacity: float = 0.9,  # 0..1
+    min_cosine: float = 0.05,  # least cosine between normal and line of sight of a disk
+    border_sigmas: float | None = None,  # sigmas from a disk's centre to the boundary of its surface; None = no limit
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """Return one disk per sample in the tangent plane; a ball if the normal is unknown.
+    """Return one disk per sample, in the tangent plane of the surface; a ball where the normal is undefined.
 
     Near a boundary of the surface, the disk is an ellipse that is narrow across the boundary (`nearest_boundaries`).
     """
@@ -139,10 +140,10 @@ def seed_disks(
 def seed_balls(
     frame: Frame,
     seeds: SurfaceSamples,
-    sigma: np.ndarray,  # [n] metres
+    sigma: np.ndarray,  # [n] metres, sigma
     *,
-    opacity: float = 0.5,
-) -> np.ndarray:  # [14, n] float32
+    opacity: float = 0.5,  # 0..1
+) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
     """Return one ball per sample, with the colour of the sample."""
     block = np.empty((ROWS, len(seeds.pixels)), dtype=np.float32)
     block[MEAN] = transform_points(frame.world_from_camera, seeds.points.astype(np.float64)).T
@@ -154,7 +155,7 @@ def seed_balls(
 
 
 def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> SurfaceSamples:
-    """Return the surface samples of the given pixels of a frame."""
+    """Return the surface samples at the pixels (rows [n], columns [n]) of a frame."""
     points = frame.camera.backproject(frame.depth)[rows, columns]
     pixels = rows * frame.camera.width + columns
     return SurfaceSamples(
@@ -163,48 +164,52 @@ def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> Surfac
 
 
 def _disk_axes(
-    per_column: np.ndarray,  # [n, 3]
-    per_row: np.ndarray,  # [n, 3], not parallel to ``per_column``
-) -> np.ndarray:  # [n, 3, 3] as columns: long, short, normal
+    per_column: np.ndarray,  # [n, 3] change of the surface point per column
+    per_row: np.ndarray,  # [n, 3] change per row, not parallel to ``per_column``
+) -> np.ndarray:  # [n, 3, 3], columns: long axis, short axis, normal
     """Return the axes of the ellipse on the surface whose projection into the image is a circle."""
     per_column, per_row = per_column.astype(np.float64), per_row.astype(np.float64)
-    # Eigenvalues and first eigenvector of the 2 x 2 matrix of inner products, in closed form.
+    # Angle of the first eigenvector of the 2 x 2 matrix of inner products, in closed form.
     a = np.einsum("ij,ij->i", per_column, per_column)
     b = np.einsum("ij,ij->i", per_column, per_row)
     d = np.einsum("ij,ij->i", per_row, per_row)
     angle = 0.5 * np.arctan2(2.0 * b, a - d)
     long = np.cos(angle)[:, None] * per_column + np.sin(angle)[:, None] * per_row
     long /= np.linalg.norm(long, axis=1, keepdims=True)
-    normal = _cross(per_row, per_column)  # y x x = -z: towards the camera
+    normal = _cross(per_row, per_column)  # y cross x is -z, so the normal points towards the camera
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.stack([long, _cross(normal, long), normal], axis=-1)
 
 
 def _boundary_axes(
     frame: Frame,
-    pixels: np.ndarray,  # [n] flat index
-    direction: np.ndarray,  # [n, 2] unit vectors in the image, towards the boundary
-    normals: np.ndarray,  # [n, 3] of the surface, camera frame
+    pixels: np.ndarray,  # [n] flat indices
+    direction: np.ndarray,  # [n, 2] unit vectors (column, row) in the image, towards the boundary
+    normals: np.ndarray,  # [n, 3] surface normals, camera frame
 ) -> tuple[np.ndarray, np.ndarray]:  # [n, 3, 3] as columns: across the boundary, along it, normal; [n] metres per pixel
-    """Return the axes of disks near a boundary, and the length on the surface of a pixel across the boundary."""
+    """Return the axes of disks near a surface boundary, and metres on the surface per pixel across the boundary.
+
+    Axes are across the boundary, along it, and the surface normal.
+    """
     camera = frame.camera
     rows, columns = np.divmod(pixels, camera.width)
     ray = np.stack(
         [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(pixels))], axis=-1
     )
-    # The image line of the boundary and the camera centre span a plane, which cuts the surface along the boundary.
+    # The line of the boundary in the image and the camera centre span a plane, which cuts the surface along the
+    # boundary.
     line = np.stack([-direction[:, 1] / camera.fx, direction[:, 0] / camera.fy, np.zeros(len(pixels))], axis=-1)
     along = _cross(normals, _cross(ray, line))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = _cross(along, normals)
-    moved = across[:, :2] - ray[:, :2] * across[:, 2:]  # times the focal length over depth: pixels per metre
+    moved = across[:, :2] - ray[:, :2] * across[:, 2:]  # pixels per metre, without the factor focal length / depth
     pixels_per_metre = np.abs(moved[:, 0] * direction[:, 0] * camera.fx + moved[:, 1] * direction[:, 1] * camera.fy)
     metres_per_pixel = frame.depth.ravel()[pixels] / np.maximum(pixels_per_metre, 1e-6)
     return np.stack([across, along, normals], axis=-1), metres_per_pixel
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 3]
-    """Return the cross product of rows, faster than `numpy.cross`, which supports other shapes."""
+    """Return the cross products of rows, faster than `numpy.cross`, which supports other shapes."""
     result = np.empty_like(a)
     for k in range(3):
         m, n = (k + 1) % 3, (k + 2) % 3

@@ -1,7 +1,7 @@
 """Find the boundary of the surface around a pixel, which limits the size of a disk.
 
-A disk that extends beyond its surface gives the background the colour and depth of the foreground. Disks are therefore
-narrow across a boundary, and along it as wide as elsewhere.
+A disk that extends beyond its surface gives the background the colour and depth of the foreground. So disks are narrow
+across a boundary. Along the boundary they are as wide as elsewhere.
 """
 
 from __future__ import annotations
@@ -14,25 +14,26 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.density import same_surface
 
-# A neighbour deeper than the plane of the previous pixels by more than this share of the depth is on a surface that
-# bends away; seen from the other side, the surface ends there. Half the tolerance of `same_surface`.
+# Share of the depth. If a neighbour is deeper than the plane of the previous pixels by more than this, the surface
+# bends away from the camera. Seen from the other side, the surface would end there. It is half the tolerance of
+# `same_surface`.
 _BENT = 0.01
-_MAX_REACH_PX = 64  # pixels tested in each direction
+_MAX_REACH_PX = 64  # largest number of pixels tested in each direction
 
 
 class Boundaries(NamedTuple):
-    """Hold the nearest surface boundary of n pixels, as a line in the image."""
+    """Hold the nearest surface boundary of n pixels, as a straight line in the image."""
 
-    distance: np.ndarray  # [n] pixels from the pixel centre; inf = none within the tested distance
-    direction: np.ndarray  # [n, 2] unit vectors (columns, rows) towards the boundary; 0 without one
+    distance: np.ndarray  # [n] pixels from the pixel centre to the line; inf if none is within the tested distance
+    direction: np.ndarray  # [n, 2] unit vectors (column, row) towards the line; 0 without a line
 
 
 def nearest_boundaries(
     frame: Frame,
-    pixels: np.ndarray,  # [n] int64, flat index
-    reach: np.ndarray,  # [n] metres, tested distance
+    pixels: np.ndarray,  # [n] int64, flat indices
+    reach: np.ndarray,  # [n] metres on the surface to test
 ) -> Boundaries:
-    """Return the line through the points where the row and the column of each pixel leave its surface."""
+    """Return a line per pixel through the two points where the row and the column of the pixel leave its surface."""
     focal = 0.5 * (frame.camera.fx + frame.camera.fy)
     steps = np.ceil(reach * focal / np.maximum(frame.depth.ravel()[pixels], 1e-3) + 0.5)
     ends = _boundary_offsets(frame.depth, pixels, np.minimum(steps, _MAX_REACH_PX).astype(np.int64))
@@ -45,8 +46,11 @@ def nearest_boundaries(
 
 
 @kernel
-def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) -> np.ndarray:  # [n, 2]
-    """Return the signed distance in pixels to the nearer end of the surface, along row and column; inf = none."""
+def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) -> np.ndarray:  # [n, 2] pixels
+    """Return the signed distances to the nearer end of the surface, along the row and the column of each pixel.
+
+    Inf = none. ``pixels`` [n] are flat indices, and ``steps`` [n] the numbers of pixels to test in each direction.
+    """
     height, width = depth.shape
     found = np.full((len(pixels), 2), np.inf)
     for n in range(len(pixels)):
@@ -63,7 +67,7 @@ def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) 
                         if step + 0.5 < abs(found[n, axis]):
                             found[n, axis] = sign * (step + 0.5)
                         break
-                    if not on_surface:  # a nearer surface occludes the continuation of this one
+                    if not on_surface:  # a nearer surface occludes the continuation of this surface
                         break
                     row, column = i, j
     return found
@@ -71,7 +75,11 @@ def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) 
 
 @kernel
 def _is_behind(depth: np.ndarray, row: int, column: int, down: int, right: int, on_surface: bool) -> bool:
-    """Return whether the next pixel is behind the surface of this one or has no return; 1 / z is linear on planes."""
+    """Return whether the pixel next to (row, column) is behind the surface of that pixel, or has no return.
+
+    The next pixel is at (row + down, column + right). ``on_surface`` states whether it is on the same surface. 1 /
+    depth is linear along a plane.
+    """
     height, width = depth.shape
     there = depth[row + down, column + right]
     if not there > 0.0:

@@ -1,21 +1,20 @@
 """Track the pose of a frame by aligning it with earlier keyframes.
 
-The reported pose is the start value and a prior. Every point P of the reference keyframes is transformed into the
-camera, p = T P, and compared with the frame at its pixel, by two residuals:
+The reported pose is the initial value and a prior. Each surface point P of the reference keyframes is transformed into
+the camera, p = T P, and compared with the frame at its pixel by two residuals:
 
-    depth   n . (q - p)    the point-to-plane distance
-    colour  C - I(p)
+    depth   n . (q - p)    the point-to-plane distance colour  C - I(p)
 
-Here q is the point measured at that pixel, n the normal and C the colour of the reference, and I the frame's image.
-Both images are smoothed, less in each step.
+Here q is the point that the frame measures at that pixel, n and C are normal and colour of the reference point, and I
+is the image of the frame. Both images are smoothed, less in each step.
 
-The update is camera_from_world T <- Exp(xi) T with xi = (rho, phi). A point moves by rho + phi x p. The rows of the
-Gauss-Newton system are therefore [n, p x n] and [g, p x g], where g is the gradient of the colour per metre. Depth
-determines the three to five degrees of freedom that the visible planes constrain; colour determines the others.
+The update is camera_from_world T <- Exp(xi) T with xi = (rho, phi). A point moves by rho + phi x p. So the rows of the
+Gauss-Newton system are [n, p x n] and [g, p x g], where g is the gradient of the colour per metre. Depth determines the
+three to five degrees of freedom that the visible planes constrain; colour determines the others.
 
-The references are keyframes, not renderings of the map. After few steps per keyframe, the map has systematic errors of
-millimetres to a centimetre at slanted walls and edges, which bias the pose. Measured errors are 2 to 3 cm with the
-rendered map, and below 2 mm with keyframes.
+The references are keyframes and not renderings of the map. After few optimiser steps per keyframe, the map has
+systematic errors of millimetres to a centimetre at slanted walls and edges, which bias the pose. Measured pose errors
+are 2 to 3 cm with the rendered map, and below 2 mm with keyframes.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp, t
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import check_ranges
 
-_NEAR = 0.05  # metres, smallest depth
-_PROBES = 400  # pixels of the frame that test which keyframes overlap
+_NEAR = 0.05  # metres, smallest depth of a point in view
+_PROBES = 400  # number of pixels of the frame by which overlapping keyframes are found
 _RANGES = {
     "iterations": "[0, 10000]",
     "references": "[1, 100000]",
@@ -45,18 +44,20 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """Configure `track_pose`. All values are our own choice; measurements are in docs/notebook/method.md."""
+    """Configure `track_pose`. All values are own choices; measurements are in docs/notebook/method.md."""
 
-    iterations: int = 0  # Gauss-Newton steps, at most; 0 = no tracking. 20 works well
-    references: int = 10  # keyframes with the largest overlap (measured: 6 double the error)
-    pixels: int = 3600  # pixels per reference, on a grid; fewer in smaller images
-    blurs_deg: tuple[float, ...] = (1.8, 1.4, 1.1, 0.7, 0.35)  # smoothing sigma per step; the last one repeats
-    reaches: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)  # metres, largest residual per step; the last repeats
-    depth_sigma: float = 0.001  # metres, smallest scale of the depth residual (its measured spread if larger)
-    color_sigma: float = 0.02  # 0..1, smallest scale of the colour residual, as above
-    huber: float = 1.345  # residual, in scales, above which the loss is linear (95 % efficiency for Gaussian noise)
-    converged: float = 1e-4  # metres and radians; the first shorter step is the last
-    gate: float = 4.0  # largest deviation from the reported pose, as a factor on the expected error
+    iterations: int = 0  # largest number of Gauss-Newton steps; 0 = no tracking, 20 works well
+    references: int = 10  # number of reference keyframes, those with the largest overlap (measured: 6 double the error)
+    pixels: int = 3600  # pixels per reference keyframe, on a grid; fewer in smaller images
+    # Degrees: sigma of the image smoothing in each step; the last value repeats.
+    blurs_deg: tuple[float, ...] = (1.8, 1.4, 1.1, 0.7, 0.35)
+    # Metres: largest depth residual in each step; the last value repeats.
+    reaches: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)
+    depth_sigma: float = 0.001  # metres, smallest scale of depth residuals; their measured spread is used if larger
+    color_sigma: float = 0.02  # smallest scale of colour residuals in 0..1; their measured spread is used if larger
+    huber: float = 1.345  # residual in scales above which the loss is linear (95 % efficiency for Gaussian noise)
+    converged: float = 1e-4  # metres and radians; a shorter step ends the iteration
+    gate: float = 4.0  # largest deviation from the reported pose, in expected errors
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES, "tracking ")
@@ -69,33 +70,33 @@ class TrackedPose:
     world_from_camera: np.ndarray  # [4, 4]
     steps: int  # Gauss-Newton steps taken
     points: int  # reference points compared in the last step
-    believed: bool  # False: too little overlap, or too far from the reported pose, which is then returned
+    believed: bool  # False: too little overlap or too far from the reported pose, which is returned instead
 
 
 @dataclass(frozen=True)
 class _References:
     points: np.ndarray  # [n, 3] metres, world
     normals: np.ndarray  # [n, 3] world
-    colors: np.ndarray  # [levels, n, 3] 0..1
+    colors: np.ndarray  # [blurs, n, 3] 0..1, one per image smoothing
 
 
 def track_pose(
-    frame: Frame,  # with the reported pose
+    frame: Frame,  # with its reported pose
     keyframes: Sequence[Frame],  # with the poses used for mapping
     config: TrackingConfig,
     *,
     sigma_m: float,  # metres per axis, expected error of the reported position
-    sigma_deg: float,  # degrees per axis, as above for the rotation
+    sigma_deg: float,  # degrees per axis, expected error of the reported rotation
 ) -> TrackedPose:
-    """Align a frame with the keyframes that overlap with it most.
+    """Return the pose of a frame, found by alignment with the keyframes that overlap with it most.
 
-    The reported pose is returned without overlap, or if the result deviates from it by more than ``config.gate``
+    The reported pose is returned if there is no overlap, or if the result deviates from it by more than ``config.gate``
     expected errors.
 
     Parameters
     ----------
     frame : Frame
-        The frame; its pose is the reported one.
+        The frame, with the reported pose.
     keyframes : sequence of Frame
         The keyframes, with the poses used for mapping.
     config : TrackingConfig
@@ -149,7 +150,10 @@ def track_pose(
 
 
 def shared_keyframes(frame: Frame, keyframes: Sequence[Frame], *, limit: int, reach: float) -> list[int]:
-    """Return the ``limit`` keyframes with the largest overlap: same surface point, depths within ``reach`` metres."""
+    """Return the ``limit`` keyframes that overlap most with a frame: they see the same surface points.
+
+    A keyframe sees a point of the frame if its depth there differs by less than ``reach`` metres.
+    """
     measured = np.flatnonzero(frame.depth)
     if not len(measured):
         return []
@@ -168,7 +172,7 @@ def shared_keyframes(frame: Frame, keyframes: Sequence[Frame], *, limit: int, re
 
 
 def _pixels(points: np.ndarray, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row, column (0 outside) and whether inside the image, for points [n, 3] in the camera frame."""
+    """Return row, column and whether inside the image for points [n, 3] in the camera frame; 0 and 0 outside."""
     z = points[:, 2]
     safe = np.where(z > _NEAR, z, 1.0)
     column = np.floor(camera.fx * points[:, 0] / safe + camera.cx)
@@ -196,9 +200,12 @@ def surface_normals(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
     camera: PinholeCamera,
     *,
-    max_bend: float = 0.02,  # relative second difference of the inverse depth, which is linear on planes
+    max_bend: float = 0.02,  # largest second difference of 1 / depth, divided by 1 / depth; 0 on a plane
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # points [H, W, 3], normals [H, W, 3], defined [H, W] bool
-    """Return points and normals (towards the camera) by central differences; undefined at borders, edges and holes."""
+    """Return points and unit normals (towards the camera) by central differences.
+
+    They are undefined at image borders, depth edges and holes.
+    """
     points = camera.backproject(depth)
     inverse = np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0), 0.0)
     middle, after, before = slice(1, -1), slice(2, None), slice(None, -2)
@@ -221,7 +228,11 @@ def surface_normals(
 def _seen(
     pose: np.ndarray, references: _References, frame: Frame, rays: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return visible reference points: index [n], position in the camera [n, 3], pixel [n, 2], depth residual [n]."""
+    """Return the reference points that the frame sees: index, camera point, pixel (column, row), depth residual.
+
+    ``pose`` is camera_from_world. ``rays`` [H, W, 3] are the camera's rays, and a larger depth residual than ``reach``
+    metres excludes a point.
+    """
     camera = frame.camera
     place = transform_points(pose, references.points)
     row, column, inside = _pixels(place, camera)
@@ -240,12 +251,12 @@ def _seen(
 
 
 def _color_terms(
-    image: np.ndarray,  # [H, W, 9] colour, its slope per column, its slope per row
-    colors: np.ndarray,  # [n, 3]
-    place: np.ndarray,  # [n, 3]
-    pixel: np.ndarray,  # [n, 2] column, row; pixel centres at + .5
+    image: np.ndarray,  # [H, W, 9] colour, its change per column, its change per row
+    colors: np.ndarray,  # [n, 3] colours of the reference points
+    place: np.ndarray,  # [n, 3] metres, camera frame
+    pixel: np.ndarray,  # [n, 2] column and row; centres of pixels are at + 0.5
     camera: PinholeCamera,
-) -> tuple[np.ndarray, np.ndarray]:  # rows [3 n, 6], residuals [3 n]
+) -> tuple[np.ndarray, np.ndarray]:  # derivatives by the pose [3 n, 6], residuals [3 n]
     values = _bilinear(image, pixel - 0.5)
     per_x = values[:, 3:6] * (camera.fx / place[:, 2:])
     per_y = values[:, 6:9] * (camera.fy / place[:, 2:])
@@ -255,32 +266,35 @@ def _color_terms(
 
 
 def _rows(direction: np.ndarray, place: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 6]
-    """Return the derivative of direction . (rho + phi x place) by (rho, phi)."""
+    """Return the derivative of direction . (rho + phi x place) with respect to (rho, phi)."""
     return np.concatenate([direction, np.cross(place, direction)], axis=1)
 
 
 def _robust_weights(residuals: np.ndarray, least: float, huber: float) -> np.ndarray:
-    """Return Huber weights over the variance; the scale is from the median absolute residual, at least ``least``."""
+    """Return Huber weights / variance of residuals, with the standard deviation from their median absolute value.
+
+    The standard deviation is at least ``least``; ``huber`` is the threshold in standard deviations.
+    """
     scale = max(least, 1.4826 * float(np.median(np.abs(residuals))))
     return np.minimum(1.0, huber * scale / np.maximum(np.abs(residuals), 1e-12)) / scale**2
 
 
 def _smoothed(frame: Frame, blur_deg: float) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """Return the image smoothed by an angle, so that images of different sizes show the same detail."""
+    """Return the image smoothed with a sigma of ``blur_deg`` degrees, so that image sizes do not affect the detail."""
     import cv2
 
     sigma = blur_deg * np.pi / 180.0 * frame.camera.fx  # pixels
     return cv2.GaussianBlur(frame.rgb.astype(np.float32) / 255.0, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
 
-def _with_slopes(image: np.ndarray) -> np.ndarray:  # [H, W, 3] -> [H, W, 9]
+def _with_slopes(image: np.ndarray) -> np.ndarray:  # [H, W, 3] -> [H, W, 9]: image, change per column, change per row
     per_column, per_row = np.zeros_like(image), np.zeros_like(image)
     per_column[:, 1:-1] = 0.5 * (image[:, 2:] - image[:, :-2])
     per_row[1:-1] = 0.5 * (image[2:] - image[:-2])
     return np.concatenate([image, per_column, per_row], axis=2)
 
 
-def _bilinear(image: np.ndarray, at: np.ndarray) -> np.ndarray:  # [H, W, c], [n, 2] column, row inside -> [n, c]
+def _bilinear(image: np.ndarray, at: np.ndarray) -> np.ndarray:  # [H, W, c], [n, 2] column and row -> [n, c]
     corner = np.floor(at).astype(int)
     share = (at - corner)[:, :, None]
     (column, row), (x, y) = corner.T, (share[:, 0], share[:, 1])
@@ -289,7 +303,7 @@ def _bilinear(image: np.ndarray, at: np.ndarray) -> np.ndarray:  # [H, W, c], [n
     return upper * (1.0 - y) + lower * y
 
 
-def _tangent(motion: np.ndarray) -> np.ndarray:  # [6] (rho, phi)
-    """Return the logarithm of a small rigid motion, to first order in the rotation (inverse of `se3_exp`)."""
+def _tangent(motion: np.ndarray) -> np.ndarray:  # [4, 4] -> [6] (rho, phi)
+    """Return the logarithm of a small rigid transform, the inverse of `se3_exp` to first order in the rotation."""
     phi = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
     return np.concatenate([motion[:3, 3] - 0.5 * np.cross(phi, motion[:3, 3]), phi])

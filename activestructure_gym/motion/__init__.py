@@ -1,4 +1,4 @@
-"""Plan motion between views: reachability, paths, and the frames along them."""
+"""Plan motion between views: reachable positions, collision-free paths, and the camera pose of each frame."""
 
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.motion.planned_paths import Agent, PlannedPath, least_frames

@@ -1,4 +1,4 @@
-"""Check the clearance of planned and executed path edges, with one exception for a start in a tight place."""
+"""Check the clearance of paths; a start that is too close to an obstacle is allowed to leave it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import sample
 
-# Metres within which a start with too little clearance may move to a place with enough.
+# Metres: length of the first part of a path in which clearance may be too small, after a start with too little.
 ESCAPE_REACH = 0.5
-# Metres: clearance on that path may be this much below the start's own, but never below this value.
+# Metres: clearance in that part may be this much below the clearance of the start, but never below this value.
 TOUCHING = 1e-3
-# Distance between the samples of an edge, in voxels.
+# Largest distance between two samples of an edge, in voxels.
 _SAMPLING = 0.5
-# Voxels: largest dip of the interpolated field (slope at most sqrt 3) between two samples.
+# Voxels: largest decrease of the interpolated clearance between two samples, as its slope is at most sqrt(3).
 SAMPLING_DIP = 0.25 * np.sqrt(3.0)
 
 
@@ -24,10 +24,10 @@ def first_blocked_edge(
     *,
     min_clearance: float,  # metres
 ) -> int | None:
-    """Return the index of the first edge of the path with too little clearance; None if there is none.
+    """Return the index of the first edge of the path with a clearance below ``min_clearance``; None if there is none.
 
-    A start closer to an obstacle is allowed: the path may have the start's clearance within its first 0.5 m, until it
-    first reaches ``min_clearance``. An agent next to a newly observed obstacle can thus leave. Edges of zero length
+    If the start itself has less clearance, the path may have the clearance of the start within its first 0.5 m, until
+    it first reaches ``min_clearance``. So an agent next to a newly observed obstacle can leave. Edges of zero length
     (turning in place) are never blocked.
     """
     points = np.ascontiguousarray((np.asarray(path, dtype=np.float64) - volume.origin) / volume.voxel_size - 0.5)
@@ -40,10 +40,10 @@ def first_blocked_edge(
 
 @kernel
 def _first_blocked_edge(
-    field: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
     points: np.ndarray,  # [P, 3] voxels
-    bound: float,  # metres
-    reach: float,  # voxels
+    bound: float,  # least clearance, metres
+    reach: float,  # length of the exception at the start, voxels
 ) -> int:
     own = sample(field, points[0, 0], points[0, 1], points[0, 2])
     escaping = own < bound

@@ -1,4 +1,4 @@
-"""Predict the path to a view before it is chosen: its cost in frames and its keyframes."""
+"""Predict the path to a candidate view: its frames and its keyframes."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from activestructure_gym.volume import VoxelVolume
 
 
 def least_frames(
-    pose: np.ndarray,  # [4, 4] world_from_camera
-    goals: np.ndarray,  # [n, 4, 4]
+    pose: np.ndarray,  # [4, 4] world_from_camera, current pose
+    goals: np.ndarray,  # [n, 4, 4] world_from_camera
     lengths: np.ndarray,  # [n] path lengths in metres
     motion: MotionConfig,
-) -> np.ndarray:  # [n]
-    """Return the frames needed to reach each goal: the larger of steps and turns, at least one."""
+) -> np.ndarray:  # [n] frames
+    """Return the number of frames needed to reach each goal: the larger of steps and turns, at least one."""
     turns = np.degrees(rotation_angle(goals, pose)) / motion.max_turn_deg
     return np.maximum(np.ceil(np.maximum(lengths / motion.max_step_m, turns) - 1e-6), 1)
 
 
 @dataclass(frozen=True)
 class PlannedPath:
-    """Hold the path to one view, cut at the end of the budget."""
+    """Hold the path to one view, cut off at the end of the frame budget."""
 
-    frames: int  # frames used
-    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of the keyframes along it, including its end
+    frames: int  # number of frames used
+    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of the keyframes along the path, including its end
 
 
 @dataclass(frozen=True)
 class Agent:
-    """Hold the agent's pose, budget and motion limits: everything that determines a path besides the volume."""
+    """Hold the state of the agent that determines its paths: pose, budget and motion limits."""
 
     pose: np.ndarray  # [4, 4] world_from_camera
-    frames: int  # frames used so far
+    frames: int  # number of frames used so far
     frame_budget: int
-    keyframe_every: int  # frames
+    keyframe_every: int  # frames between two keyframes of a path
     motion: MotionConfig
-    distances: DistanceMap  # from the current position
-    rng: np.random.Generator  # of the path planner; copied before use, so that its state does not change
-    stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] final pose of each decision
+    distances: DistanceMap  # path lengths from the current position
+    rng: np.random.Generator  # generator of the path planner; copied before use, so its state does not change
+    stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] pose at the end of each decision
 
     def least_frames(self, goals: np.ndarray) -> np.ndarray:  # [n, 4, 4] -> [n]
-        """Return the frames needed to reach each goal along the grid path; inf if unreachable."""
+        """Return the number of frames needed to reach each goal along the shortest grid path; inf if unreachable."""
         return least_frames(self.pose, goals, self.distances.at(goals[:, :3, 3]), self.motion)
 
     def along(self, poses: np.ndarray) -> PlannedPath:  # [T, 4, 4]
-        """Return the frames of ``poses`` within the budget, and the keyframes among them."""
+        """Return the path along ``poses`` (one per frame), cut off at the end of the frame budget."""
         frames = min(len(poses), self.frame_budget - self.frames)
         number = np.arange(1, frames + 1)
         taken = ((self.frames + number) % self.keyframe_every == 0) | (number == frames)
         return PlannedPath(frames, poses[:frames][taken])
 
     def paths(self, volume: VoxelVolume, goals: Iterable[np.ndarray]) -> list[PlannedPath | None]:  # goals of [4, 4]
-        """Return the path to every goal through known free space; None if there is none.
+        """Return the planned path to every goal through known free space; None if there is none.
 
-        Each position is planned once with a copy of the generator, so the call changes no state; the executed path may
-        differ. Obstacles first observed along the path are not predicted.
+        Each goal position is planned once, with a copy of the generator, so the call changes no state. The executed
+        path may differ, since it uses the generator itself and avoids obstacles first observed along the path.
         """
         paths: dict[bytes, np.ndarray | None] = {}
         found: list[PlannedPath | None] = []

@@ -1,4 +1,4 @@
-"""Compute path lengths from one position to all voxels, and the paths to them."""
+"""Compute path lengths from one position to all voxels, and the paths."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import bounding_box, cut_out, segment_above
 
-HERE = 1e-6  # metres: closer positions count as equal
-# Active buckets of the queue: steps are at most sqrt(3) voxels long, and the seeds' lengths differ by no more buckets.
+HERE = 1e-6  # metres: positions closer than this count as equal
+# Buckets of Dijkstra's queue, used in turn. A step is at most sqrt(3) voxels long, and the lengths at the seeds differ
+# by fewer voxels than there are buckets.
 _BUCKETS = 16
 
 
 def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the 26 steps as flat offsets in an array of this shape.
+    """Return the 26 steps to neighbouring voxels as offsets in a flattened array of this shape.
 
     Returns the offset [26] int64 and the length [26] float32 (voxels) of each step. Then the offsets [26, 6] int64 of
     the other voxels in the block between its two ends, and their number [26] int64.
@@ -30,7 +31,11 @@ def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 @cache
 def _steps() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return `_moves` in voxels along the three axes instead of offsets: [26, 3], [26], [26, 6, 3], [26]."""
+    """Return the 26 steps to neighbouring voxels along three axes.
+
+    Returns the steps [26, 3] and their lengths [26] (voxels). Then the steps [26, 6, 3] to the other voxels in the
+    block between both ends of a step, and their number [26].
+    """
     moves = [move for move in itertools.product((-1, 0, 1), repeat=3) if any(move)]
     corners, count = np.zeros((26, 6, 3), np.int64), np.zeros(26, np.int64)
     for n, move in enumerate(moves):
@@ -43,22 +48,22 @@ def _steps() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 @kernel
 def _spread(
-    open_: np.ndarray,  # [X * Y * Z] bool, False on the border of the box
-    lengths: np.ndarray,  # [X * Y * Z] float32 voxels: inf, except at the seeds
-    parents: np.ndarray,  # [X * Y * Z] int32: index of the previous voxel, -1 = none
-    seeds: np.ndarray,  # [S] indices
-    jump: np.ndarray,  # from _moves
-    cost: np.ndarray,
-    corners: np.ndarray,
-    corner_count: np.ndarray,
+    open_: np.ndarray,  # [X * Y * Z] bool: enough clearance; False on the border of the box
+    lengths: np.ndarray,  # [X * Y * Z] float32 voxels: inf, except at the seeds; output
+    parents: np.ndarray,  # [X * Y * Z] int32 index of the previous voxel, -1 = none; output
+    seeds: np.ndarray,  # [S] flat indices of the voxels from which paths begin
+    jump: np.ndarray,  # [26] offsets, see _moves
+    cost: np.ndarray,  # [26] lengths in voxels
+    corners: np.ndarray,  # [26, 6] offsets
+    corner_count: np.ndarray,  # [26]
 ) -> None:
-    """Run Dijkstra's algorithm over the 26 neighbours; a diagonal step needs its whole 2 x 2 (x 2) block open.
+    """Compute path lengths by Dijkstra's algorithm; a diagonal step needs its whole block of 2 x 2 (x 2) voxels open.
 
-    Every step is at least one voxel long, so all voxels in the current bucket (one voxel wide) are final, in any order,
-    and no heap is needed. Measured on one core (10 x 8 x 2.7 m at 0.1 m, 107k open voxels): 5 ms; with a binary heap 17
-    ms; scipy.sparse.csgraph.dijkstra 50 ms plus 75 to 110 ms for its matrix.
+    Every step is at least one voxel long, and a bucket of the queue is one voxel wide. So all voxels in the current
+    bucket are final, in any order, and no heap is needed. Measured on one core (10 x 8 x 2.7 m at 0.1 m, 107k open
+    voxels): 5 ms; with a binary heap 17 ms; scipy.sparse.csgraph.dijkstra 50 ms plus 75 to 110 ms for its matrix.
     """
-    # A voxel enters a bucket only when its length decreases to it: at most once per bucket.
+    # A voxel is added to a bucket only when its length decreases to it, so at most once per bucket.
     capacity = 0
     for n in range(len(open_)):
         capacity += open_[n]
@@ -78,7 +83,7 @@ def _spread(
             here = queue[slot, n]
             length = lengths[here]
             if int(length) != bucket:
-                continue  # it has moved to a lower bucket
+                continue  # the voxel has moved to a lower bucket
             for m in range(26):
                 there = here + jump[m]
                 through = length + cost[m]
@@ -105,13 +110,16 @@ def _spread(
 
 @kernel
 def _best_corner(
-    field: np.ndarray,  # clearance, metres
-    lengths: np.ndarray,  # [X, Y, Z] voxels, of the box that starts at ``corner``
-    corner: np.ndarray,  # [3] int64
-    point: np.ndarray,  # [3] voxels, the centre of voxel (0, 0, 0) of the field is at 0
-    bound: float,
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
+    lengths: np.ndarray,  # [x, y, z] voxels, in the box that begins at ``corner``
+    corner: np.ndarray,  # [3] int64 voxel index
+    point: np.ndarray,  # [3] voxels; the centre of voxel (0, 0, 0) of the field is at 0
+    bound: float,  # least clearance, metres
 ) -> tuple[float, int]:  # (length in voxels, flat index in the box)
-    """Return the shortest path to ``point`` over one of the 8 surrounding voxel centres, -1 if there is none."""
+    """Return length and last voxel of the shortest path to ``point`` over one of the 8 surrounding voxel centres.
+
+    Without a path the length is inf and the index -1.
+    """
     best, best_index = np.inf, -1
     base = np.floor(point).astype(np.int64)
     center = np.empty(3)
@@ -133,17 +141,18 @@ def _best_corner(
 
 @kernel
 def _lengths_at(
-    field: np.ndarray,
-    lengths: np.ndarray,
-    corner: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
+    lengths: np.ndarray,  # [x, y, z] voxels, in the box
+    corner: np.ndarray,  # [3] int64 voxel index of the box
     start: np.ndarray,  # [3] voxels
     points: np.ndarray,  # [N, 3] voxels
-    bound: float,
+    bound: float,  # least clearance, metres
 ) -> np.ndarray:  # [N] voxels
     result = np.empty(len(points), np.float32)
     for n in range(len(points)):
         result[n], index = _best_corner(field, lengths, corner, points[n], bound)
-        # Grid lengths are up to 10 % too long off the grid's directions; a free straight line is exact.
+        # Lengths on the grid are up to 10 % too long in other directions than those of the 26 steps. A free straight
+        # line is exact.
         if index >= 0 and segment_above(field, start, points[n], bound, 0.5):
             offset = points[n] - start
             result[n] = np.sqrt((offset * offset).sum())
@@ -151,20 +160,20 @@ def _lengths_at(
 
 
 class DistanceMap:
-    """Hold shortest path lengths from one start through voxels with enough clearance; made by `path_lengths`."""
+    """Hold shortest path lengths from one start through voxels with enough clearance; created by `path_lengths`."""
 
     def __init__(
         self,
         volume: VoxelVolume,
-        start: np.ndarray,
-        min_clearance: float,
-        corner: np.ndarray,  # [3] voxel index of the box's first voxel
-        lengths: np.ndarray,  # [X, Y, Z] float32 voxels, of the box
-        parents: np.ndarray,  # [X, Y, Z] int32 into the box
+        start: np.ndarray,  # [3] metres
+        min_clearance: float,  # metres
+        corner: np.ndarray,  # [3] index of the first voxel of the box
+        lengths: np.ndarray,  # [x, y, z] float32 voxels, in the box
+        parents: np.ndarray,  # [x, y, z] int32 flat index of the previous voxel in the box
     ) -> None:
         self.start = start
         self.min_clearance = min_clearance
-        # the volume replaces this array on changes and never writes to it: this map stays valid
+        # The volume replaces this array at a change and never writes to it, so this object remains valid.
         self._field = volume.clearance
         self._origin = volume.origin
         self._voxel_size = volume.voxel_size
@@ -177,26 +186,27 @@ class DistanceMap:
 
     @property
     def reachable(self) -> np.ndarray:  # [N, 3] metres
-        """Return the centres of all reachable voxels, in grid order."""
+        """Return the centres of all reachable voxels in metres, in grid order."""
         voxels = np.argwhere(np.isfinite(self._lengths)) + self._corner
         return self._origin + (voxels + 0.5) * self._voxel_size
 
     def at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres, world -> [N] float32 metres, inf = unreachable
         """Return the shortest path length to each point in metres; inf if unreachable.
 
-        It is the straight line if that is free, else the path over the best voxel next to the point.
+        It is the length of the straight line if that is free, else of the path over the best voxel centre next to the
+        point.
         """
         points = self._coordinates(np.reshape(points, (-1, 3)))
         start = self._coordinates(self.start)
         voxels = _lengths_at(self._field, self._lengths, self._corner, start, points, self.min_clearance)
-        # The start is always reachable, whatever its clearance.
+        # The start is always reachable, even with too little clearance.
         voxels[np.linalg.norm(points - start, axis=1) * self._voxel_size < HERE] = 0.0
         return voxels * np.float32(self._voxel_size)
 
     def path_to(self, point: np.ndarray) -> np.ndarray | None:  # [3] -> [P, 3] metres, start and point included
         """Return the path from the start to ``point`` along voxel centres; None if unreachable.
 
-        Every edge keeps the clearance. From a start with too little clearance, the first edge leads straight to a voxel
+        Every edge keeps the clearance. If the start has too little clearance, the first edge goes straight to a voxel
         with enough.
         """
         point = np.asarray(point, dtype=np.float64)
@@ -223,11 +233,11 @@ def path_lengths(
     *,
     min_clearance: float,  # metres
 ) -> DistanceMap:
-    """Return shortest paths from ``start`` to every voxel centre with ``min_clearance`` to space that is not free.
+    """Return shortest paths from ``start`` to all voxel centres at least ``min_clearance`` from space not free.
 
-    Lengths on the grid are at most 10 % above the true ones; `DistanceMap.at` is exact for free straight lines. A start
-    closer to an obstacle first moves straight to a nearby voxel with enough clearance, without coming closer to
-    obstacles. Without such a voxel nothing is reachable.
+    Lengths on the grid are at most 10 % above the true ones; `DistanceMap.at` is exact for free straight lines. If the
+    start is closer to an obstacle, the path first moves straight to a nearby voxel with enough clearance, without
+    coming closer to obstacles. Without such a voxel nothing is reachable.
     """
     start = np.asarray(start, dtype=np.float64)
     open_voxels = volume.clearance >= max(min_clearance, TOUCHING)
@@ -244,19 +254,25 @@ def path_lengths(
 
 
 def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box around the true voxels with a false border, and its first index (may be -1)."""
+    """Return the index of the first voxel of a box and the box: the true voxels of a mask with a border of False.
+
+    An index of the first voxel can be -1.
+    """
     lower, upper = bounding_box(mask)
     if not upper[0]:  # the mask is empty
         return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
     border = np.ones(3, dtype=np.int64)
-    # The border contains no true voxel, so the padding stays false.
+    # The mask has no true voxel in the border around them, so all border voxels are False.
     return lower - border, cut_out(mask, lower - border, upper + border)
 
 
 def _seeds(
     volume: VoxelVolume, start: np.ndarray, min_clearance: float, corner: np.ndarray, open_: np.ndarray
 ) -> np.ndarray:  # [S, 3] indices into the box
-    """Return open voxels with a free straight line from the start: its neighbours, else the nearest within reach."""
+    """Return open voxels in a free straight line from the start: its neighbours, or else the nearest within 0.5 m.
+
+    ``corner`` is the index of the first voxel of the box ``open_``.
+    """
     base = np.floor((start - volume.origin) / volume.voxel_size - 0.5).astype(np.int64)
     around = base + _cube(0, 2) - corner
     near = _only_open(around, open_)

@@ -10,24 +10,27 @@ from activestructure_gym.motion.reachability import HERE, DistanceMap, path_leng
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
-_STEP = 0.4  # metres: longest edge of the tree (docs/notebook/groundwork.md, "Volume and paths")
+_STEP = 0.4  # longest edge of the tree, metres (docs/notebook/groundwork.md, "Volume and paths")
 _GOAL_BIAS = 0.1  # fraction of samples that are the goal (same source)
-_SHORTCUTS = 100  # random pairs tried when smoothing
+_SHORTCUTS = 100  # number of random shortcuts tried
 
 
 @kernel
 def _grow(
-    field: np.ndarray,  # clearance, metres
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
     start: np.ndarray,  # [3] voxels
     goal: np.ndarray,  # [3] voxels
-    samples: np.ndarray,  # [K, 3] voxels: target of each iteration
-    bound: float,  # metres
-    step: float,  # voxels
+    samples: np.ndarray,  # [K, 3] voxels: the tree grows towards one of them in each iteration
+    bound: float,  # least clearance, metres
+    step: float,  # longest edge, voxels
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Grow a tree from the start; return nodes [M, 3], parents [M], and the node with a free line to the goal or -1."""
+    """Grow a tree from the start until a node has a free line to the goal.
+
+    Returns nodes [M, 3] in voxels, the parent of each node [M], and the node with the free line, or -1.
+    """
     nodes = np.empty((len(samples) + 1, 3))
     parents = np.empty(len(samples) + 1, np.int64)
-    for i in range(3):  # numba takes 3 s longer to compile a row assignment (its shape check)
+    for i in range(3):  # numba needs 3 s more to compile the assignment of a whole row
         nodes[0, i] = start[i]
     parents[0] = -1
     count = 1
@@ -48,7 +51,7 @@ def _grow(
             continue
         parents[count] = nearest
         count += 1
-        # The goal is tried from every new node; in rooms most nodes have a free line to it (as in ActiveGAMER).
+        # The goal is tried from every new node, as in ActiveGAMER. In rooms, most nodes have a free line to it.
         if segment_above(field, nodes[count - 1], goal, bound, 0.5):
             return nodes[:count], parents[:count], count - 1
     return nodes[:count], parents[:count], -1
@@ -61,14 +64,14 @@ def plan_path(
     *,
     min_clearance: float,  # metres, kept along every edge (sampled every half voxel)
     rng: np.random.Generator,
-    max_iterations: int = 1000,
-    distances: DistanceMap | None = None,  # path_lengths(volume, start, ...), if known already
-) -> np.ndarray | None:  # [P, 3] metres, start and goal included; None = no path
-    """Return a short path that keeps the clearance: the straight line if it is free, else RRT and shortcuts.
+    max_iterations: int = 1000,  # largest number of RRT iterations
+    distances: DistanceMap | None = None,  # path_lengths(volume, start, ...), if already computed
+) -> np.ndarray | None:  # [P, 3] metres, from start to goal; None = no path
+    """Return a short path that keeps the clearance: the straight line if it is free, else by RRT and shortcuts.
 
-    It succeeds exactly if `DistanceMap.at` is finite, and is never longer than `DistanceMap.path_to`. If the tree fails
-    or its path is longer, that grid path is shortened instead. A start with too little clearance first moves straight
-    out (`path_lengths`): the only edge with less clearance.
+    A path is found exactly if `DistanceMap.at` is finite, and is never longer than `DistanceMap.path_to`. If the tree
+    fails or its path is longer, the grid path is shortened instead. If the start has too little clearance, the first
+    edge goes straight to a voxel with enough (`path_lengths`); only this edge has less clearance.
     """
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     away = np.linalg.norm(goal - start)
@@ -92,13 +95,13 @@ def plan_path(
 
 def _tree_path(
     volume: VoxelVolume,
-    root: np.ndarray,
-    goal: np.ndarray,
-    reachable: np.ndarray,  # [M, 3] voxel centres to sample from
+    root: np.ndarray,  # [3] metres
+    goal: np.ndarray,  # [3] metres
+    reachable: np.ndarray,  # [M, 3] metres, voxel centres to sample from
     min_clearance: float,
     rng: np.random.Generator,
     max_iterations: int,
-) -> np.ndarray | None:
+) -> np.ndarray | None:  # [P, 3] metres
     samples = reachable[rng.integers(len(reachable), size=max_iterations)]
     samples += volume.voxel_size * (rng.random((max_iterations, 3)) - 0.5)
     samples[rng.random(max_iterations) < _GOAL_BIAS] = goal
@@ -117,30 +120,30 @@ def shorten(
     volume: VoxelVolume,
     path: np.ndarray,  # [P, 3] metres
     *,
-    min_clearance: float,
+    min_clearance: float,  # metres
     rng: np.random.Generator,
-    tries: int = _SHORTCUTS,
+    tries: int = _SHORTCUTS,  # number of random shortcuts tried
 ) -> np.ndarray:  # [Q, 3] metres, the same ends
-    """Shorten the path by straight lines that keep the clearance; the result is never longer."""
+    """Shorten the path by straight lines that keep the clearance. The result is never longer."""
     draws, path = rng.random((tries, 2)), np.ascontiguousarray(path, dtype=np.float64)
     return _shorten(volume.clearance, path, draws, volume.origin.astype(np.float64), volume.voxel_size, min_clearance)
 
 
 @kernel
 def _shorten(
-    field: np.ndarray,  # clearance, metres
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
     path: np.ndarray,  # [P, 3] metres
-    draws: np.ndarray,  # [K, 2] fractions of the length: both ends of each shortcut, in any order
-    origin: np.ndarray,  # [3] metres, corner of voxel (0, 0, 0)
+    draws: np.ndarray,  # [K, 2] fractions of the path length: both ends of each shortcut, in any order
+    origin: np.ndarray,  # [3] metres, lower corner of voxel (0, 0, 0)
     voxel: float,  # metres
-    bound: float,  # metres
+    bound: float,  # least clearance, metres
 ) -> np.ndarray:  # [Q, 3] metres
     first = _skip_vertices(field, path, origin, voxel, bound)
     count = len(first)
     vertices, reached = (
         np.empty((count + len(draws), 3)),
         np.empty(count + len(draws)),
-    )  # each shortcut adds at most one
+    )  # each shortcut adds at most one vertex
     for n in range(count):
         for i in range(3):
             vertices[n, i] = first[n, i]
@@ -162,7 +165,7 @@ def _shorten(
                 ends[e, i] = vertices[edge, i] + (vertices[edge + 1, i] - vertices[edge, i]) * share
         if edges[0] == edges[1]:
             continue
-        # The remaining pieces of the cut edges get new sample points, so they are checked as well.
+        # The remaining pieces of the two cut edges get new sample points, so they are checked as well.
         for i in range(3):
             coordinates[0, i] = (vertices[edges[0], i] - origin[i]) / voxel - 0.5
             coordinates[1, i] = (ends[0, i] - origin[i]) / voxel - 0.5
@@ -173,7 +176,7 @@ def _shorten(
             free = free and segment_above(field, coordinates[n], coordinates[n + 1], bound, 0.5)
         if not free:
             continue
-        # Two vertices replace all those between the two edges.
+        # The ends of the shortcut replace all vertices between the two edges.
         gone = edges[1] - edges[0]
         if gone == 1:
             for n in range(count, edges[1] + 1, -1):
@@ -193,7 +196,7 @@ def _shorten(
 
 @kernel
 def _measure(vertices: np.ndarray, count: int, reached: np.ndarray) -> None:
-    """Write the path length in metres up to every vertex into ``reached``."""
+    """Write the path length in metres from the first to each of ``count`` vertices [n, 3] into ``reached`` [n]."""
     reached[0] = 0.0
     for n in range(1, count):
         x, y = vertices[n, 0] - vertices[n - 1, 0], vertices[n, 1] - vertices[n - 1, 1]
@@ -203,13 +206,13 @@ def _measure(vertices: np.ndarray, count: int, reached: np.ndarray) -> None:
 
 @kernel
 def _skip_vertices(
-    field: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] clearance, metres
     path: np.ndarray,  # [P, 3] metres
-    origin: np.ndarray,
-    voxel: float,
-    bound: float,
+    origin: np.ndarray,  # [3] metres, lower corner of voxel (0, 0, 0)
+    voxel: float,  # metres
+    bound: float,  # least clearance, metres
 ) -> np.ndarray:  # [Q, 3] metres
-    """Return the path without skippable vertices: each kept vertex connects to the last one with a free line."""
+    """Return the path without unnecessary vertices: each vertex is followed by the last one with a free line to it."""
     coordinates, kept = np.empty((len(path), 3)), np.empty(len(path), np.int64)
     for n in range(len(path)):
         for i in range(3):

@@ -7,27 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Keyframes per decision for a trajectory without decisions. The PSNR of the keyframes, which the mapper uses, is
-# measured again at every decision (own choice).
+# Keyframes per decision, for a trajectory without decisions. The PSNR of keyframes, which the mapper uses, is measured
+# again at every decision (own choice).
 KEYFRAMES_PER_SEGMENT = 4
 
 
 @dataclass(frozen=True)
 class PathSegment:
-    """Hold the frames between two decisions."""
+    """Hold the frames executed between two decisions."""
 
-    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the start pose
-    refine_factors: tuple[int, ...]  # [T] iteration factor of the mapper at each frame; 0 = no keyframe
-    lost: int = 0  # frames used without a pose: an unreachable view, or an invalid row
-    stays: int = 0  # frames spent optimising in place; then there are no poses
+    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the pose at the beginning
+    refine_factors: tuple[int, ...]  # [T] factor on the mapper's iterations at each frame; 0 = no keyframe
+    lost: int = 0  # number of frames used without a pose, because of an unreachable view or an invalid row
+    stays: int = 0  # number of frames used to optimise the map in place; there are no poses then
 
 
 def regular_segments(poses: np.ndarray, keyframe_every: int) -> list[PathSegment]:
-    """Split a trajectory [T, 4, 4] into segments; its first pose is the start.
+    """Split a trajectory [T, 4, 4] into segments of four keyframes. Its first pose is the start.
 
     Every ``keyframe_every``-th frame and the last one are keyframes.
     """
-    frames = np.arange(2, len(poses) + 1)  # number of frames used when each pose after the first is reached
+    frames = np.arange(2, len(poses) + 1)  # number of frames used at each pose after the first
     mapped = (frames % keyframe_every == 0) | (frames == len(poses))
     ends = np.flatnonzero(mapped)[KEYFRAMES_PER_SEGMENT - 1 :: KEYFRAMES_PER_SEGMENT] + 1
     segments = []
@@ -41,8 +41,9 @@ def regular_segments(poses: np.ndarray, keyframe_every: int) -> list[PathSegment
 def recorded_segments(arrays: Mapping[str, np.ndarray]) -> list[PathSegment]:
     """Return the segments of a run's ``trajectory.npz``; raise ValueError if its arrays are inconsistent.
 
-    ``legs`` [D, 3] holds, at the end of each decision, the poses executed, the frames used, and 1 if they were spent
-    optimising in place. ``keyframe_rounds`` [K] holds the iteration factor of each of ``keyframes``.
+    ``legs`` [D, 3] holds the state at the end of each decision: number of poses executed, number of frames used, and 1
+    if the decision was to optimise in place. ``keyframe_rounds`` [K] holds the iteration factor of each of
+    ``keyframes`` [K].
     """
     poses, table = arrays["world_from_camera"], np.asarray(arrays["legs"])
     keyframes, factors = np.asarray(arrays["keyframes"]), np.asarray(arrays["keyframe_rounds"])

@@ -1,4 +1,4 @@
-"""Interpolate paths to one pose per frame: limited steps and turns, camera along the motion."""
+"""Interpolate paths to one pose per frame, with limited steps and turns, and the camera along the motion."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edg
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
-_ROLL_TOLERANCE = 1e-5
-_MIN_DISTANCE_M = 1e-3  # metres; a fixation point closer than this has no direction
+_ROLL_TOLERANCE = 1e-5  # largest vertical component of a level camera's right axis
+_MIN_DISTANCE_M = 1e-3  # metres; a point closer than this has no view direction
 
 _RANGES = {
     "max_step_m": "[0.001, 100]",
@@ -31,24 +31,24 @@ class MotionConfig:
     """Configure the agent's motion between views."""
 
     max_step_m: float = 0.1
-    """Metres per frame. [activegamer, code]"""
+    """Largest step per frame, metres. [activegamer, code]"""
     max_turn_deg: float = 10.0
-    """Degrees per frame, of the whole rotation. [activegamer, code]"""
+    """Largest rotation angle per frame, degrees. [activegamer, code]"""
     min_clearance: float = 0.2
-    """Metres between every path and space not known to be free."""
+    """Least distance between a path and space not known to be free, metres."""
     candidate_clearance: float = 0.3
-    """Metres between a candidate view and space not known to be free. (own choice)"""
+    """Least distance between a candidate view and space not known to be free, metres. (own choice)"""
     body_radius: float = 0.3
-    """Metres that must be free around a start pose."""
+    """Radius in metres of the sphere around a start pose that must be free."""
     start_free_radius: float = 0.6
-    """Metres around the start that are marked as free, limited by the true clearance there.
+    """Radius in metres of the sphere around the start that is marked as free; at most the true clearance there.
 
-    With less, one view may not suffice to leave the start (measured: 1 of 3 starts in hotel_room).
+    With a smaller radius, one view may not suffice to leave the start (measured: 1 of 3 starts in hotel_room).
     """
     look_ahead_above: float = 1.0
-    """Metres: on longer paths the camera turns along the motion, as far as this costs no frame."""
+    """On paths longer than this (metres), the camera turns along the motion, as far as this costs no frame."""
     look_ahead_pitch_deg: float = 30.0
-    """Degrees: maximum pitch up or down while looking along the motion."""
+    """Largest pitch up or down while looking along the motion, degrees."""
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -60,20 +60,22 @@ class MotionConfig:
 
 
 def interpolate(
-    path: np.ndarray,  # [P, 3] metres, from the start pose's position to the goal pose's
+    path: np.ndarray,  # [P, 3] metres, from the position of the start pose to that of the goal pose
     start_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
     goal_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
     config: MotionConfig | None = None,
     *,
     look_at: np.ndarray | None = None,  # [3] metres, world: point to look at along the path
-) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start, ending at the goal
-    """Return one pose per frame, each within the step and turn limits; all positions lie on the path.
+) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start pose, ending at the goal pose
+    """Return one pose per frame, each within the step and turn limits; all positions are on the path.
 
-    The number of frames is minimal: the larger of steps and turns. If turns take longer, half of the waiting is done at
-    the start and half at the end, as in ActiveGAMER. On paths longer than ``look_ahead_above`` the camera looks along
-    the motion as far as that number allows; on shorter ones it turns evenly. With ``look_at``, the camera turns to the
-    point before the first step and keeps it on the optical axis. It waits if the point moves faster than the camera can
-    turn, and turns to the goal's direction at the goal. This takes more frames.
+    The number of frames is minimal: the larger of the numbers of steps and turns. If turns take longer, half of the
+    waiting is at the start and half at the end, as in ActiveGAMER. On paths longer than ``look_ahead_above``, the
+    camera looks along the motion as far as this number allows; on shorter paths it turns evenly.
+
+    With ``look_at``, the camera turns to the point before the first step and keeps it on the optical axis. The agent
+    waits if the direction to the point changes faster than the camera can turn. At the goal, the camera turns to the
+    goal's direction. This takes more frames.
     """
     config = config or MotionConfig()
     path = np.asarray(path, dtype=np.float64)
@@ -111,16 +113,17 @@ def interpolate(
 
 def first_blocked(
     volume: VoxelVolume,
-    poses: np.ndarray,  # [T, 4, 4] world_from_camera: poses still to be executed
+    poses: np.ndarray,  # [T, 4, 4] world_from_camera, not yet executed
     min_clearance: float,  # metres
     *,
     start: np.ndarray,  # [4, 4] current pose of the agent
 ) -> int | None:
     """Return the index of the first pose that is blocked in the updated volume; None if all are free.
 
-    Execute ``poses[:index]`` and plan again from there. Turning in place is never blocked, and an agent in a tight
-    place may leave it (`first_blocked_edge`). The bound is lowered by the largest dip between samples (0.43 voxels),
-    since frames sample the path at other points. A path planned on this same volume is thus never blocked.
+    The agent can execute ``poses[:index]`` and plan again from there. Turning in place is never blocked, and a start
+    with too little clearance may be left (`first_blocked_edge`). The bound is lowered by the largest decrease of the
+    clearance between two samples (0.43 voxels), since frames sample the path at other points. So a path planned in the
+    same volume is never blocked.
     """
     positions = np.vstack([start[None, :3, 3], np.asarray(poses)[:, :3, 3]])
     # Edge n of these positions leads to pose n.
@@ -130,17 +133,17 @@ def first_blocked(
 def is_level(
     poses: np.ndarray,  # [..., 4, 4] world_from_camera
 ) -> np.ndarray:  # [...] bool
-    """Return which poses have no roll: the image's right axis is horizontal, its up axis not below the horizon."""
+    """Return which poses have no roll: the image's right axis is horizontal and its up axis does not point down."""
     level: np.ndarray = (np.abs(poses[..., 2, 0]) <= _ROLL_TOLERANCE) & (poses[..., 2, 1] <= _ROLL_TOLERANCE)
     return level
 
 
 def unrounded_start(
-    pose: np.ndarray,  # [4, 4] world_from_camera, nearly a rigid motion
+    pose: np.ndarray,  # [4, 4] world_from_camera, nearly rigid
 ) -> np.ndarray:  # [4, 4]
-    """Return the pose with its rounded rotation made orthonormal; a level pose stays level.
+    """Return the pose with an orthonormal rotation; a level pose (without roll) remains level.
 
-    The nearest rotation of a rounded level pose may have more roll than motion allows.
+    The nearest rotation of a level pose with rounded entries may have more roll than motion allows.
     """
     nearest = unrounded(pose)
     if is_level(nearest) or not is_level(pose):
@@ -170,9 +173,9 @@ def arrived_at(
 def yaw_pitch(
     pose: np.ndarray,  # [4, 4] world_from_camera, without roll
 ) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (positive = up)
-    """Return yaw and pitch of the optical axis; for a vertical axis the yaw follows from the right axis.
+    """Return yaw and pitch of the optical axis. For a vertical axis the yaw follows from the right axis.
 
-    Raises ValueError for a pose with roll. `geometry.look_along` makes level poses, and motion keeps them level.
+    Raises ValueError for a pose with roll. `geometry.look_along` creates poses without roll, and motion adds none.
     """
     right, forward = pose[:3, 0], pose[:3, 2]
     if not is_level(pose):
@@ -186,9 +189,9 @@ def poses_at(
     yaw: np.ndarray,  # [T] radians
     pitch: np.ndarray,  # [T] radians
 ) -> np.ndarray:  # [T, 4, 4] world_from_camera
-    """Return the poses [T, 4, 4] of given positions, yaw and pitch: the inverse of `yaw_pitch`.
+    """Return the poses with the given positions, yaws and pitches, the inverse of `yaw_pitch`.
 
-    Unlike `look_along` it is exact for vertical pitch too.
+    Unlike `look_along` it is exact for vertical view directions too.
     """
     zero, one = np.zeros_like(yaw), np.ones_like(yaw)
     ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=-1)
@@ -202,9 +205,9 @@ def poses_at(
 
 
 def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions [M, 3] at most a step apart, without the first, and the direction [M, 3] of each one's edge.
+    """Return positions [M, 3] along a path, at most ``step`` metres apart, and the direction of each one's edge [M, 3].
 
-    All vertices are included, since a cut corner was not checked for collisions.
+    The first position is left out. All vertices are included, since a cut corner was not checked for collisions.
     """
     positions, headings = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for first, second in zip(path[:-1], path[1:]):
@@ -219,23 +222,26 @@ def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fixating(
-    places: np.ndarray,  # [M, 3] the start, then one position per step
-    start: np.ndarray,
-    goal: np.ndarray,
-    point: np.ndarray,  # [3]
+    places: np.ndarray,  # [M, 3] metres: the start, then one position per step
+    start: np.ndarray,  # [2] yaw and pitch at the start
+    goal: np.ndarray,  # [2] yaw and pitch at the goal
+    point: np.ndarray,  # [3] metres, world
     most: float,  # radians per frame
-) -> tuple[np.ndarray, np.ndarray]:  # [T, 3], [T, 2]
-    """Return positions and angles that keep the point in view, waiting if it moves faster than the camera turns."""
+) -> tuple[np.ndarray, np.ndarray]:  # positions [T, 3], yaw and pitch [T, 2]
+    """Return positions and angles that keep ``point`` in view.
+
+    The agent waits where the camera cannot turn fast enough.
+    """
     towards = np.asarray(point, dtype=np.float64) - places
     level = np.hypot(towards[:, 0], towards[:, 1])
     wanted = np.stack([np.arctan2(towards[:, 1], towards[:, 0]), np.arctan2(towards[:, 2], level)], axis=-1)
     for n in np.nonzero(np.linalg.norm(towards, axis=1) < _MIN_DISTANCE_M)[0].tolist():  # too close to have a direction
         wanted[n] = wanted[n - 1] if n else start
-    wanted[level < _MIN_DISTANCE_M, 0] = start[0]  # directly above or below the point every yaw is valid
+    wanted[level < _MIN_DISTANCE_M, 0] = start[0]  # every yaw is valid directly above or below the point
     moves, angles, here = list[np.ndarray](), list[np.ndarray](), start
 
     def turn(aim: np.ndarray, before: int, after: int) -> None:
-        """Turn to ``aim`` at position ``before``; the last turn is made with the step to ``after``."""
+        """Turn to ``aim`` at the position with index ``before``; the last turn is made with the step to ``after``."""
         nonlocal here
         waiting = int(np.ceil(_length(_difference(aim.copy(), here)) / most - 1e-9))
         for left in range(max(waiting, after - before), 0, -1):
@@ -253,7 +259,11 @@ def _fixating(
 
 
 def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [M, 2]
-    """Return yaw and pitch along each heading; vertical motion keeps the yaw, and the pitch is limited."""
+    """Return yaw and pitch along each heading [M, 3], a unit vector of motion.
+
+    Vertical motion keeps the previous yaw, which is at first that of ``start_angles``. The pitch is limited to
+    ``most_pitch`` radians.
+    """
     angles = np.empty((len(headings), 2))
     yaw = start_angles[0]
     for n, heading in enumerate(headings):
@@ -267,8 +277,8 @@ def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: floa
 def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
     """Return ``to - from_`` in (yaw, pitch), with the yaw wrapped to [-pi, pi).
 
-    Its length bounds the rotation angle: yaw and pitch turn around perpendicular axes, so cos(angle / 2) = cos(dyaw /
-    2) cos(dpitch / 2) >= cos(length / 2).
+    The length of this vector bounds the rotation angle. Yaw and pitch turn around perpendicular axes, so cos(angle / 2)
+    = cos(dyaw / 2) cos(dpitch / 2) >= cos(length / 2).
     """
     difference = to - from_
     difference[..., 0] = (difference[..., 0] + np.pi) % (2 * np.pi) - np.pi
@@ -276,7 +286,7 @@ def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
 
 
 def _length(turn: np.ndarray) -> float:
-    """Return the length of a short vector, in a third of `numpy.linalg.norm`'s time."""
+    """Return the Euclidean length of a vector [2], in a third of the time of `numpy.linalg.norm`."""
     return math.sqrt(turn.dot(turn))
 
 
@@ -287,27 +297,27 @@ def _at_most(turn: np.ndarray, most: float) -> np.ndarray:
 
 @kernel
 def _limit_turns(
-    wanted: np.ndarray,  # [T, 2]
-    start: np.ndarray,
-    goal: np.ndarray,
+    wanted: np.ndarray,  # [T, 2] yaw and pitch
+    start: np.ndarray,  # [2] yaw and pitch
+    goal: np.ndarray,  # [2] yaw and pitch
     most: float,  # radians per frame; T frames must suffice from start to goal
-) -> np.ndarray:  # [T, 2], the last row is the goal
-    """Return the yaw and pitch of every frame: close to ``wanted``, within the turn limit, and ending at ``goal``.
+) -> np.ndarray:  # [T, 2] yaw and pitch; the last row is the goal
+    """Return yaw and pitch of every frame: close to ``wanted``, within the turn limit, and ending at ``goal``.
 
-    Every frame turns towards its wanted angles by at most ``most``. It bends towards the goal only as far as needed to
-    reach it in the remaining frames.
+    In every frame the camera turns towards its wanted angles by at most ``most``. The turn is bent towards the goal
+    only as far as needed to reach it in the remaining frames.
     """
     angles = np.empty_like(wanted)
     yaw, pitch = start[0], start[1]
     for n in range(len(wanted)):
         turn, nod = _short_way(wanted[n, 0] - yaw), wanted[n, 1] - pitch
         home_turn, home_nod = _short_way(goal[0] - yaw), goal[1] - pitch
-        budget = most * (len(wanted) - 1 - n)  # turns left after this frame
+        budget = most * (len(wanted) - 1 - n)  # angle that can be turned after this frame
         length = np.sqrt(turn * turn + nod * nod)
         if length > most:
             turn, nod = turn * (most / length), nod * (most / length)
         if not _within(home_turn - turn, home_nod - nod, budget):
-            # Bend towards the goal just enough: the reachable set is convex and contains the direct turn to the goal.
+            # Find the smallest bend by bisection: the reachable set is convex and contains the direct turn to the goal.
             straight_turn, straight_nod = home_turn, home_nod
             length = np.sqrt(home_turn * home_turn + home_nod * home_nod)
             if length > most:
@@ -329,7 +339,7 @@ def _limit_turns(
 
 @kernel
 def _short_way(turn: float) -> float:
-    """Wrap a yaw difference to [-pi, pi)."""
+    """Return a yaw difference wrapped to [-pi, pi)."""
     return (turn + np.pi) % (2.0 * np.pi) - np.pi
 
 

@@ -1,6 +1,6 @@
-"""Compute the Voronoi graph of a floor plan: positions of maximal distance to walls, and their connections.
+"""Compute the Voronoi graph of a floor plan: positions with locally maximal distance to walls, and their connections.
 
-ActiveSplat and ANM-S choose among its nodes ([activesplat, code], [anm_s, code]).
+The planners ActiveSplat and ANM-S choose among its nodes ([activesplat, code], [anm_s, code]).
 """
 
 from __future__ import annotations
@@ -14,31 +14,36 @@ from scipy.spatial import QhullError, Voronoi
 
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
-SIMPLIFIED_M = 0.225  # metres: tolerance of the outline's simplification (ActiveSplat's)
+SIMPLIFIED_M = 0.225  # metres: tolerance of the simplification of the outline (ActiveSplat's value)
 SPACING_M = 0.2  # metres between points on the outline
 MERGED_M = 0.5  # metres: nodes closer than this along the graph are merged
-# two outline points lie on different parts if the outline between them is longer than the straight line by this factor
+# Two points of an outline are on different parts if the outline between them is longer than the straight line by this
+# factor.
 _DETOUR = 1.2
-_SPECK = 4  # cells: unknown islands up to this size count as free
+_SPECK = 4  # cells: unknown islands of up to this size count as free
 
 
 @dataclass(frozen=True)
 class VoronoiGraph:
-    """Hold the graph. Nodes are vertices of degree 3 or more; chains without a second junction are removed."""
+    """Hold a Voronoi graph. Nodes are vertices of degree 3 or more.
+
+    A chain is a branch that ends without reaching a second node. Chains are not part of the graph, but their ends are
+    kept.
+    """
 
     nodes: np.ndarray  # [N, 2] metres, world, sorted by coordinates
-    clearance: np.ndarray  # [N] metres to the outline
-    edges: np.ndarray  # [E, 2] int64 indices of nodes, the smaller first
-    lengths: np.ndarray  # [E] metres along the graph
+    clearance: np.ndarray  # [N] metres from the node to the outline
+    edges: np.ndarray  # [E, 2] int64 node indices, the smaller first
+    lengths: np.ndarray  # [E] length of each edge along the graph, metres
     chain_ends: np.ndarray  # [C, 2] metres: ends of the removed chains
-    chain_nodes: np.ndarray  # [C] int64, node to which each chain was attached
+    chain_nodes: np.ndarray  # [C] int64 node at which each chain began
 
     def __len__(self) -> int:
         return len(self.nodes)
 
     @property
     def distances(self) -> np.ndarray:  # [N, N] metres along the graph, inf if not connected
-        """Return the shortest path lengths between all nodes."""
+        """Return the shortest path lengths between all pairs of nodes."""
         graph = nx.Graph()
         graph.add_nodes_from(range(len(self)))
         graph.add_weighted_edges_from((int(a), int(b), float(d)) for (a, b), d in zip(self.edges, self.lengths))
@@ -50,11 +55,11 @@ class VoronoiGraph:
 
 def planar_graph(
     volume: VoxelVolume,
-    position: np.ndarray,  # [3] metres, world: height of the plan and a position within it
+    position: np.ndarray,  # [3] metres, world: inside the plan, at the plan's height
     *,
-    radius: float = 0.2,  # metres between the outline and nodes or edges
+    radius: float = 0.2,  # metres, least distance of nodes and edges to the outline
 ) -> VoronoiGraph:
-    """Return the Voronoi graph of the volume's free plan at this height, around this position."""
+    """Return the Voronoi graph of the free space at the height of ``position`` that is connected to it."""
     free = free_plan(volume, position)
     return voronoi_graph(free, volume.origin[:2], volume.voxel_size, radius=radius)
 
@@ -62,7 +67,7 @@ def planar_graph(
 def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
     """Return the free cells at the height of ``position`` [3] that are connected to it; all False if it is not free.
 
-    Small unknown islands within free space, missed by all rays, count as free.
+    Unknown islands of up to 4 cells in free space, which all rays missed, count as free.
     """
     i, j, k = volume.voxel_of(position)
     plan = np.zeros(volume.shape[:2], dtype=bool)
@@ -78,23 +83,23 @@ def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y
 
 
 def voronoi_graph(
-    free: np.ndarray,  # [X, Y] bool
-    origin: np.ndarray,  # [2] metres: the lower corner of cell (0, 0)
+    free: np.ndarray,  # [X, Y] bool free cells
+    origin: np.ndarray,  # [2] metres, lower corner of cell (0, 0)
     cell: float,  # metres
     *,
-    radius: float,  # metres
+    radius: float,  # metres, least distance of nodes and edges to the outline
 ) -> VoronoiGraph:
-    """Return nodes and edges at least ``radius`` from the outline of ``free``; a single node if nothing branches.
+    """Return the Voronoi graph of free cells.
 
-    The outline is simplified and sampled. Of the points' Voronoi diagram, the edges between different parts of the
-    outline are kept. The outline runs through the centres of the outermost free cells, so clearances are half a cell
-    too small. Empty if no free cell has the clearance.
+    A single node if it has no branches, an empty graph if nothing has clearance. The outline of the free cells is
+    simplified and sampled. Of the Voronoi diagram of the samples, the edges between different parts of the outline are
+    kept. The outline runs through the centres of the outermost free cells, so clearances are half a cell too small.
     """
     graph = _skeleton(free, cell, radius)
     if not len(graph):
         return _lonely(free, origin, cell, radius)
     junctions = {v for v, degree in graph.degree if degree >= 3}
-    if not junctions:  # a path or a ring: use its widest position
+    if not junctions:  # a path or a ring: the position with the largest clearance becomes the only node
         widest = max(graph, key=lambda v: (graph.nodes[v]["clearance"], v))
         at = np.asarray(origin) + graph.nodes[widest]["at"]
         return _assembled(at[None], np.array([graph.nodes[widest]["clearance"]]), {}, [])
@@ -117,7 +122,10 @@ def voronoi_graph(
 
 
 def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
-    """Return the Voronoi vertices in free cells and the ridges between them; metres from the corner of cell (0, 0)."""
+    """Return the Voronoi vertices in free cells, and the edges at least ``radius`` metres from the outline.
+
+    Positions are in metres from the corner of cell (0, 0).
+    """
     points, contour, along, whole = _outline(free, cell)
     graph = nx.Graph()
     if len(points) < 4:
@@ -128,7 +136,7 @@ def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
         return graph
     ridges, pairs = np.array(diagram.ridge_vertices), diagram.ridge_points
     gap = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
-    around = np.minimum(gap, whole[contour[pairs[:, 0]]] - gap)  # the shorter way around a closed outline
+    around = np.minimum(gap, whole[contour[pairs[:, 0]]] - gap)  # the shorter part of a closed outline
     straight = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
     branches = (contour[pairs[:, 0]] != contour[pairs[:, 1]]) | (around > _DETOUR * straight)
     vertices = diagram.vertices
@@ -136,7 +144,7 @@ def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
     for end in (0, 1):
         distance = np.linalg.norm(vertices[ridges[:, end]] - points[pairs[:, 0]], axis=1)
         np.minimum.at(clearance, ridges[:, end], distance)
-    # A ridge that passes between its two points, as in a door, is nearest to them between its ends.
+    # Where an edge passes between its two points, as in a door, its closest position to them is between its ends.
     begin, way = vertices[ridges[:, 0]], vertices[ridges[:, 1]] - vertices[ridges[:, 0]]
     share = ((points[pairs[:, 0]] - begin) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
     closest = begin + np.clip(share, 0.0, 1.0)[:, None] * way
@@ -154,16 +162,16 @@ def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
 
 
 def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Sample the simplified outlines.
+    """Return points along the simplified outlines of the free cells; ``cell`` is the size of a cell in metres.
 
-    Returns points [P, 2] in metres, the outline index of each [P], its position along the outline [P] in metres, and
-    the length of each outline in metres.
+    Returns points [P, 2] in metres, the index of each point's outline [P], its position along the outline [P] in
+    metres, and the length of each outline in metres.
     """
     found, _ = cv2.findContours(np.pad(free, 1).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     points, contour, along, whole = [np.zeros((0, 2))], [], [], []
     for number, chain in enumerate(found):
         corners = cv2.approxPolyDP(chain, SIMPLIFIED_M / cell, closed=True).reshape(-1, 2)[:, ::-1]
-        corners = (corners - 0.5) * cell  # image rows are x; the padding is one cell, centres are at halves
+        corners = (corners - 0.5) * cell  # image rows are x; the padding is one cell, and centres are at halves
         sides = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(sides, axis=1)
         starts = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -181,7 +189,7 @@ def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.
 def _contracted(
     graph: nx.Graph, junctions: set[int]
 ) -> tuple[list[tuple[int, int, float]], list[tuple[int, int]]]:  # (junction, junction, metres), (junction, end)
-    """Contract the vertices of degree 2: return the paths between junctions, and the chains without a second junction.
+    """Remove the vertices of degree 2; return the paths between junctions, and the chains without a second junction.
 
     A path has its two junctions and its length in metres. A chain has its junction and its end, a vertex of degree 1.
     """
@@ -201,7 +209,10 @@ def _contracted(
 
 
 def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, float]]) -> dict[int, int]:
-    """Map each junction to the widest one among those connected by short paths."""
+    """Return a dict from each junction to the one with the largest clearance in its group.
+
+    A group consists of junctions connected by paths shorter than 0.5 m. ``ways`` are the paths, as from `_contracted`.
+    """
     near = nx.Graph()
     near.add_nodes_from(sorted(junctions))
     near.add_edges_from((a, b) for a, b, length in ways if length < MERGED_M)
@@ -213,7 +224,10 @@ def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, flo
 
 
 def _lonely(free: np.ndarray, origin: np.ndarray, cell: float, radius: float) -> VoronoiGraph:
-    """Return a graph of the single cell with the largest clearance; empty if that is at most ``radius``."""
+    """Return a graph with one node, the free cell with the largest clearance; empty if that is at most ``radius``.
+
+    Arguments as in `voronoi_graph`.
+    """
     distance = cv2.distanceTransform(np.pad(free, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     best = np.unravel_index(int(np.argmax(distance)), distance.shape)
     clearance = float(distance[best] - 0.5) * cell

@@ -1,8 +1,8 @@
 """Detect planes, fuse them into the Plane Scene Graph, and assess their quality and surprise.
 
-`PlaneSceneGraph.update` processes a keyframe in four steps: segments are detected (`detection`), matched to nodes
-(`matching`) and fused into them (`nodes`, `surface`), then the graph is assessed (`topology`, `quality`, `surprise`).
-An episode runs the last step once per decision (`integrate`, `assess`). `arrays` encodes the result for observations.
+`PlaneSceneGraph.update` processes a keyframe in four steps: planar segments are detected (`detection`), matched to
+planes of the graph (`matching`) and fused into them (`nodes`, `surface`). Then the graph is assessed (`topology`,
+`quality`, `surprise`). An episode runs the last step once per decision. `arrays` encodes the result for observations.
 """
 
 from activestructure_gym.planes.arrays import (

@@ -1,4 +1,4 @@
-"""Detect planes in a depth image: block fits, region growing, pixel refinement, coplanar merge.
+"""Detect planes in a depth image: fit blocks of pixels, grow regions, refine pixels, merge coplanar segments.
 
 The method follows PEAC ([peac]) and CAPE ([cape]): fit a plane to every small block of the image, join coplanar blocks,
 then assign every pixel to a plane. Only depth is used.
@@ -38,83 +38,92 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class PlaneDetectionConfig:
-    """Configure the detection. Fields with "sigma" are multiples of the sensor's axial noise at the pixel's depth."""
+    """Configure plane detection. Fields with "sigma" are multiples of the sensor's axial noise at the pixel's depth."""
 
-    # Factor on the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as in the default
-    # sensor and the paper; for other sensors see `depth_noise_scale`. Smaller values split noisy walls, larger ones
-    # merge walls with objects close to them.
+    # Factor on the axial noise of a Kinect, 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default is for noise-free depth, as in
+    # the default sensor and the paper; for other sensors see `depth_noise_scale`. Smaller values split noisy walls,
+    # larger values merge walls with objects close to them.
     depth_noise_scale: float = 0.25
-    max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot separate a plane from its neighbour
-    max_incidence_deg: float = 80.0  # between ray and normal; at grazing incidence normal and extent are uncertain
-    block_columns: int = 54  # blocks across the image; divided by sqrt(depth_noise_scale) for scales above 1
-    min_block: int = 3  # pixels, edge of the smallest block
-    block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
+    max_depth: float = 6.0  # metres; beyond this depth a Kinect-type sensor cannot separate a plane from its neighbour
+    max_incidence_deg: float = 80.0  # largest angle between ray and normal; beyond it, normal and extent are uncertain
+    block_columns: int = 54  # number of blocks across the image; divided by sqrt(depth_noise_scale) for scales above 1
+    min_block: int = 3  # side of the smallest block, pixels
+    block_sigma: float = 1.6  # a block is planar if its rms distance is below block_sigma * sigma + block_tolerance
     block_tolerance: float = 0.002  # metres
     block_valid_share: float = 0.9  # fraction of the block's pixels that must have a return
-    link_angle_deg: float = 12.0  # between the normals of blocks that join
-    link_sigma: float = 2.4  # distance between a block's centroid and the other's plane
-    link_tolerance: float = 0.004  # metres
-    # If noise tilts a block's plane by more than this (standard deviation, degrees), its normal is fitted to the 3 x 3
-    # blocks around it, if enough of their pixels are valid and coplanar.
+    link_angle_deg: float = 12.0  # largest angle between the normals of two blocks that join
+    link_sigma: float = 2.4  # largest distance between a block's centroid and the plane of the other
+    link_tolerance: float = 0.004  # metres, added to link_sigma * sigma
+    # Degrees. If noise tilts the plane of a block by more than this (standard deviation), its normal is fitted to the 3
+    # x 3 blocks around it, if enough of their pixels are valid and coplanar.
     window_tilt_deg: float = 2.5
-    window_share: float = 0.5  # fraction of their pixels that must be valid
-    window_sigma: float = 1.4  # coplanar below window_sigma * sigma + window_tolerance
+    window_share: float = 0.5  # fraction of the pixels of the 3 x 3 blocks that must be valid
+    # The 3 x 3 blocks are coplanar if their rms distance is below window_sigma * sigma + window_tolerance.
+    window_sigma: float = 1.4
     window_tolerance: float = 0.001  # metres
-    min_pixel_share: float = 0.005  # fraction of the image; smaller segments are dropped
-    segment_sigma: float = 2.0  # a segment is rejected above segment_sigma * sigma + segment_tolerance rms
+    min_pixel_share: float = 0.005  # smallest segment, as a fraction of the image's pixels
+    # A segment is rejected if its rms distance exceeds segment_sigma * sigma + segment_tolerance.
+    segment_sigma: float = 2.0
     segment_tolerance: float = 0.006  # metres
-    pixel_sigma: float = 3.0  # a pixel joins below pixel_sigma * sigma + pixel_tolerance
+    pixel_sigma: float = 3.0  # a pixel joins a plane if its distance is below pixel_sigma * sigma + pixel_tolerance
     pixel_tolerance: float = 0.004  # metres
-    explained_share: float = 0.6  # a segment is noise if larger planes explain more than this fraction of its pixels
-    explained_sigma: float = 2.0  # a pixel is explained below explained_sigma * sigma + explained_tolerance
+    # A segment is noise if planes of larger segments explain more than this fraction of its pixels.
+    explained_share: float = 0.6
+    # A plane explains a pixel if its distance is below explained_sigma * sigma + explained_tolerance.
+    explained_sigma: float = 2.0
     explained_tolerance: float = 0.002  # metres
-    merge_angle_deg: float = 4.0  # coplanar segments of one image are merged below this angle
-    merge_sigma: float = 1.0  # distance of the smaller one's centroid to the larger one's plane
-    merge_tolerance: float = 0.005  # metres
-    merge_back: float = 3.0  # factor for the larger one's centroid: a small segment's tilt acts over a long distance
-    # Noise tilts narrow segments more. Up to this angle they merge if their points' rms distance is small.
+    merge_angle_deg: float = 4.0  # largest angle between two segments of one image that are merged as coplanar
+    merge_sigma: float = 1.0  # largest distance between the smaller segment's centroid and the larger one's plane
+    merge_tolerance: float = 0.005  # metres, added to merge_sigma * sigma
+    # Factor on this limit for the distance of the larger segment's centroid to the smaller one's plane, whose tilt acts
+    # over a long distance.
+    merge_back: float = 3.0
+    # Noise tilts narrow segments more. Up to this angle in degrees, two segments are merged if the rms distance of
+    # their points is small.
     merge_wide_angle_deg: float = 15.0
-    merge_wide_sigma: float = 1.5  # rms distance of its points to the larger one's plane
-    merge_wide_tolerance: float = 0.002  # metres
-    merge_reach: float = 4.0  # metres between the centroids (the graph's relaxed threshold)
-    max_points: int = 256  # kept per segment
+    # Largest rms distance between the smaller segment's points and the larger one's plane.
+    merge_wide_sigma: float = 1.5
+    merge_wide_tolerance: float = 0.002  # metres, added to merge_wide_sigma * sigma
+    merge_reach: float = 4.0  # metres, largest distance between the centroids (the graph's relaxed threshold)
+    max_points: int = 256  # largest number of points kept per segment
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
 
 
 def depth_noise_scale(depth_noise: DepthNoise, multiplier: float = 1.0) -> float:
-    """Return the scale for a sensor's noise model (`none`, `kinect`, `redwood`) and its multiplier.
+    """Return ``PlaneDetectionConfig.depth_noise_scale`` for a sensor's noise model and its multiplier.
 
-    The minimum is 0.25, also for noise-free depth: smaller values bring no improvement, and real surfaces are not flat.
+    ``depth_noise`` is `none`, `kinect` or `redwood`. The minimum is 0.25, also for noise-free depth: smaller values
+    bring no improvement, since real surfaces are not flat.
     """
     return max(0.25, multiplier) if depth_noise != "none" else 0.25
 
 
 @dataclass(frozen=True)
 class PlaneSegment:
-    """Hold a planar segment of one image in world coordinates; all its points x satisfy ``normal . x + offset = 0``."""
+    """Hold a planar segment of one image in world coordinates. Its plane is ``normal . x + offset = 0`` in metres."""
 
     normal: np.ndarray  # [3] unit, world, towards the camera
     offset: float  # metres
-    centroid: np.ndarray  # [3] world
-    area: float  # m^2, sum of the pixels' footprints on the plane
-    rms: float  # metres, of the pixels' distances to the plane
-    pixels: int
-    points: np.ndarray  # [M, 3] world, evenly subsampled in row order
-    label: int  # its value in the label image
+    centroid: np.ndarray  # [3] metres, world
+    area: float  # m^2, sum of the areas that its pixels cover on the plane
+    rms: float  # rms distance of its pixels to the plane, metres
+    pixels: int  # number of pixels
+    points: np.ndarray  # [M, 3] metres, world: an even selection of its pixels, in row-major order
+    label: int  # value of its pixels in the label image
 
 
 @dataclass(frozen=True)
 class PlaneDetection:
-    """Hold the planes of one frame and their pixels."""
+    """Hold the planar segments of one frame and the label image of their pixels."""
 
-    segments: tuple[PlaneSegment, ...]  # largest first; segments[k].label == k
-    labels: np.ndarray  # [H, W] int32, -1 = no plane
+    segments: tuple[PlaneSegment, ...]  # largest number of pixels first; segments[k].label == k
+    labels: np.ndarray  # [H, W] int32 segment of each pixel, -1 = none
 
 
 def detect_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> list[PlaneSegment]:
-    """Return the planar segments of a frame, largest (in pixels) first; [] if there are none."""
+    """Return the planar segments of a frame, largest number of pixels first; [] if there are none."""
     return list(segment_planes(frame, config).segments)
 
 
@@ -126,7 +135,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
 
-    # Noise tilts the plane of a small block; a noisier sensor needs larger blocks.
+    # Noise tilts the plane of a small block, so a noisier sensor needs larger blocks.
     columns = config.block_columns / max(config.depth_noise_scale, 1.0) ** 0.5
     size = max(config.min_block, int(camera.width / columns + 0.5))
     if min(depth.shape) < size:
@@ -140,7 +149,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
     if not len(moments):
         return nothing
-    # -1 stays -1: index -1 reads the last entry of the table.
+    # The label -1 remains -1, because index -1 reads the last entry of the table.
     labels = np.append(order[new_label], -1).astype(np.int32)[labels]
     return PlaneDetection(_lift(frame, depth, lens, labels, moments, config), labels)
 
@@ -151,7 +160,7 @@ def _noise(z: np.ndarray, scale: float) -> np.ndarray:
 
 def _block_regions(
     depth: np.ndarray, lens: np.ndarray, size: int, config: PlaneDetectionConfig
-) -> tuple[np.ndarray, np.ndarray]:  # block labels [By, Bx], planes [S, 5]
+) -> tuple[np.ndarray, np.ndarray]:  # block labels [By, Bx], planes [S, 5]: normal, d, rms
     scale = config.depth_noise_scale
     moments = kernels.block_moments(depth, lens, size, config.max_depth)
     shape = moments.shape[:2]
@@ -160,16 +169,17 @@ def _block_regions(
     needed = max(3.0, config.block_valid_share * size * size)
     limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
     accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
-    # Plane distance from the camera over block distance is the cosine between ray and normal.
+    # The distance of the plane from the camera divided by the distance of the block is the cosine between ray and
+    # normal.
     accepted &= planes[:, 3] > np.cos(np.radians(config.max_incidence_deg)) * np.linalg.norm(mean, axis=1)
-    # Standard deviation of the fitted normal in radians for a square of uniformly spread points: sigma * sqrt(12) /
-    # (block edge * sqrt(pixels)). It matters for far blocks of a noisy sensor.
+    # Standard deviation of the fitted normal in radians, for uniformly distributed points in a square: sigma * sqrt(12)
+    # / (side of the block * sqrt(pixels)). It is large for distant blocks of a noisy sensor.
     edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
     tilt = _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
     unsure = accepted & (tilt > np.radians(config.window_tilt_deg))
     if unsure.any():
         _steady(moments, planes, mean, tilt, accepted, unsure, size * size, config)
-    # Flattest first; blocks with an uncertain normal start regions last.
+    # Regions start from the flattest block first, and from blocks with an uncertain normal last.
     order = np.lexsort((planes[:, 4], unsure))
     labels = np.full(shape, -1, np.int32)
     regions = np.zeros_like(flat)
@@ -184,10 +194,11 @@ def _block_regions(
         return labels, np.zeros((0, 5))
     regions = regions[:count]
     planes, mean = kernels.fit_planes(regions)
-    # Blocks miss the rim of a plane; refinement adds its pixels, so half of the minimum size suffices here.
+    # Blocks do not cover the border of a plane, and the refinement adds its pixels. So half of the minimum size is
+    # enough here.
     keep = regions[:, 0] >= 0.5 * config.min_pixel_share * depth.size
     keep &= planes[:, 4] < config.segment_sigma * _noise(mean[:, 2], scale) + config.segment_tolerance
-    # Merge segments of one plane that an object separates before each one is tested.
+    # Merge the segments of a plane that an object separates, before each one is tested alone.
     merged, new_label = _merge_coplanar(regions[keep], config)
     table = np.full(len(regions) + 1, -1, np.int32)
     table[np.flatnonzero(keep)] = new_label
@@ -195,19 +206,19 @@ def _block_regions(
 
 
 def _steady(
-    moments: np.ndarray,  # [By, Bx, 10]
-    planes: np.ndarray,  # [B, 5], modified
-    mean: np.ndarray,  # [B, 3]
-    tilt: np.ndarray,  # [B] radians, modified
-    accepted: np.ndarray,  # [B] bool
-    unsure: np.ndarray,  # [B] bool, modified: blocks that remain uncertain
+    moments: np.ndarray,  # [By, Bx, 10] moments of the blocks
+    planes: np.ndarray,  # [B, 5] planes of the blocks, changed in place
+    mean: np.ndarray,  # [B, 3] centroids of the blocks
+    tilt: np.ndarray,  # [B] radians, standard deviation of the normals, changed in place
+    accepted: np.ndarray,  # [B] bool, planar blocks
+    unsure: np.ndarray,  # [B] bool, blocks with an uncertain normal, changed in place
     block_pixels: int,  # number of pixels of a full block
     config: PlaneDetectionConfig,
 ) -> None:
-    """Replace uncertain normals by that of the surrounding 3 x 3 blocks, if these are coplanar.
+    """Replace the uncertain normals of blocks by the normal of the surrounding 3 x 3 blocks, if these are coplanar.
 
-    Far away a block's noise is as large as its width, and its plane is arbitrary (36 degrees off at 5 m). Larger blocks
-    everywhere would lose narrow planes.
+    At large distances the noise of a block is as large as its width, and its plane is arbitrary (36 degrees off at 5
+    m). Larger blocks everywhere would lose narrow planes.
     """
     shape = moments.shape[:2]
     padded = np.pad(np.where(accepted.reshape(*shape, 1), moments, 0.0), ((1, 1), (1, 1), (0, 0)))
@@ -219,23 +230,24 @@ def _steady(
     flat = fitted[:, 4] < limit
     at, fitted = at[flat], fitted[flat]
     planes[at, :3] = fitted[:, :3]
-    planes[at, 3] = -np.einsum("ij,ij->i", fitted[:, :3], mean[at])  # through the block's own centroid
+    planes[at, 3] = -np.einsum("ij,ij->i", fitted[:, :3], mean[at])  # through the centroid of the block itself
     planes[at, 4] = fitted[:, 4]
-    tilt[at] /= 9.0  # three times as wide, nine times as many pixels
+    tilt[at] /= 9.0  # the 3 x 3 blocks are three times as wide and have nine times as many pixels
     unsure[at] = False
 
 
 def _refine(
-    depth: np.ndarray,
-    lens: np.ndarray,
+    depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
+    lens: np.ndarray,  # [4] fx, fy, cx, cy in pixels
     size: int,
     block_labels: np.ndarray,
     planes: np.ndarray,
     config: PlaneDetectionConfig,
-) -> tuple[np.ndarray, np.ndarray]:  # labels [H, W], planes [T, 5]
-    """Assign pixels to planes, remove planes explained by larger ones, and assign their pixels again.
+) -> tuple[np.ndarray, np.ndarray]:  # labels [H, W], planes [T, 5]: normal, d, rms
+    """Assign pixels to planes, remove planes that larger planes explain, and assign the pixels of these again.
 
-    Noise sometimes splits a tilted segment off a wall, and blocks across a far edge look like a chamfer.
+    ``block_labels`` [By, Bx] is the plane of each block of ``size`` pixels, and ``planes`` [S, 5] the planes. Noise
+    sometimes splits a tilted segment off a wall, and blocks across a distant edge look like a chamfer.
     """
     scale = config.depth_noise_scale
     edge_on = np.cos(np.radians(config.max_incidence_deg))
@@ -255,8 +267,8 @@ def _refine(
 def _merge_coplanar(
     moments: np.ndarray,  # [S, 10]
     config: PlaneDetectionConfig,
-) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of every old one [S]
-    """Merge coplanar segments, closest pair first, refitting after every merge."""
+) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of each old segment [S]
+    """Merge coplanar segments, the closest pair first, with a new fit after every merge."""
     limits = (
         config.merge_sigma, config.merge_tolerance, config.merge_back, cosine_deg(config.merge_angle_deg),
         config.merge_wide_sigma, config.merge_wide_tolerance, cosine_deg(config.merge_wide_angle_deg),
@@ -270,12 +282,15 @@ def _merge_coplanar(
 
 @cache
 def cosine_deg(degrees: float) -> float:
-    """Return the cosine of an angle in degrees; cached, since thresholds are read often."""
+    """Return the cosine of an angle in degrees. The result is cached, since thresholds are used often."""
     return float(np.cos(np.radians(degrees)))
 
 
 def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return segments with enough pixels, largest first, and the table from old to new label (last entry: -1)."""
+    """Return the moments of segments with at least ``min_pixels`` pixels, largest first, and a table of labels.
+
+    The table gives the new label for each old one, or -1. Its last entry is -1.
+    """
     keep = np.flatnonzero(moments[:, 0] >= max(min_pixels, 3))
     keep = keep[np.argsort(-moments[keep, 0], kind="stable")]
     table = np.full(len(moments) + 1, -1)
@@ -292,13 +307,13 @@ def _lift(
     config: PlaneDetectionConfig,
 ) -> tuple[PlaneSegment, ...]:
     planes, mean = kernels.fit_planes(moments)
-    # 3 degrees: nearer to edge-on, a pixel's footprint gives no reliable area.
+    # Below 3 degrees between ray and plane, the area that a pixel covers is not reliable.
     areas = kernels.segment_areas(depth, lens, labels, planes, np.sin(np.radians(3.0)))
     rotation = frame.world_from_camera[:3, :3]
     normals = planes[:, :3] @ rotation.T
     centroids = transform_points(frame.world_from_camera, mean)
     offsets = -np.einsum("ij,ij->i", normals, centroids)
-    # Pixel step of each segment, and the end of its points in the flat array.
+    # Step between the pixels kept of each segment, and end of its points in the flat array.
     pixels = np.bincount(labels.ravel() + 1, minlength=len(moments) + 1)[1:]
     steps = -(-pixels // config.max_points)
     ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))

@@ -1,8 +1,9 @@
-"""Compute plane detection's loops over blocks and pixels, compiled.
+"""Compute the compiled loops of plane detection over blocks and pixels.
 
-Second-order moments of a set of points are ten sums in the order ``[1, x, y, z, xx, xy, xz, yy, yz, zz]``. They are
-additive, so blocks, regions and merged planes are fitted in the same way. All points are in the camera frame. ``lens``
-[4] is fx, fy, cx, cy in pixels. The distance allowed for noise is ``sigmas * noise(z, scale) + base`` metres.
+The moments of a set of points are ten sums in the order ``[1, x, y, z, xx, xy, xz, yy, yz, zz]``. Moments of two sets
+can be added, so blocks, regions and merged planes are fitted in the same way. All points are in the camera frame.
+``lens`` [4] is fx, fy, cx, cy in pixels. A plane [5] is the unit normal, d and the rms distance of its points, with
+normal . x + d = 0. The largest distance allowed for noise is ``sigmas * noise(z, scale) + base`` metres.
 """
 
 from __future__ import annotations
@@ -14,30 +15,31 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.depth_noise import axial_sigma
 
-MOMENTS = 10
-MAX_LINK_ANGLE = np.radians(40.0)  # independent of noise: a larger angle between two blocks is a room edge
+MOMENTS = 10  # number of moments of a set of points
+# Largest angle between two blocks with any noise: beyond it there is a room edge between them.
+MAX_LINK_ANGLE = np.radians(40.0)
 
 
 class Blocks(NamedTuple):
     """Hold the blocks of an image and their planes."""
 
-    moments: np.ndarray  # [By, Bx, 10]
-    planes: np.ndarray  # [By, Bx, 5]
-    accepted: np.ndarray  # [By, Bx] bool, planar blocks
-    tilt: np.ndarray  # [By, Bx] radians: normal deviation due to noise
+    moments: np.ndarray  # [By, Bx, 10] moments of the pixels
+    planes: np.ndarray  # [By, Bx, 5] normal, d, rms
+    accepted: np.ndarray  # [By, Bx] bool: planar blocks
+    tilt: np.ndarray  # [By, Bx] radians: largest deviation of the normal due to noise
 
 
 class Choice(NamedTuple):
-    """Hold the planes from which pixels choose: those of their own and the surrounding blocks."""
+    """Hold the planes to which a pixel can be assigned: the planes of its own and the surrounding blocks."""
 
-    size: int  # pixels, edge of a block
-    labels: np.ndarray  # [By, Bx] int32 row of ``planes``, -1 = none
-    planes: np.ndarray  # [S, 5]
+    size: int  # side of a block, pixels
+    labels: np.ndarray  # [By, Bx] int32 plane of each block, -1 = none
+    planes: np.ndarray  # [S, 5] normal, d, rms
 
 
 @kernel
 def add_point(moments, x, y, z):
-    """Add a point to the ten moments of its cell: count, sum and sums of products of the coordinates."""
+    """Add the point (x, y, z) to ``moments`` [10]."""
     moments[0] += 1.0
     moments[1] += x
     moments[2] += y
@@ -52,11 +54,13 @@ def add_point(moments, x, y, z):
 
 @kernel
 def refit(moments, plane):
-    """Move ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of the moments, starting from its current value.
+    """Change ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of ``moments`` [10], in place.
 
-    The normal is the direction of least scatter, found by inverse iteration with the adjugate, which is defined for
-    exactly flat points too. Two iterations suffice: the old normal is close, and the scatter across the plane is much
-    smaller than along it. LAPACK calls would take seconds to compile.
+    The iteration starts from the current value.
+
+    The normal is the direction of least variance, found by inverse iteration with the adjugate matrix, which is defined
+    for exactly flat points too. Two iterations suffice, because the old normal is close and the variance across the
+    plane is much smaller than along it. LAPACK calls would take seconds to compile.
     """
     count = moments[0]
     mx, my, mz = moments[1] / count, moments[2] / count, moments[3] / count
@@ -83,8 +87,8 @@ def refit(moments, plane):
 def fit_planes(moments):
     """Return least-squares planes [S, 5] (unit normal, d > 0, rms) and centroids [S, 3] of moments [S, 10].
 
-    Normals point towards the camera. Eigenvectors are found by Jacobi rotations, in a fiftieth of a LAPACK call's time
-    for 3 x 3 matrices.
+    Normals point towards the camera. Eigenvectors are computed by Jacobi rotations, which take a fiftieth of the time
+    of a LAPACK call for 3 x 3 matrices.
     """
     count = len(moments)
     planes, means = np.empty((count, 5)), np.empty((count, 3))
@@ -135,7 +139,10 @@ def fit_planes(moments):
 
 @kernel
 def block_moments(depth, lens, size, max_depth):
-    """Return moments [By, Bx, 10] of the valid pixels of every full block."""
+    """Return the moments [By, Bx, 10] of the pixels of every full block of ``size`` x ``size`` pixels.
+
+    Pixels without return or deeper than ``max_depth`` metres are left out.
+    """
     fx, fy, cx, cy = lens
     rows, columns = depth.shape[0] // size, depth.shape[1] // size
     moments = np.zeros((rows, columns, MOMENTS))
@@ -156,18 +163,19 @@ _axial_sigma = kernel(axial_sigma)
 
 @kernel
 def noise(z, scale):
-    """Return the standard deviation of the depth in metres, times ``scale``."""
+    """Return the standard deviation of the depth z in metres: the axial noise of a Kinect times ``scale``."""
     return scale * _axial_sigma(z)
 
 
 @kernel
 def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels, regions):
-    """Join neighbouring planar blocks into regions, flattest block first; return the number of regions.
+    """Join neighbouring planar blocks into regions, starting with the first in ``order``; return the number of regions.
 
-    A block joins if it is coplanar with the neighbour it is reached from and with the plane of the whole region. The
-    region is refitted as it grows, so chaining along a curved surface stops where the plane ends. Normals may differ by
+    A block joins if it is coplanar with the neighbour from which it is reached, and with the plane of the whole region.
+    The region is fitted again as it grows, so it ends where a curved surface leaves the plane. Normals may differ by
     ``link_angle`` radians plus the deviation due to noise. Writes ``labels`` [By, Bx] int32 (initially -1 = none) and
-    the regions' moments into ``regions`` [By * Bx, 10] (initially 0).
+    the moments of the regions into ``regions`` [By * Bx, 10] (initially 0). ``blocks`` is a `Blocks`. ``scale``,
+    ``link_noise`` and ``link_base`` give the largest distance between a block's centroid and the other plane.
     """
     moments, planes, accepted, tilt = blocks
     rows, columns = accepted.shape
@@ -181,13 +189,13 @@ def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels
             continue
         labels[r0, c0] = count
         region = regions[count]
-        # Element by element: array assignments would multiply the compile time.
+        # Copied element by element, because array assignments would multiply the compile time.
         for k in range(MOMENTS):
             region[k] = moments[r0, c0, k]
         for k in range(4):
             plane[k] = planes[r0, c0, k]
         refit_at = 2.0 * region[0]
-        # Breadth first: the region stays compact, so its plane is well supported as it grows.
+        # Breadth first: the region remains compact, so its plane is well determined as it grows.
         head, tail = 0, 1
         stack[0] = seed
         while head < tail:
@@ -232,9 +240,10 @@ def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels
 
 @kernel
 def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth, min_cosine):
-    """Assign every pixel to the closest plane among those of its own and the eight surrounding blocks.
+    """Return the label image [H, W]: each pixel gets the closest plane of its own and the eight surrounding blocks.
 
-    Pixels with less than ``min_cosine`` between ray and normal remain unassigned.
+    The distance must be below ``pixel_noise * noise(z, scale) + pixel_base`` metres, and the cosine between ray and
+    normal above ``min_cosine``. Other pixels, and pixels deeper than ``max_depth`` metres, get -1.
     """
     fx, fy, cx, cy = lens
     size, block_labels, planes = choice
@@ -268,7 +277,11 @@ def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth
 
 @kernel
 def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base):
-    """Return for every label the fraction of its pixels that a larger label's plane explains too."""
+    """Return for each label the fraction of its pixels that are also on the plane of a label with more pixels.
+
+    ``labels`` [H, W] is the label image, and ``planes`` [S, 5] the planes. A pixel is on a plane if its distance is
+    below ``limit_noise * noise(z, scale) + limit_base`` metres.
+    """
     fx, fy, cx, cy = lens
     count = len(planes)
     sizes = np.zeros(count, np.int64)
@@ -299,7 +312,7 @@ def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base
 
 @kernel
 def segment_moments(depth, lens, labels, count):
-    """Return moments [S, 10] of the pixels of every label."""
+    """Return the moments [S, 10] of the pixels of every label, for ``count`` = S labels."""
     fx, fy, cx, cy = lens
     moments = np.zeros((count, MOMENTS))
     for v in range(depth.shape[0]):
@@ -314,7 +327,11 @@ def segment_moments(depth, lens, labels, count):
 
 @kernel
 def segment_areas(depth, lens, labels, planes, min_cosine):
-    """Return the area of every label in m^2: the sum of its pixels' footprints z^2 / (fx fy cos)."""
+    """Return the area of every label in m^2: the sum of z^2 / (fx fy c) over its pixels.
+
+    ``labels`` [H, W] is the label image, and ``planes`` [S, 5] the planes. c is the absolute dot product of normal and
+    pixel ray (with z = 1), at least ``min_cosine``.
+    """
     fx, fy, cx, cy = lens
     areas = np.zeros(len(planes))
     for v in range(depth.shape[0]):
@@ -324,7 +341,7 @@ def segment_areas(depth, lens, labels, planes, min_cosine):
             if label >= 0:
                 z = np.float64(depth[v, u])
                 p = planes[label]
-                # For a ray with z = 1, this cosine converts image area to area on the plane.
+                # For the ray with z = 1, this value converts image area to area on the plane.
                 cosine = abs(p[0] * (u + 0.5 - cx) / fx + p[1] * y1 + p[2])
                 areas[label] += z * z / (fx * fy * max(cosine, min_cosine))
     return areas
@@ -332,7 +349,10 @@ def segment_areas(depth, lens, labels, planes, min_cosine):
 
 @kernel
 def _square_distance(second, count, mean, plane):
-    """Return the mean square distance of a set of points to a plane, from the points' moments."""
+    """Return the mean squared distance of a set of points to a plane, from the moments of the points.
+
+    ``second`` [10] are the moments, ``count`` the number of points and ``mean`` [3] their centroid.
+    """
     x, y, w, d = plane[0], plane[1], plane[2], plane[3]
     n = max(count, 1.0)
     form = x * x * second[4] + 2 * x * y * second[5] + 2 * x * w * second[6]
@@ -342,7 +362,12 @@ def _square_distance(second, count, mean, plane):
 
 @kernel
 def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
-    """Return the distance in metres of the smaller one's centroid to the larger one's plane; inf if not coplanar."""
+    """Return the distance in metres by which segments i and j differ from one plane; inf if they are not coplanar.
+
+    It is the distance of the smaller segment's centroid to the larger one's plane, or of the larger one's centroid to
+    the smaller one's plane divided by ``merge_back``, if this is greater. ``limits`` are thresholds of
+    `PlaneDetectionConfig`. ``moments`` [S, 10], ``planes`` [S, 5] and ``mean`` [S, 3] describe the segments.
+    """
     sigma, tolerance, merge_back, cosine, wide_sigma, wide_tolerance, wide_cosine, reach = limits
     p, q, m, n = planes[i], planes[j], mean[i], mean[j]
     turn = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
@@ -350,13 +375,13 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
         return np.inf
     if not np.sqrt((m[0] - n[0]) ** 2 + (m[1] - n[1]) ** 2 + (m[2] - n[2]) ** 2) < reach:
         return np.inf
-    out = abs(p[0] * n[0] + p[1] * n[1] + p[2] * n[2] + p[3])  # centroid of the second to the plane of the first
+    out = abs(p[0] * n[0] + p[1] * n[1] + p[2] * n[2] + p[3])  # centroid of segment j to the plane of segment i
     back = abs(q[0] * m[0] + q[1] * m[1] + q[2] * m[2] + q[3])
     larger = moments[i, 0] >= moments[j, 0]
     gap = max(out, back / merge_back) if larger else max(back, out / merge_back)
     if turn > cosine and gap < tolerance + sigma * noise(max(m[2], n[2]), scale):
         return gap
-    # Mean square distance of the smaller one's points to the larger one's plane.
+    # Mean squared distance of the points of the smaller segment to the plane of the larger one.
     if larger:
         square, z = _square_distance(moments[j], moments[j, 0], n, p), n[2]
     else:
@@ -368,9 +393,10 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
 
 @kernel
 def merge_coplanar(moments, scale, limits):
-    """Add up the moments [S, 10] of coplanar segments, closest pair first, refitting after every merge.
+    """Merge coplanar segments by adding up their moments [S, 10], closest pair first, with a fit after every merge.
 
-    Returns the mask [S] of remaining rows, and for each row [S] the row that contains it.
+    Returns the mask [S] of remaining rows, and for each row [S] the row into which it was merged. ``scale`` and
+    ``limits`` are described at `_coplanar_gap`.
     """
     count = len(moments)
     label, alive = np.arange(count), moments[:, 0] >= 3
@@ -403,9 +429,9 @@ def merge_coplanar(moments, scale, limits):
 
 @kernel
 def spread_points(depth, lens, labels, steps, ends):
-    """Return every ``steps[k]``-th pixel of label k in row order as camera-frame points [ends[-1], 3] float64.
+    """Return every ``steps[k]``-th pixel of label k in row-major order as a camera-frame point [ends[-1], 3] float64.
 
-    The points of label k end at ``ends[k]``.
+    The points of label k end at row ``ends[k]``.
     """
     fx, fy, cx, cy = lens
     points = np.empty((ends[-1], 3))

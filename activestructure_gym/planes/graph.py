@@ -49,19 +49,19 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class PlaneGraphConfig:
-    """Configure all steps of plane processing."""
+    """Configure all steps of the plane processing."""
 
     detection: PlaneDetectionConfig = field(default_factory=PlaneDetectionConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     topology: TopologyConfig = field(default_factory=TopologyConfig)
     quality: QualityConfig = field(default_factory=QualityConfig)
     surprise: SurpriseConfig = field(default_factory=SurpriseConfig)
-    cell: float = 0.05  # metres, edge length of a tangent grid's cell
-    # m^2; smaller segments join nodes but create none. They justify no view of their own, and slats, legs and book
-    # spines would otherwise be most of the nodes.
+    cell: float = 0.05  # side of a cell of a plane's grid, metres
+    # m^2; smaller segments can be fused into a plane but do not create one. They justify no view of their own, and
+    # slats, legs and book spines would otherwise be most of the planes.
     min_node_area: float = 0.05
-    fusion_rate: float = 0.3  # of the exponential moving average of (n, d)
-    normal_window: int = 10  # keyframes of normal history
+    fusion_rate: float = 0.3  # weight of a new observation in the exponential moving average of normal and offset
+    normal_window: int = 10  # number of keyframes whose observed normals a plane keeps
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -75,24 +75,24 @@ class GraphUpdate:
     """Hold the changes of the graph by one keyframe."""
 
     detection: PlaneDetection
-    node_ids: tuple[int, ...]  # per segment, the id of its node, -1 = too small for a node
-    created: tuple[int, ...]  # ids of new nodes that are still in the graph
+    node_ids: tuple[int, ...]  # per segment, the id of the plane it was fused into, -1 = too small for a plane
+    created: tuple[int, ...]  # ids of new planes that are still in the graph
     merged: tuple[tuple[int, int], ...]  # (kept id, removed id)
 
 
 class PlaneSceneGraph:
     """Hold the planes of a scene and their relations, updated keyframe by keyframe.
 
-    ``state`` is that of the last `assess`, which `update` runs at its end. The same holds for the deficiencies, if read
-    before the next keyframe. Equal frames give equal graphs; nothing is random.
+    ``state`` is the result of the last `assess`, which `update` runs at its end. The same holds for the deficiencies,
+    if they are read before the next keyframe. Equal frames give equal graphs, since nothing is random.
     """
 
-    state: GraphState  # in the order of `nodes` at the last `assess`
+    state: GraphState  # rows in the order of `nodes` at the last `assess`
 
     def __init__(self, config: PlaneGraphConfig | None = None) -> None:
         self.config = config or PlaneGraphConfig()
         self.nodes: list[PlaneNode] = []  # sorted by id
-        self.keyframes = 0  # number of updates
+        self.keyframes = 0  # number of keyframes fused
         self._next_id = 0
         self._map_points: MapPoints | None
         self._coarse: SparsePatches | None
@@ -102,16 +102,16 @@ class PlaneSceneGraph:
     def update(
         self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
     ) -> GraphUpdate:
-        """Detect the planes of a keyframe, fuse them, and assess the graph."""
+        """Detect the planes of a keyframe, fuse them into the graph, and assess the graph; arguments as in `assess`."""
         joined = self.integrate(frame)
         self.assess(space_state=space_state, map_points=map_points)
         return joined
 
     def integrate(self, frame: Frame, detection: PlaneDetection | None = None) -> GraphUpdate:
-        """Fuse a keyframe's segments into the nodes; by default the segments are detected in the frame.
+        """Fuse the segments of a keyframe into the planes; by default the segments are detected in the frame.
 
-        The state is not assessed: an agent takes several keyframes between decisions, and only the state at a decision
-        is used.
+        The graph is not assessed: an agent takes several keyframes between two decisions, and only the state at a
+        decision is used.
         """
         detection = detection or segment_planes(frame, self.config.detection)
         first_new = self._next_id
@@ -131,14 +131,14 @@ class PlaneSceneGraph:
         return GraphUpdate(detection, tuple(ids), created, tuple(merged))
 
     def node(self, node_id: int) -> PlaneNode:
-        """Return the node with this id; raise KeyError if it was merged into another or never existed."""
+        """Return the plane with this id; raise KeyError if it was merged into another plane or never existed."""
         for node in self.nodes:
             if node.id == node_id:
                 return node
         raise KeyError(node_id)
 
     def _assign(self, frame: Frame, segments: tuple[PlaneSegment, ...]) -> list[int]:
-        """Return the node id of every segment; unmatched segments create nodes that later segments may join."""
+        """Return the plane id of every segment. Unmatched segments create planes, which later segments may match."""
         eye = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 3]
         right = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 0]
         planes = stack_planes(self.nodes)
@@ -180,7 +180,10 @@ class PlaneSceneGraph:
             node.fuse(own, patches[k], moments[k], self.keyframes, self.config.fusion_rate)
 
     def _merge(self, touched: list[int]) -> list[tuple[int, int]]:
-        """Merge nodes that now satisfy the coplanar mode; the older id is kept."""
+        """Merge planes that satisfy the coplanar mode after their update; return pairs of kept and removed id.
+
+        ``touched`` are the ids of the updated planes. The smaller id, that of the older plane, is kept.
+        """
         merged: list[tuple[int, int]] = []
         queue = list(touched)
         near = may_be_same(self.nodes, self.config.matching)
@@ -196,22 +199,22 @@ class PlaneSceneGraph:
                     self.nodes.remove(gone)
                     near = may_be_same(self.nodes, self.config.matching)
                     merged.append((kept.id, gone.id))
-                    queue.append(kept.id)  # the merged node may reach farther
+                    queue.append(kept.id)  # the merged plane may reach other planes
                     break
         return merged
 
     def assess(self, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None) -> None:
-        """Compute edges, tree, quality, surprise, deficit and deficiencies of the current nodes.
+        """Compute edges, spanning forest, quality, surprise, deficit and deficiencies of the current planes.
 
-        ``space_state`` returns whether world points are unknown (0), free (1) or occupied (2). Without it only planes
-        and images close a boundary (mode v). ``map_points`` are the map's Gaussians. Without them only holes are
-        deficient, not areas that the map covers too coarsely.
+        ``space_state`` is a function that returns whether world points are unknown (0), free (1) or occupied (2).
+        Without it, only planes and images close a boundary (mode v). ``map_points`` are the Gaussians of the map.
+        Without them, only holes are deficient, and not areas that the map covers too coarsely.
         """
         self._map_points, self._coarse, self._deficiencies = map_points, None, None
         if map_points is None or default_threads() == 1:
             self._assess(space_state)
             return
-        # Both only read the nodes, and the patch kernels release the GIL.
+        # Both computations only read the planes, and the kernels of `coarse_patches` release the GIL.
         with ThreadPoolExecutor(1) as aside:
             future = aside.submit(coarse_patches, self.nodes, self.config.quality, map_points)
             self._assess(space_state)
@@ -219,7 +222,7 @@ class PlaneSceneGraph:
 
     @property
     def deficiencies(self) -> Deficiencies:
-        """Return the planes' holes and coarsely mapped areas; computed on first use."""
+        """Return the holes and the coarsely mapped areas of all planes. They are computed at the first use."""
         if self._deficiencies is None:
             if self._coarse is None and self._map_points is not None:
                 self._coarse = coarse_patches(self.nodes, self.config.quality, self._map_points)
@@ -259,21 +262,21 @@ class PlaneSceneGraph:
         )
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
-        """Return the pairs of planes observed together in at least one keyframe; other relations are unobserved."""
+        """Return the pairs of planes that were observed together in at least one keyframe."""
         size = self.keyframes // 8 + 1  # bytes
         packed = b"".join(node.keyframes.to_bytes(size, "little") for node in self.nodes)
         shows = np.unpackbits(np.frombuffer(packed, np.uint8).reshape(len(self.nodes), size), axis=1)
-        shows = shows.astype(np.float32)  # [N, keyframes]; exact sums below 2^24
+        shows = shows.astype(np.float32)  # [N, keyframes]; sums are exact below 2^24
         together = shows @ shows.T > 0
         np.fill_diagonal(together, False)
         return together
 
     def arrays(self, max_planes: int) -> PlaneArrays:
-        """Return the graph in fixed-size arrays; with more planes than rows, the largest by area are kept."""
+        """Return the graph in arrays with ``max_planes`` rows; with more planes, the largest by area are kept."""
         return encode_planes(self.state, max_planes)
 
     def sample_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:  # [N, count, 3], [N, count] bool
-        """Return up to ``count`` evenly spread points of every plane, for visibility tests, and their validity mask."""
+        """Return up to ``count`` evenly distributed points of each plane, for visibility tests, and their mask."""
         points = np.zeros((len(self.nodes), count, 3))
         exists = np.zeros((len(self.nodes), count), bool)
         for k, node in enumerate(self.nodes):
@@ -283,7 +286,7 @@ class PlaneSceneGraph:
         return points, exists
 
     def as_networkx(self) -> networkx.Graph:
-        """Return the graph for networkx: nodes by id with their values, edges with ``weight`` and ``tree``."""
+        """Return the graph for networkx: planes by id with their values, edges with ``weight`` and ``tree``."""
         import networkx
 
         graph, state = networkx.Graph(), self.state
@@ -311,10 +314,10 @@ class PlaneSceneGraph:
 
 
 def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:  # [3, 3] rows u, v, normal
-    """Return the tangent frame of a segment by SVD of its points (Eq. 6); the camera resolves its ambiguities.
+    """Return the tangent frame of a segment by singular value decomposition of its points (Eq. 6).
 
-    The sign of u, and u itself for a segment without a long side, follow the image's right axis. The frame is thus
-    equivariant under rigid motions of scene and camera.
+    u is the long direction of the segment, with its sign towards the image's right axis ``camera_right`` [3]. A segment
+    without a long direction gets the right axis itself. So the frame moves with a rigid motion of scene and camera.
     """
     normal = segment.normal
     centred = segment.points - segment.points.mean(axis=0)
@@ -326,7 +329,7 @@ def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:
         u = u if u @ sideways >= 0 else -u
     elif length(sideways) > 1e-6:
         u = sideways
-    else:  # looking along the plane: only the world's axes remain
+    else:  # the camera looks along the plane, so only the world's axes remain
         u = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     u = u / length(u)
     return np.array([u, cross(normal, u), normal])

@@ -1,4 +1,4 @@
-"""Match segments to nodes, and find nodes of the same surface (data association, dual mode, Sec. 3.2)."""
+"""Match segments to planes of the graph (data association, Sec. 3.2), and find planes on the same surface."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Configure the gates of both modes. The paper gives the criteria, not the numbers."""
+    """Configure the thresholds of the coplanar and the near mode. The paper gives the criteria without numbers."""
 
-    coplanar_angle_deg: float = 8.0  # coplanar mode: strict on the plane ...
-    coplanar_distance: float = 0.05  # metres, centroid to plane
-    lever: float = 0.02  # metres per metre between the centroids: effect of a short segment's tilt over distance
-    coplanar_reach: float = 4.0  # metres between the centroids: ... relaxed on the distance
-    touch_reach: float = 0.25  # metres: surfaces this close match, whatever the distance of their centroids
-    near_angle_deg: float = 15.0  # near mode: relaxed on the plane ...
-    near_distance: float = 0.10  # metres, centroid to plane
-    near_reach: float = 0.5  # metres between the centroids: ... strict on the distance
-    depth_gap: float = 0.10  # metres between segment and node along common rays
+    coplanar_angle_deg: float = 8.0  # coplanar mode, strict on the plane: largest angle between the normals
+    coplanar_distance: float = 0.05  # coplanar mode: metres, largest distance between a centroid and the other plane
+    lever: float = 0.02  # added per metre between the centroids: effect of a small segment's tilt over distance
+    coplanar_reach: float = 4.0  # coplanar mode, relaxed on the distance: metres between the centroids
+    touch_reach: float = 0.25  # metres; surfaces this close match at any distance of their centroids
+    near_angle_deg: float = 15.0  # near mode, relaxed on the plane: largest angle between the normals
+    near_distance: float = 0.10  # near mode: metres, largest distance between the segment's centroid and the plane
+    near_reach: float = 0.5  # near mode, strict on the distance: metres between the centroids
+    depth_gap: float = 0.10  # metres, largest distance between segment and plane along rays that meet both
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
 
 
 def stack_planes(nodes: Sequence[PlaneNode]) -> np.ndarray:  # [N, 7]
-    """Return normal, offset and centroid of every node as a table for `match_segment`."""
+    """Return normal, offset and centroid of every plane as a table for `match_segment`."""
     return np.array([node.row for node in nodes]).reshape(-1, 7)
 
 
 def match_segment(
     segment: PlaneSegment,
-    camera_position: np.ndarray,
+    camera_position: np.ndarray,  # [3] metres, world
     nodes: Sequence[PlaneNode],
     planes: np.ndarray,  # [N, 7], see `stack_planes`
     config: MatchingConfig,
 ) -> int | None:
-    """Return the index of the node that the segment continues (closest qualifying plane), or None."""
+    """Return the index of the closest plane that the segment may belong to, or None."""
     limits = (
         cosine_deg(config.coplanar_angle_deg), config.coplanar_distance, config.lever, config.coplanar_reach,
         cosine_deg(config.near_angle_deg), config.near_distance, config.near_reach,
@@ -67,13 +67,14 @@ def match_segment(
 
 
 def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int, list[int]]:
-    """Return by node id the indices of other nodes that may be the same surface, if any.
+    """Return the indices of other planes that may be on the same surface, for the id of each plane that has some.
 
     This tests all pairs of planes at once, before `same_surface` tests single pairs.
     """
     planes = stack_planes(nodes)
     normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
-    away = np.abs(centroids @ normals.T + offsets)  # [N, N] distance of the row's centroid to the column's plane
+    # [N, N] distance of the row's centroid to the column's plane, metres.
+    away = np.abs(centroids @ normals.T + offsets)
     near = normals @ normals.T > cosine_deg(config.coplanar_angle_deg) - 1e-9
     near &= np.minimum(away, away.T) < config.coplanar_distance + 1e-9
     np.fill_diagonal(near, False)
@@ -84,7 +85,7 @@ def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int,
 
 
 def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) -> bool:
-    """Return whether two nodes satisfy the coplanar mode."""
+    """Return whether two planes satisfy the coplanar mode."""
     cosine = float(first.normal @ second.normal)
     reach = distance(first.centroid, second.centroid)
     across = abs(float(first.normal @ second.centroid + first.offset))
@@ -111,9 +112,9 @@ def _touches(points: np.ndarray, node: PlaneNode, config: MatchingConfig) -> boo
 
 
 def _depth_jumps(segment: PlaneSegment, camera_position: np.ndarray, node: PlaneNode, config: MatchingConfig) -> bool:
-    """Return whether the node's plane is clearly in front of or behind the segment along the segment's rays.
+    """Return whether a plane is clearly in front of or behind the segment along the segment's rays.
 
-    Only rays that meet the node's seen surface (the overlap) count; without overlap the result is False.
+    Only rays that meet the seen surface of the plane count; without such rays the result is False.
     """
     surface = node.surface
     grid = surface.frame, surface.low, surface.seen, surface.cell
@@ -122,7 +123,7 @@ def _depth_jumps(segment: PlaneSegment, camera_position: np.ndarray, node: Plane
 
 
 def _median(values: np.ndarray) -> float:
-    """Return `numpy.median` of one or more finite numbers, without its slower checks."""
+    """Return the median of one or more finite numbers, without the slow checks of `numpy.median`."""
     low, high = (len(values) - 1) // 2, len(values) // 2
     ordered = np.partition(values, (low, high))
     return float((ordered[low] + ordered[high]) / 2.0)

@@ -1,4 +1,4 @@
-"""Compute matching's loops: the planes that a segment may continue, and its points' distances to one."""
+"""Compute the compiled loops of plane matching: the planes that match a segment, and distances along rays."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from activestructure_gym.planes.surface_kernels import cell_of
 
 @kernel
 def qualifying(planes, normal, offset, centroid, limits):
-    """Return the planes that match a segment, as rows [M, 3]: distance, index, and a flag for distant centroids.
+    """Return the planes that match a segment, as rows [M, 3]: distance (metres), index, flag for distant centroids.
 
     A plane matches if it satisfies the coplanar or the near mode of `matching.MatchingConfig`. ``limits`` are the
-    thresholds of both modes. ``planes`` [N, 7] holds the normal, offset and centroid of each plane.
+    thresholds of both modes. ``planes`` [N, 7] holds normal, offset and centroid of each plane.
 
-    The distance is the larger of two: segment centroid to plane, and plane centroid to the segment's plane. The flag is
-    1 if only the coplanar mode is satisfied and the centroids are farther apart than its reach. The caller accepts such
-    a plane only if its surface touches the segment. Normals face the viewer, so the two faces of a thin wall never
-    match.
+    The distance is the larger of two distances: segment centroid to plane, and plane centroid to the segment's plane.
+    The flag is 1 if only the coplanar mode is satisfied and the centroids are farther apart than its reach. The caller
+    accepts such a plane only if its surface touches the segment. Normals face the camera, so the two faces of a thin
+    wall never match.
     """
     flat_cosine, flat_distance, lever, flat_reach, near_cosine, near_distance, near_reach = limits
     found, total = np.empty((len(planes), 3)), 0
@@ -41,17 +41,19 @@ def qualifying(planes, normal, offset, centroid, limits):
 
 @kernel
 def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
-    """Return distances [M] in metres of points [P, 3] to a plane along their rays from ``eye``, times the rays' slant.
+    """Return the distances [M] between points [P, 3] and a plane along their rays from ``eye``, times the rays' slant.
 
-    Only rays that meet the plane in front of the eye, in a seen cell of its grid, are included. At grazing incidence
-    the plane's noise moves the intersection along the ray, hence the slant factor; 0.2 = 78 degrees from the normal.
+    Distances are in metres. Only rays are included that meet the plane in front of the eye, in a seen cell of its grid.
+    At grazing incidence the noise of the plane moves the intersection along the ray. The slant, the cosine between ray
+    and normal, compensates this; it is at least 0.2 (78 degrees). The plane has ``normal`` [3] and ``offset``;
+    ``grid``, ``low``, ``seen`` and ``cell`` are the parts of its `surface.SurfaceGrid`.
     """
     gaps, total = np.empty(len(points)), 0
     height = eye[0] * normal[0] + eye[1] * normal[1] + eye[2] * normal[2] + offset
     for n in range(len(points)):
         x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
         facing = x * normal[0] + y * normal[1] + z * normal[2]
-        along = -height / facing  # 1 if the plane meets the ray at the point's depth
+        along = -height / facing  # 1 if the ray meets the plane at the point
         if not 0.0 < along < np.inf:
             continue
         r, c = cell_of(eye[0] + along * x, eye[1] + along * y, eye[2] + along * z, grid, cell)

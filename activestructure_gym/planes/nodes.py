@@ -12,48 +12,49 @@ from activestructure_gym.planes.detection_kernels import MOMENTS
 from activestructure_gym.planes.surface import Patch, SurfaceGrid
 from activestructure_gym.planes.vectors import distance, length
 
-_SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # positions of the second-moment matrix in the moments
+_SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # places of the 3 x 3 matrix of second moments in the ten moments
 
 
 class PlaneNode:
     """Represent a plane as observed by all keyframes so far (Sec. 3.2).
 
-    All its points x satisfy ``normal . x + offset = 0``. The normal points to the side from which it is seen, so the
-    two faces of a thin wall are two nodes.
+    Its points x satisfy ``normal . x + offset = 0`` in metres. The normal points to the side from which the plane is
+    observed, so the two faces of a thin wall are two planes.
     """
 
     def __init__(self, node_id: int, segment: PlaneSegment, axes: np.ndarray, *, cell: float, window: int) -> None:
-        self.id = node_id  # unique, never reused
+        self.id = node_id  # unique and never reused
         self.normal = segment.normal.copy()  # [3] unit, world
         self.offset = segment.offset  # metres
         self.surface = SurfaceGrid(segment.centroid, axes, cell)
-        self.anchor = segment.centroid.copy()  # [3] world; moments are taken about it for numerical precision
+        # [3] metres, world; moments are taken about this point, for numerical precision.
+        self.anchor = segment.centroid.copy()
         self.moments = np.zeros(MOMENTS)
         self.keyframes = 0  # bit t is set if keyframe t observed the plane
-        self.normals: dict[int, np.ndarray] = {}  # by keyframe [3] unit, as observed; the last ``window``
+        self.normals: dict[int, np.ndarray] = {}  # keyframe -> [3] unit, observed normal; the last ``window`` keyframes
         self._window = window
-        self.shift = np.inf  # metres the centroid moved at the last update; inf before the first
+        self.shift = np.inf  # metres that the centroid moved at the last update; inf before the first
         self.area_change = np.inf  # relative change of the area at the last update
 
     @property
     def observations(self) -> int:
-        """Return o_i: the number of keyframes that observed the plane."""
+        """Return o_i, the number of keyframes that observed the plane."""
         return self.keyframes.bit_count()
 
     @property
     def area(self) -> float:
-        """Return a_i in square metres."""
+        """Return a_i, the area of the seen surface in m^2."""
         return self.surface.area
 
     @property
     def centroid(self) -> np.ndarray:  # [3] world
-        """Return the mean of the seen surface."""
+        """Return the centroid of the seen surface in metres."""
         return self.surface.centroid
 
     @property
     def row(self) -> np.ndarray:  # [7]
-        """Return normal, offset and centroid in one array, for tables of many nodes."""
-        known = self.surface.memo.get("row")  # normal and offset change only with the surface
+        """Return normal, offset and centroid in one array, for tables of many planes."""
+        known = self.surface.memo.get("row")  # cached with the surface, since normal and offset change only with it
         if not isinstance(known, np.ndarray):
             known = np.array([*self.normal.tolist(), self.offset, *self.centroid.tolist()])
             self.surface.memo["row"] = known
@@ -61,16 +62,16 @@ class PlaneNode:
 
     @property
     def points(self) -> np.ndarray:  # [K, 3] world
-        """Return P_i: the measured points, one per cell of the tangent grid."""
+        """Return P_i, one measured point per cell of the plane's grid, in metres."""
         return self.surface.points()
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """Return ``count`` of the points at even steps from first to last; some repeat if there are fewer."""
+        """Return ``count`` of the points at even steps from the first to the last; some repeat if there are fewer."""
         return self.surface.spread(count)
 
     @property
     def point_count(self) -> int:
-        """Return |P_i|: the number of seen cells with at least one measured point."""
+        """Return |P_i|, the number of seen cells with at least one measured point."""
         return self.surface.measured_count
 
     @property
@@ -93,9 +94,10 @@ class PlaneNode:
         keyframe: int,
         rate: float,
     ) -> None:
-        """Fuse one keyframe's segments: exponential moving average of the plane, union of the surface.
+        """Fuse the segments of one keyframe: moving average of normal and offset, union of the surface.
 
-        The rate is scaled by the segment's share of the node's area, so a view of a corner does not rotate a wall.
+        ``patch`` is the surface that the keyframe observed. ``rate`` is the weight of a new observation, multiplied by
+        the segment's share of the plane's area, so that a view of a corner does not rotate a wall.
         """
         before = (self.centroid, self.area) if self.keyframes else None
         for segment in segments:
@@ -118,7 +120,7 @@ class PlaneNode:
             self._note_change(*before)
 
     def absorb(self, other: PlaneNode) -> None:
-        """Merge another node of the same surface; the planes are averaged by area."""
+        """Merge another plane of the same surface into this one; normals and offsets are averaged by area."""
         before = (self.centroid, self.area)
         share = other.area / max(self.area + other.area, 1e-9)
         normal = (1.0 - share) * self.normal + share * other.normal
@@ -137,7 +139,7 @@ class PlaneNode:
         self._note_change(*before)
 
     def _forget(self) -> None:
-        """Keep the normals of the last ``window`` keyframes that observed the plane."""
+        """Remove the observed normals except those of the last ``window`` keyframes."""
         self.normals = dict(sorted(self.normals.items())[-self._window :])
 
     def _note_change(self, centroid: np.ndarray, area: float) -> None:
@@ -146,7 +148,7 @@ class PlaneNode:
 
 
 def _moved(moments: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """Return the moments of the same points after adding ``by`` [3] to all coordinates."""
+    """Return the moments [10] of a set of points after adding ``by`` [3] to their coordinates."""
     count, first = moments[0], moments[1:4]
     second = moments[_SECOND]
     second = second + np.outer(first, by) + np.outer(by, first) + count * np.outer(by, by)

@@ -1,7 +1,7 @@
-"""Assess planes: eight failure modes, the scalar quality, and the deficiency centres (Sec. 3.3).
+"""Assess planes by eight failure modes, a scalar quality, and deficiency centres: targets for new views (Sec. 3.3).
 
-The paper names the modes; the formulas are this project's. They are independent: a hole inside a plane lowers only mode
-viii, a missing corner only mode i, an edge with unknown space beyond only mode v.
+The paper names the modes; the formulas are this project's. The modes are independent: a hole inside a plane lowers only
+mode viii, a missing corner only mode i, an edge with unknown space beyond it only mode v.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ QUALITY_MODES = (
     "interior",  # viii
 )
 SPACE_UNKNOWN, SPACE_FREE, SPACE_OCCUPIED = 0, 1, 2
-SpaceState = Callable[[np.ndarray], np.ndarray]  # world points [K, 3] -> uint8 [K]: unknown, free, occupied
+SpaceState = Callable[[np.ndarray], np.ndarray]  # world points [K, 3] -> uint8 [K]: one of the three states
 _RANGES = {
     "density_target": "(0, 1e9]",
     **dict.fromkeys(("fit_scale", "shift_scale", "area_scale"), "(0, 1000]"),
@@ -50,27 +50,29 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class QualityConfig:
-    """Configure the scales at which a mode becomes bad, and the weights of Eq. 7."""
+    """Configure the scale at which the score of each mode becomes low, and the weights of Eq. 7."""
 
-    density_target: float = 400.0  # ii: points per m^2
-    fit_scale: float = 0.01  # iii (fit): rms distance of the pixels to the plane, in metres, at which the score is 1/e
-    observations_target: int = 5  # iv: keyframes
-    boundary_reach: float = 0.10  # v: metres between an edge and another plane that closes it
-    space_step: float = 0.15  # v: metres beyond an edge at which space is tested; more than one voxel of 10 cm
-    normal_angle_deg: float = 15.0  # vi: mean deviation at which the score is 0
-    shift_scale: float = 0.05  # vii: metres of centroid shift
-    area_scale: float = 0.10  # vii: relative change of the area
-    closing_radius: int = 3  # viii: cells
-    hole_tile: int = 10  # viii: cells; a hole has one centre per tile (0.5 m)
-    min_hole_cells: int = 4  # viii: smaller holes get no centre, but lower the score
-    min_sparse_cells: int = 20  # viii: minimum seen cells of a tile without a fine Gaussian nearby, for a centre
-    coarse_size: float = 1.0  # viii: of a cell; larger Gaussians are coarse (plain surface: sigma 0.81)
-    min_hole_radius: float = 1.5  # viii: cells; narrower slits get no centre
-    # True follows Eq. 6 exactly. False excludes holes that no view can fill: cells with free space behind (a window, a
-    # doorway) or covered by an object (a picture, a cupboard's back).
+    density_target: float = 400.0  # mode ii: points per m^2 for the full score
+    fit_scale: float = 0.01  # mode iii: rms distance of the pixels to the plane at which the score is 1/e, metres
+    observations_target: int = 5  # mode iv: number of keyframes for the full score
+    boundary_reach: float = 0.10  # mode v: metres between an edge and another plane that closes it
+    space_step: float = 0.15  # mode v: metres beyond an edge at which space is tested; more than one voxel of 10 cm
+    normal_angle_deg: float = 15.0  # mode vi: mean deviation of the normals at which the score is 0
+    shift_scale: float = 0.05  # mode vii: shift of the centroid at which the score is 1/e, metres
+    area_scale: float = 0.10  # mode vii: relative change of the area at which the score is 1/e
+    closing_radius: int = 3  # mode viii: radius of the morphological closing, cells
+    hole_tile: int = 10  # mode viii: side of a tile, cells; each tile of a hole has one deficiency centre (0.5 m)
+    min_hole_cells: int = 4  # mode viii: smaller holes lower the score but have no deficiency centre
+    min_sparse_cells: int = 20  # mode viii: fewest coarsely mapped cells of a tile with a deficiency centre
+    coarse_size: float = 1.0  # mode viii: size in cells of the largest fine Gaussian (plain surface: sigma 0.81)
+    min_hole_radius: float = 1.5  # mode viii: cells; narrower holes have no deficiency centre
+    # Whether cells count as holes although no view can fill them: cells with free space behind (a window, a doorway) or
+    # covered by an object (a picture, a cupboard's back). True is Eq. 6 exactly.
     count_explained_holes: bool = True
-    weights_structural: tuple[float, ...] = (0.25, 0.05, 0.10, 0.05, 0.05, 0.15, 0.10, 0.25)  # Eq. 7: i, viii, vi
-    weights_object: tuple[float, ...] = (0.10, 0.25, 0.10, 0.15, 0.20, 0.05, 0.05, 0.10)  # Eq. 7: ii, v, iv
+    # Weights of Eq. 7 for structural planes, modes i to viii; largest for i, viii and vi.
+    weights_structural: tuple[float, ...] = (0.25, 0.05, 0.10, 0.05, 0.05, 0.15, 0.10, 0.25)
+    # Weights of Eq. 7 for other planes, modes i to viii; largest for ii, v and iv.
+    weights_object: tuple[float, ...] = (0.10, 0.25, 0.10, 0.15, 0.20, 0.05, 0.05, 0.10)
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -82,22 +84,22 @@ class QualityConfig:
 
 @dataclass(frozen=True)
 class Quality:
-    """Hold the scores of all planes, 1 = good."""
+    """Hold the quality of all planes; 1 is good."""
 
-    modes: np.ndarray  # [N, 8] in [0, 1], columns as in QUALITY_MODES
-    scores: np.ndarray  # [N] q in [0, 1]
+    modes: np.ndarray  # [N, 8] score of each mode in [0, 1], columns as in QUALITY_MODES
+    scores: np.ndarray  # [N] weighted mean q of the modes, in [0, 1]
 
 
 @dataclass(frozen=True)
 class Deficiencies:
-    """Hold the planes' deficiency centres: targets for the next views."""
+    """Hold the deficiency centres of all planes: targets for the next views."""
 
-    centres: np.ndarray  # [D, 3] world, each on an unseen cell inside a hole
-    normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from
-    areas: np.ndarray  # [D] m^2 of the part of the hole that the centre represents
+    centres: np.ndarray  # [D, 3] metres, world: inside a hole or on a coarsely mapped patch
+    normals: np.ndarray  # [D, 3] unit normal of the plane, towards the side from which it is observed
+    areas: np.ndarray  # [D] m^2 of the hole or patch that the centre represents
     planes: np.ndarray  # [D] int64 index of the plane
-    sizes: np.ndarray  # [D] metres, size of the Gaussians on a coarse patch; inf in a hole
-    explained: np.ndarray  # [D] bool: an image observed something else there, so no view will fill the hole
+    sizes: np.ndarray  # [D] metres, mean size of the Gaussians on a coarsely mapped patch; inf in a hole
+    explained: np.ndarray  # [D] bool: an image observed something else there, so no view can fill the hole
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -105,18 +107,18 @@ class Deficiencies:
 
 @dataclass(frozen=True)
 class Interior:
-    """Hold the terms of Eq. 6 for one grid."""
+    """Hold the terms of Eq. 6 for the grid of one plane."""
 
-    mask: np.ndarray  # [R, C] uint8: I, seen cells after closing, enclosed holes filled
-    missing_share: float  # g = |I \\ O| / |I|
+    mask: np.ndarray  # [R, C] uint8: I, the seen cells after closing, with enclosed holes filled
+    missing_share: float  # g = |I \\ O| / |I|, with the seen cells O
     cells: int  # number of cells of I
-    hull_cells: int  # cells with their centre in the convex hull of the seen cells
+    hull_cells: int  # number of cells with their centre in the convex hull of the seen cells
     missing: np.ndarray  # [R', C'] bool: I \\ O in the bounding rectangle of the seen cells
-    corner: np.ndarray  # [2] array cell of its first row and column
+    corner: np.ndarray  # [2] row and column in the grid at which ``missing`` begins
 
 
 def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
-    """Return the closed and filled mask of a plane, and its missing cells (Eq. 6)."""
+    """Return the closed and filled mask of a plane, and its missing cells (Eq. 6); cached until the grid changes."""
     known = surface.memo.get(("interior", config))
     if isinstance(known, Interior):
         return known
@@ -127,7 +129,7 @@ def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
 
 def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     seen = surface.seen
-    # Bounding rectangle of the seen cells; closing and filling stay inside it.
+    # Closing and filling stay inside the bounding rectangle of the seen cells.
     left, top, width, height = cv2.boundingRect(seen) if seen.size else (0, 0, 0, 0)
     if not width:
         return Interior(np.zeros_like(seen), 1.0, 0, 0, np.zeros((0, 0), bool), np.zeros(2, np.int64))
@@ -152,10 +154,10 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
 
 
 def cells_in_polygon(corners: np.ndarray) -> int:
-    """Return the number of cells with their centre in or on a convex polygon [N, 2] with cells as corners.
+    """Return the number of cells with their centre in or on a convex polygon; ``corners`` [N, 2] are cells.
 
-    By Pick's theorem: area + half of the border cells + 1. Rasterising would also count cells touched by the outline, a
-    third more on a narrow oblique strip.
+    By Pick's theorem it is area + half of the cells on the border + 1. Rasterising would also count cells that the
+    outline touches, a third more on a narrow oblique strip.
     """
     steps = np.roll(corners, -1, axis=0).astype(np.int64) - corners
     doubled_area = abs(int((corners[:, 0] * steps[:, 1] - corners[:, 1] * steps[:, 0]).sum()))
@@ -163,8 +165,8 @@ def cells_in_polygon(corners: np.ndarray) -> int:
     return (doubled_area + border) // 2 + 1
 
 
-def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:  # [D, 2] array cells, [D]
-    """Return one cell per tile of every hole of a plane, and the number of cells each represents."""
+def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:  # [D, 2], [D]
+    """Return one cell per tile of every hole of a plane, and the number of missing cells that each represents."""
     known = surface.memo.get(("holes", config))
     if not isinstance(known, tuple):
         inside = interior(surface, config)
@@ -174,13 +176,13 @@ def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.n
 
 
 def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return one cell per tile of every hole, and the tile's number of cells.
+    """Return one cell per tile of every hole in the mask ``missing`` [R, C], and the number of cells of the tile.
 
-    It is the tile's cell nearest to their mean, so it is never outside the hole.
+    It is the cell of the hole nearest to the mean of the tile's cells.
     """
     if np.count_nonzero(missing) < config.min_hole_cells:
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
-    # Use the bounding rectangle: most grids are large and most holes small.
+    # Only the bounding rectangle is processed: most grids are large and most holes small.
     cells = np.ascontiguousarray(missing).view(np.uint8)
     left, top, width, height = cv2.boundingRect(cells)
     cells = np.ascontiguousarray(cells[top : top + height, left : left + width])
@@ -195,10 +197,10 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
 
 @dataclass(frozen=True)
 class _Edge:
-    """Hold the sides of a plane's boundary cells."""
+    """Hold the boundary sides of a plane's cells: sides of seen cells towards cells that are not seen."""
 
-    sides: int
-    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of sides with unobserved neighbours
+    sides: int  # number of boundary sides
+    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of the sides beyond which no image observed anything
 
 
 def _edge(surface: SurfaceGrid, config: QualityConfig) -> _Edge:
@@ -215,8 +217,8 @@ def boundary_closure(
 ) -> np.ndarray:  # [N] in [0, 1]
     """Return the fraction of each plane's outer edge beyond which something is known (mode v).
 
-    Known is anything that images of the plane observed next to it, another plane within reach, and, given
-    ``space_state``, occupied or free space. The edges of holes inside the plane belong to mode viii.
+    Something is known if an image of the plane observed it next to the plane, if another plane is within reach, and,
+    with ``space_state``, if the space is occupied or free. The edges of holes inside the plane belong to mode viii.
     """
     if not nodes:
         return np.zeros(0)
@@ -238,11 +240,11 @@ def boundary_closure(
 
 
 def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> float:
-    """Return the mean alignment of normals with their mean: 1 = equal, 0 = ``max_angle_deg`` off (mode vi)."""
+    """Return the mean alignment of normals with their mean: 1 if equal, 0 if ``max_angle_deg`` off (mode vi)."""
     if not len(normals):
         return 0.0
     stack = np.array(normals)
-    mean = np.add.reduce(stack, axis=0) / len(stack)  # `numpy.mean`, in a third of its time
+    mean = np.add.reduce(stack, axis=0) / len(stack)  # the mean, in a third of the time of `numpy.mean`
     size = length(mean)
     if not size > 1e-9:
         return 0.0
@@ -252,7 +254,7 @@ def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> f
 
 
 def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
-    """Compute all modes except the boundary; they change only when a keyframe observes the plane."""
+    """Return the scores [8] of all modes except the boundary mode, cached until a keyframe observes the plane."""
     known = node.surface.memo.get(("modes", config))
     if isinstance(known, np.ndarray):
         return known
@@ -262,12 +264,12 @@ def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
     hits = surface.hits[surface.seen.view(bool)]
     if len(hits):
         modes[0] = min(1.0, inside.cells / max(inside.hull_cells, 1))
-        # Per cell, so that dense cells do not compensate for sparse ones.
+        # The density is limited per cell, so that dense cells do not compensate for sparse ones.
         modes[1] = np.minimum(hits / (config.density_target * surface.cell**2), 1.0).mean()
     modes[2] = np.exp(-node.rms / config.fit_scale)
     modes[3] = min(1.0, node.observations / config.observations_target)
     modes[5] = normal_consistency([*node.normals.values()], config.normal_angle_deg)
-    # A plane observed once has infinite change and score 0.
+    # A plane observed once has infinite change, so its score is 0.
     modes[6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
     modes[7] = 1.0 - inside.missing_share  # Eq. 6
     surface.memo["modes", config] = modes
@@ -276,12 +278,12 @@ def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
 
 def assess_quality(
     nodes: Sequence[PlaneNode],
-    structural: np.ndarray,  # [N] bool
+    structural: np.ndarray,  # [N] bool: weights of structural planes apply
     config: QualityConfig | None = None,
     *,
     space_state: SpaceState | None = None,
 ) -> Quality:
-    """Return the quality vector of every plane and its weighted sum (Eq. 7); defined for planes of any size."""
+    """Return the scores of all modes and their weighted mean (Eq. 7) for planes of any size."""
     config = config or QualityConfig()
     modes = np.array([_own_modes(node, config) for node in nodes]).reshape(-1, 8)
     if len(nodes):
@@ -291,9 +293,9 @@ def assess_quality(
 
 
 def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: MapPoints) -> SparsePatches:
-    """Return the seen patches of all planes that the map covers more coarsely than a plane's cells.
+    """Return the seen patches of all planes on which the map's Gaussians are coarser than a cell of the plane.
 
-    It reads nothing that `assess_quality` changes, so both may run in parallel.
+    The function reads nothing that `assess_quality` changes, so both may run in parallel.
     """
     largest = config.coarse_size * nodes[0].surface.cell if nodes else 0.0
     return sparse_patches(nodes, points, tile=config.hole_tile, least_cells=config.min_sparse_cells, largest=largest)
@@ -302,7 +304,7 @@ def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: Ma
 def find_deficiencies(
     nodes: Sequence[PlaneNode], config: QualityConfig | None = None, *, coarse: SparsePatches | None = None
 ) -> Deficiencies:
-    """Return the holes of all planes as world points (C_def), sorted by plane, followed by ``coarse``."""
+    """Return the deficiency centres C_def of all planes: the holes, sorted by plane, then the patches ``coarse``."""
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
     explained = [np.zeros(0, bool)]

@@ -1,4 +1,4 @@
-"""Compute quality's loops: the holes in a plane's grid, and the open sides of its edge."""
+"""Compute the compiled loops of plane quality: holes in the grid of a plane, and open sides of its edge."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from activestructure_gym.planes.surface_kernels import UNKNOWN
 
 @kernel
 def _may_touch(index, other, stack, cell, reach):
-    """Return whether a grid's rectangle, grown by a cell, can be within ``reach`` of another plane's grid.
+    """Return whether the rectangle of grid ``index``, enlarged by a cell, can be within ``reach`` of grid ``other``.
 
-    False only if one of the other grid's three axes separates the two.
+    The result is False only if one of the other grid's three axes separates the two. ``stack`` is a
+    `surface.GridStack`.
     """
     grids, lows, shapes = stack.frames, stack.lows, stack.shapes
     for axis in range(3):
@@ -39,9 +40,10 @@ def _may_touch(index, other, stack, cell, reach):
 
 @kernel
 def edge_sides(seen, beside):
-    """Find the sides of one grid's boundary cells: seen cells with an unseen neighbour in one of four directions.
+    """Find the boundary sides of a grid: sides of seen cells towards cells that are not seen, in four directions.
 
-    Returns their number, and row, column and direction of those with an unexplained neighbour [M, 3].
+    ``beside`` [R, C] states what images observed in unseen cells. Returns the number of sides, and row, column and
+    direction [M, 3] of the sides towards cells in which nothing was observed.
     """
     rows, columns = seen.shape
     total, sides = 0, 0
@@ -60,7 +62,7 @@ def edge_sides(seen, beside):
                     continue
                 if total == len(found):
                     more = np.empty((2 * total, 3), np.int64)
-                    for i in range(total):  # slice assignment takes five seconds to compile
+                    for i in range(total):  # the assignment of a slice takes five seconds to compile
                         for m in range(3):
                             more[i, m] = found[i, m]
                     found = more
@@ -71,12 +73,12 @@ def edge_sides(seen, beside):
 
 @kernel
 def open_sides(edges, ends, near, stack, cell, reach, step):
-    """Return the sides of all nodes' boundary cells that no other plane closes.
+    """Return the boundary sides of all planes that no other plane closes.
 
-    ``edges`` [M, 3] are row, column and direction of the sides; those of node k end at ``ends[k]``. A side is closed if
-    another plane passes within ``reach`` metres of the centre of the cell beyond it. ``near`` holds the seen cells
-    dilated by the reach, flat over all grids of ``stack`` (a `surface.GridStack`). Returns for every open side the
-    world point ``step`` metres outwards from the cell's centre [K, 3], and its node [K].
+    ``edges`` [M, 3] are row, column and direction of the sides; the sides of plane k end at row ``ends[k]``. A side is
+    closed if another plane passes within ``reach`` metres of the centre of the cell beyond it. ``near`` holds the seen
+    cells dilated by two cells, flat over all grids of ``stack`` (a `surface.GridStack`). Returns for every open side
+    the world point ``step`` metres outwards from the cell's centre [K, 3], and the index of its plane [K].
     """
     grids, lows, shapes, starts = stack
     total = 0
@@ -126,12 +128,12 @@ def open_sides(edges, ends, near, stack, cell, reach, step):
 
 @kernel
 def tile_holes(labels, depth, count, min_radius, tile, min_cells):
-    """Cut holes into tiles, and select the cell nearest to the mean of each tile's cells.
+    """Divide holes into tiles, and return the cell nearest to the mean of each tile's cells.
 
-    ``labels`` [R, C] is the hole of every cell below ``count``, 0 = none; ``depth`` [R, C] is the distance to the
-    hole's edge in cells. Holes narrower than ``min_radius`` and tiles of fewer than ``min_cells`` cells are skipped.
-    Tiles start at the hole's corner, so the result is independent of the grid's origin. Returns the cells [D, 2] and
-    each tile's size [D], sorted by hole, then tile.
+    ``labels`` [R, C] is the hole of every cell, 0 = none, for ``count - 1`` holes. ``depth`` [R, C] is the distance to
+    the edge of the hole in cells. Holes with a largest distance below ``min_radius`` and tiles of fewer than
+    ``min_cells`` cells are left out. Tiles start at the corner of the hole, so the result is independent of the origin
+    of the grid. Returns the cells [D, 2] and the number of cells of each tile [D], sorted by hole, then by tile.
     """
     rows, columns = labels.shape
     widest = np.zeros(count)
@@ -150,7 +152,7 @@ def tile_holes(labels, depth, count, min_radius, tile, min_cells):
         if widest[n] >= min_radius:
             starts[n], across[n] = total, (box[n, 3] - box[n, 2]) // tile + 1
             total += across[n] * ((box[n, 1] - box[n, 0]) // tile + 1)
-    sums = np.zeros((total, 3))  # cells, rows, columns
+    sums = np.zeros((total, 3))  # number of cells, sum of rows, sum of columns
     best, chosen = np.full(total, np.inf), np.empty((total, 2), np.int64)
     for turn in range(2):
         for r in range(rows):
@@ -164,10 +166,11 @@ def tile_holes(labels, depth, count, min_radius, tile, min_cells):
                     sums[t, 1] += r
                     sums[t, 2] += c
                 else:
-                    # Rounded to six digits: of equally near cells the first is selected, whatever the rounding errors.
+                    # The distance is rounded to six digits, so that the first of equally near cells is selected in
+                    # spite of rounding errors.
                     away = np.rint(((r - sums[t, 1] / sums[t, 0]) ** 2 + (c - sums[t, 2] / sums[t, 0]) ** 2) * 1e6)
                     if away < best[t]:
                         best[t] = away
                         chosen[t, 0], chosen[t, 1] = r, c
-    large = sums[:, 0] >= max(min_cells, 1)  # a tile of the box may contain no cell of the hole
+    large = sums[:, 0] >= max(min_cells, 1)  # a tile of the hole's rectangle may contain no cell of the hole
     return chosen[large], sums[large, 0].astype(np.int64)

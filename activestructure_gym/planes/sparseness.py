@@ -1,7 +1,7 @@
-"""Find sparse patches: seen cells of a plane where the map is coarser than the plane's grid.
+"""Find sparse patches: seen cells of a plane on which the map's Gaussians are coarser than the cells.
 
 Eq. 6 tests which cells of a plane contain reconstructed points. A wall seen from far away has depth in every cell but
-few Gaussians, and its pixels look covered from the poses from which it was seen.
+few Gaussians. Its rendered images look complete only from the poses from which it was seen.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import GridStack, stack_grids
 
-# edge of a voxel as a share of a cell; points in the same or adjacent voxels are at most about one cell apart
+# Side of a voxel / side of a cell. Points in the same or in adjacent voxels are at most about one cell apart.
 _VOXEL = 0.7
-_CENTRES = 62  # voxels per word of 64 bits; the other two bits are neighbours
-_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells, as fractions of its edges
+_CENTRES = 62  # voxels per word of 64 bits; the other two bits are the neighbours at both ends
+_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle, as fractions of its sides
 
 
 @dataclass(frozen=True)
 class MapPoints:
-    """Hold centres and sizes of the map's Gaussians for the Plane Scene Graph."""
+    """Hold centres and sizes of the map's Gaussians, as input of the Plane Scene Graph."""
 
     means: np.ndarray  # [M, 3] metres, world
-    sizes: np.ndarray  # [M] metres, middle of the three standard deviations: the smaller one within a disc's plane
+    sizes: np.ndarray  # [M] metres, middle of the three standard deviations: the smaller in-plane one of a disk
 
     @classmethod
     def from_log_scales(cls, means: np.ndarray, log_scales: np.ndarray) -> MapPoints:
-        """Return `MapPoints` from the map's arrays, each [3, M] (metres; logarithms of metres)."""
+        """Return `MapPoints` from the map's arrays ``means`` [3, M] in metres and ``log_scales`` [3, M]."""
         a, b, c = log_scales
-        # A copy: the patches may be computed after the map has changed.
+        # Copied, since the patches may be computed after the map has changed.
         return cls(means.copy().T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
 
 
 @dataclass(frozen=True)
 class SparsePatches:
-    """Hold square patches of planes that the map covers too coarsely."""
+    """Hold D square patches of planes on which the map is too coarse."""
 
     centres: np.ndarray  # [D, 3] metres, world
-    areas: np.ndarray  # [D] m^2 of the coarse cells
-    sizes: np.ndarray  # [D] metres, mean over the coarse cells of the finest Gaussian's size
+    areas: np.ndarray  # [D] m^2, area of the coarse cells
+    sizes: np.ndarray  # [D] metres, size of the finest Gaussian near a coarse cell, as a mean over these cells
     planes: np.ndarray  # [D] int64 index of the plane
 
 
@@ -51,13 +51,14 @@ def sparse_patches(
     nodes: Sequence[PlaneNode],
     points: MapPoints,
     *,
-    tile: int,  # cells along a patch's edge
-    least_cells: int,  # minimum coarse cells of a patch
-    largest: float,  # metres: a cell is fine if a Gaussian up to this size is within about a cell
+    tile: int,  # side of a patch, cells
+    least_cells: int,  # fewest coarse cells of a patch
+    largest: float,  # metres; a cell is fine if a Gaussian of at most this size is within about one cell
 ) -> SparsePatches:
-    """Return patches whose seen cells have no fine Gaussian nearby; for an empty map, all seen patches.
+    """Return the patches of planes with enough seen cells that have no fine Gaussian nearby.
 
-    A cell without any Gaussian nearby counts with the size ``2 * largest``.
+    A cell without any Gaussian nearby counts as a cell with a Gaussian of size ``2 * largest``. For an empty map, all
+    seen patches are returned.
     """
     surfaces = [node.surface for node in nodes]
     if not surfaces:
@@ -75,9 +76,9 @@ def sparse_patches(
 
 
 class _Cells(NamedTuple):
-    """Hold the cells of all planes; see `GridStack`."""
+    """Hold the cells of the grids of all planes, see `GridStack`."""
 
-    seen: np.ndarray  # flat bool
+    seen: np.ndarray  # [sum of R * C] uint8, all grids in one flat array
     starts: np.ndarray
     shapes: np.ndarray
     lows: np.ndarray
@@ -86,15 +87,15 @@ class _Cells(NamedTuple):
 
 
 class _Voxels(NamedTuple):
-    """Hold bit masks of voxels with Gaussians around the planes; [X + 4, Y + 4, W] uint64 unless noted."""
+    """Hold bit masks of the voxels that contain Gaussians around the planes, each [X + 4, Y + 4, W] uint64."""
 
-    low: np.ndarray  # [3] metres: corner of voxel (0, 0, 0)
-    box: np.ndarray  # [2, 3] first voxel and number of voxels
+    low: np.ndarray  # [3] metres, world: corner of voxel (0, 0, 0)
+    box: np.ndarray  # [2, 3] first stored voxel, number of stored voxels
     held: np.ndarray  # voxels that contain a Gaussian
-    close: np.ndarray  # voxels that contain one or have a neighbour that does
+    close: np.ndarray  # voxels that contain a Gaussian or have a neighbour that does
     near: np.ndarray  # the same for fine Gaussians
-    ranks: np.ndarray  # flat: rank of every word's first bit among all bits set in ``held``
-    finest: np.ndarray  # by rank, the size of the finest Gaussian in metres
+    ranks: np.ndarray  # per word, number of bits set in all earlier words of ``held``
+    finest: np.ndarray  # size of the finest Gaussian in metres, per bit set in ``held``
 
 
 def _voxels_around(
@@ -103,10 +104,10 @@ def _voxels_around(
     cell: float,
     largest: float,  # metres
 ) -> _Voxels:
-    """Return the voxels around the planes that contain Gaussians, as bits, small enough for the cache.
+    """Return the voxels around the planes that contain Gaussians, as bit masks small enough for the processor's cache.
 
-    Voxel indices start at the lowest Gaussian, but only those around the planes are stored, so distant outliers need no
-    memory. A Gaussian is fine up to the size ``largest``.
+    Voxel indices start at the lowest Gaussian, but only voxels around the planes are stored, so distant Gaussians need
+    no memory. A Gaussian is fine up to the size ``largest``.
     """
     voxel = _VOXEL * cell
     means = np.ascontiguousarray(np.asarray(points.means).T, dtype=np.float32)  # [3, M]
@@ -122,7 +123,8 @@ def _voxels_around(
         last = np.clip(np.floor((corners.max(axis=(0, 1)) - low) / voxel).astype(np.int64) + 1, first, last)
         box = np.stack([first, last - first + 1])
     shape = (box[1, 0] + 4, box[1, 1] + 4, -(-box[1, 2] // _CENTRES))
-    held, fine, close, near, scratch = np.empty((5, *shape), np.uint64)  # one allocation, which the allocator reuses
+    # One allocation, whose memory the allocator can reuse.
+    held, fine, close, near, scratch = np.empty((5, *shape), np.uint64)
     held[:], fine[:], scratch[:] = 0, 0, 0
     place = np.empty(means.shape[1], np.int64)
     sizes = np.ascontiguousarray(points.sizes, dtype=np.float32)
@@ -135,12 +137,13 @@ def _voxels_around(
 
 @kernel
 def _mark(means, sizes, lattice, largest, held, fine, place):
-    """Set the bits of the voxels that contain Gaussians; ``means`` is [3, M].
+    """Set the bits of the voxels that contain Gaussians, with ``means`` [3, M] and ``sizes`` [M] in metres.
 
-    A word has the bits of 62 voxels along z, with those of the previous and the next voxel at its ends. A voxel's z
-    neighbours are thus in the same word. In x and y there are two empty voxels on each side. ``place`` [M] is a
-    Gaussian's word times 64 plus its bit, -1 outside. ``lattice`` holds the corner of voxel (0, 0, 0), the first voxel
-    and number of voxels, and the voxel size.
+    ``held`` and ``fine`` are the masks of all and of fine Gaussians. A word has the bits of 62 voxels along z, and at
+    its ends those of the previous and the next voxel. So the z neighbours of a voxel are in the same word. In x and y
+    there are two empty voxels on each side. Writes to ``place`` [M] the word of each Gaussian times 64 plus its bit, -1
+    outside. ``lattice`` holds the corner of voxel (0, 0, 0), the first voxel and the number of voxels, and the voxel
+    size. Gaussians of a size up to ``largest`` are fine.
     """
     low, box, voxel = lattice
     words = held.shape[2]
@@ -155,7 +158,7 @@ def _mark(means, sizes, lattice, largest, held, fine, place):
         part = min(max(k, 0) // _CENTRES, words - 1)
         word, bit = ((i + 2) * held.shape[1] + j + 2) * words + part, k - part * _CENTRES + 1
         place[n] = 64 * word + bit
-        # A voxel at the end of its word is also a neighbour in the adjacent word.
+        # A voxel at the end of its word is also stored as a neighbour in the adjacent word.
         for side in range(-1, 2):
             other = bit - side * _CENTRES
             if side == 0 or (0 <= other < 64 and 0 <= part + side < words):
@@ -167,13 +170,13 @@ def _mark(means, sizes, lattice, largest, held, fine, place):
 
 @kernel
 def _spread(bits, scratch, wide):
-    """Write ``bits`` to ``wide``, dilated by one voxel along each axis (3 x 3 x 3 neighbourhood).
+    """Write the mask of voxels ``bits`` to ``wide``, dilated by one voxel along each axis; ``scratch`` is workspace.
 
     The outermost words of ``wide`` are undefined.
     """
     words, row = bits.shape[2], bits.shape[1] * bits.shape[2]
     flat, across, result = bits.reshape(bits.size), scratch.reshape(bits.size), wide.reshape(bits.size)[row:]
-    # Offset slices: possibly negative indices would prevent vectorisation.
+    # Slices with an offset are used, because indices that may be negative would prevent vectorisation.
     before, behind, middle = flat[words:], flat[2 * words :], across[words:]
     for q in range(len(behind)):
         middle[q] = flat[q] | before[q] | behind[q]
@@ -186,7 +189,10 @@ def _spread(bits, scratch, wide):
 
 @kernel
 def _rank(held, place, sizes):
-    """Return the number of bits set before each word (flat), and the finest size by rank."""
+    """Return the number of bits set in ``held`` before each word, and the finest Gaussian's size for each bit set.
+
+    ``place`` [M] is described at `_mark`; ``sizes`` [M] are in metres.
+    """
     words = held.shape[2]
     flat = held.reshape(held.size)
     ranks = np.empty(len(flat), np.int32)
@@ -211,7 +217,7 @@ def _rank(held, place, sizes):
 
 @kernel
 def _bits(word):
-    """Return the number of set bits of a word."""
+    """Return the number of set bits of a 64-bit word."""
     word -= word >> np.uint64(1) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -220,9 +226,12 @@ def _bits(word):
 
 @kernel
 def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
-    """Write centre (world), number of coarse cells and mean size of every coarse tile; return their number.
+    """Find the coarse tiles of all planes; return their number.
 
-    They go to ``found`` [T, 5], the index of the grid to ``planes`` [T].
+    Writes world centre [3], number of coarse cells and mean size of the finest Gaussians to ``found`` [T, 5], and the
+    index of the plane to ``planes`` [T]. ``tile`` is the side of a tile in cells, and ``least`` its fewest coarse
+    cells. ``cells_of_all`` are the cells of all planes and ``voxels`` the voxels with Gaussians. A Gaussian is fine up
+    to the size ``largest`` in metres.
     """
     seen, starts, shapes, lows, frames, cell = cells_of_all
     low, box, held, close, near, ranks, finest = voxels
@@ -231,7 +240,8 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
     held_words, close_words, near_words = held.reshape(held.size), close.reshape(held.size), near.reshape(held.size)
     one, three_bits = np.uint64(1), np.uint64(7)
     count = 0
-    # Words and bits of a tile's cells with only coarse Gaussians; their sizes are read only for counted tiles.
+    # Words and bits of the cells of a tile with only coarse Gaussians nearby. Their sizes are read only for coarse
+    # tiles.
     places = np.empty(tile * tile, np.int64)
     for n in range(len(frames)):
         frame = frames[n]
@@ -262,7 +272,7 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
                         column_sum += column
                 if coarse < max(least, 1):
                     continue
-                size_sum = 2.0 * largest * (coarse - wide)  # cells without any Gaussian
+                size_sum = 2.0 * largest * (coarse - wide)  # cells without any Gaussian nearby
                 for m in range(wide):
                     word, before = places[m] >> 6, np.uint64((places[m] & 63) - 1)
                     below = (one << before) - one

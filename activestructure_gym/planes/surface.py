@@ -1,7 +1,7 @@
-"""Represent the seen part of a plane: a growing grid of cells in the plane's tangent frame.
+"""Represent the seen part of a plane by a growing grid of square cells in the plane.
 
-Area, centroid, points, coverage, boundary and holes are all read from this grid. It moves with the plane, not with the
-world's axes, so a rigid motion of everything changes no cell.
+Area, centroid, points, coverage, boundary and holes are all computed from this grid. The grid is fixed to the plane and
+not to the world's axes, so a rigid motion of scene and cameras changes no cell.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneDetection
 from activestructure_gym.planes.vectors import cross, length
 
-# Minimum growth in cells, so that the grid is not copied at every keyframe.
+# Additional cells when a grid grows, so that it is not copied at every keyframe.
 _MARGIN = 16
-# A disc of 2 cells: the neighbourhood of a seen cell (10 cm at 5 cm cells).
+# Disc with a radius of 2 cells, the neighbourhood of a seen cell (10 cm with cells of 5 cm).
 _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Hold the contribution of one image to one grid: arrays over a rectangle of cells."""
+    """Hold the observations of one image in a rectangle of cells of one grid."""
 
-    low: np.ndarray  # [2] int64 cell index of the first row and column
-    shown: np.ndarray  # [R, C] int32, how often the cell's centre was observed as this plane
-    denied: np.ndarray  # [R, C] int32, how often it was observed as something else
-    hits: np.ndarray  # [R, C] int32 pixels per cell
-    beside: np.ndarray  # [R, C] uint8, see `surface_kernels.look_up_cells`
+    low: np.ndarray  # [2] int64 row and column of the first cell
+    shown: np.ndarray  # [R, C] int32, number of times that the cell's centre was observed as this plane
+    denied: np.ndarray  # [R, C] int32, number of times that it was observed as something else
+    hits: np.ndarray  # [R, C] int32, number of pixels in the cell
+    beside: np.ndarray  # [R, C] uint8: what is in unseen cells, see `surface_kernels.look_up_cells`
 
 
 class SurfaceGrid:
-    """Hold the seen cells of one plane.
+    """Hold the observed cells of one plane in a grid.
 
-    The frame is orthonormal: ``axes[0]`` and ``axes[1]`` lie in the plane, ``axes[2]`` is its normal; ``origin`` is on
-    the plane. Array cell (0, 0) is cell ``low`` of the frame.
+    The frame of the grid is orthonormal: ``axes[0]`` and ``axes[1]`` are in the plane, ``axes[2]`` is its normal, and
+    ``origin`` is on the plane. The first cell of the arrays is cell ``low`` of the frame.
     """
 
     def __init__(self, origin: np.ndarray, axes: np.ndarray, cell: float) -> None:
         self.origin = np.array(origin, dtype=np.float64)  # [3] world
         self.axes = np.array(axes, dtype=np.float64)  # [3, 3] rows
         self.cell = cell  # metres
-        self.low = np.zeros(2, np.int64)
-        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown at least once and not less often than denied
-        self.shown = np.zeros((0, 0), np.int32)
-        self.denied = np.zeros((0, 0), np.int32)
+        self.low = np.zeros(2, np.int64)  # [2] cell of the frame at which the arrays begin
+        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown at least once, and at least as often as denied
+        self.shown = np.zeros((0, 0), np.int32)  # [R, C] number of times observed as this plane
+        self.denied = np.zeros((0, 0), np.int32)  # [R, C] number of times observed as something else
         self.hits = np.zeros((0, 0), np.int32)  # [R, C] number of pixels in the cell
-        # [R, C] observed next to the plane in unseen cells: unknown, open or covered
+        # [R, C] what images observed in unseen cells: UNKNOWN, OPEN or COVERED.
         self.beside = np.zeros((0, 0), np.uint8)
         self.memo: dict[object, object] = {}  # results computed from this grid; cleared when it changes
 
     @cached_property
     def frame(self) -> np.ndarray:  # [12] for the kernels
-        """Return origin, two axes and normal."""
+        """Return origin, two axes and normal in one array."""
         return np.concatenate([self.origin, self.axes.ravel()])
 
     def seat(self, normal: np.ndarray, offset: float) -> None:
@@ -68,7 +68,7 @@ class SurfaceGrid:
         """
         old = self.axes[2]
         u = self.axes[0]
-        # Apply the shortest rotation from the old to the new normal to a vector of the old plane.
+        # The smallest rotation from the old to the new normal is applied to a vector in the old plane.
         u = u - (u @ normal) / (1.0 + old @ normal) * (old + normal)
         u = u - (u @ normal) * normal
         u = u / length(u)
@@ -77,7 +77,7 @@ class SurfaceGrid:
         self._forget()
 
     def add(self, patch: Patch) -> None:
-        """Add the observations of one image."""
+        """Add the observations of the plane in one image (``patch``)."""
         if not patch.shown.size:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
@@ -85,13 +85,13 @@ class SurfaceGrid:
             self._votes(), kernels.Votes(patch.shown, patch.denied, patch.hits, patch.beside), row, column, self.seen
         )
         if not cv2.countNonZero(self.seen):
-            self.seen[:] = self.hits > 0  # a sliver between all cell centres still gets a cell
+            self.seen[:] = self.hits > 0  # a sliver between the centres of cells still gets a cell
         self._forget()
 
     def absorb(self, other: SurfaceGrid) -> None:
-        """Merge another grid of the same plane.
+        """Merge another grid of the same plane into this one.
 
-        Each cell of this grid samples the other one, so that no gaps arise.
+        The other grid is read at the centre of each cell of this grid, so that no gaps arise.
         """
         if not other.seen.size:
             return
@@ -107,7 +107,10 @@ class SurfaceGrid:
         return kernels.Votes(self.shown, self.denied, self.hits, self.beside)
 
     def _cover(self, low: np.ndarray, height: int, width: int) -> tuple[int, int]:
-        """Grow the arrays to include a rectangle that starts at cell ``low``; return its first array cell."""
+        """Enlarge the arrays to include a rectangle of ``height`` x ``width`` cells that starts at cell ``low``.
+
+        Returns row and column in the arrays at which the rectangle starts.
+        """
         row, column = (low - self.low).tolist()
         rows, columns = self.seen.shape
         if rows and row >= 0 and column >= 0 and row + height <= rows and column + width <= columns:
@@ -142,7 +145,7 @@ class SurfaceGrid:
         return (points - self.origin) @ self.axes[:2].T / self.cell
 
     def cell_centres(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:  # [K, 3] world
-        """Return the centres of array cells, on the plane."""
+        """Return the world points of the centres of array cells, on the plane."""
         cells = np.empty((len(rows), 2))
         cells[:, 0], cells[:, 1] = rows, columns
         return self._to_world(cells + self.low + 0.5)
@@ -158,7 +161,7 @@ class SurfaceGrid:
     @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
         points = self.cell_centres(*self._shown_cells)
-        points.setflags(write=False)  # shared by all callers
+        points.setflags(write=False)  # the array is shared by all callers
         return points
 
     @property
@@ -172,13 +175,13 @@ class SurfaceGrid:
 
     @cached_property
     def area(self) -> float:
-        """Return the area in m^2: seen cells times cell area."""
+        """Return the area of the seen cells in m^2."""
         return (cv2.countNonZero(self.seen) if self.seen.size else 0) * self.cell**2
 
     @cached_property
     def centroid(self) -> np.ndarray:  # [3] world
-        """Return the mean of the seen cells' centres."""
-        sums = cv2.moments(self.seen) if self.seen.size else {"m00": 0.0}  # sums of integers, so exact
+        """Return the mean of the centres of the seen cells in metres."""
+        sums = cv2.moments(self.seen) if self.seen.size else {"m00": 0.0}  # sums of integers are exact
         if not sums["m00"]:
             return self.origin.copy()
         mean = np.array([sums["m01"] / sums["m00"], sums["m10"] / sums["m00"]])  # row, column
@@ -186,13 +189,13 @@ class SurfaceGrid:
 
     @cached_property
     def near(self) -> np.ndarray:  # [R, C] uint8
-        """Return the seen cells and those within two cells of them."""
+        """Return the mask of the cells that are seen or within two cells of a seen cell."""
         return cv2.dilate(self.seen, _NEAR) if self.seen.size else self.seen
 
     def points(self, count: int | None = None) -> np.ndarray:  # [K, 3] world
-        """Return the centres of seen cells with a measured point; if given, ``count`` of them, evenly spread.
+        """Return the centres of the seen cells with a measured point, or an even selection of ``count`` of them.
 
-        Without a count the array is cached and read-only.
+        If no seen cell has a measured point, all seen cells are used. Without ``count`` the array is read-only.
         """
         points = self._points
         if count is not None and len(points) > count:
@@ -200,7 +203,10 @@ class SurfaceGrid:
         return points
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """Return ``count`` >= 2 of the points from first to last; cached until the grid changes."""
+        """Return ``count`` >= 2 of the points at even steps from the first to the last.
+
+        Cached until the grid changes.
+        """
         known = self.memo.get(("spread", count))
         if not isinstance(known, np.ndarray):
             rows, columns = self._shown_cells
@@ -209,7 +215,7 @@ class SurfaceGrid:
         return known
 
     def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
-        """Return whether the points' projections onto the plane are within ``reach`` cells of a seen cell."""
+        """Return whether the projection of each point onto the plane is within ``reach`` cells of a seen cell."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         return np.asarray(kernels.near_seen(points, self.frame, self.low, self.seen, self.cell, disc(reach)))
 
@@ -218,13 +224,13 @@ class GridStack(NamedTuple):
     """Hold frames, shapes and flat offsets of several grids, for kernels that loop over all cells."""
 
     frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
-    lows: np.ndarray  # [N, 2] int64 cell index of each array's first cell
-    shapes: np.ndarray  # [N, 2] int64
-    starts: np.ndarray  # [N + 1] int64, start of each grid in a flat array
+    lows: np.ndarray  # [N, 2] int64 cell of the frame at which the arrays of each grid begin
+    shapes: np.ndarray  # [N, 2] int64 rows and columns
+    starts: np.ndarray  # [N + 1] int64 start of each grid in a flat array of all cells
 
 
 def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
-    """Return the `GridStack` of one or more surfaces."""
+    """Return the `GridStack` of one or more grids."""
     shapes = np.array([surface.seen.shape for surface in surfaces], dtype=np.int64)
     return GridStack(
         frames=np.array([surface.frame for surface in surfaces]),
@@ -245,20 +251,23 @@ def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 
 
 @cache
 def disc(radius: int) -> np.ndarray:
-    """Return a disc of ``radius`` cells for OpenCV's morphology."""
+    """Return a disc with a radius of ``radius`` cells as a structuring element of OpenCV."""
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 def observe(
     frame: Frame,
     detection: PlaneDetection,
-    table: np.ndarray,  # [S] grid index of each label, -1 = none
+    table: np.ndarray,  # [S] index of the grid of each label, -1 = none
     grids: list[SurfaceGrid],
-    anchors: np.ndarray,  # [T, 3] world
+    anchors: np.ndarray,  # [T, 3] metres, world
     *,
-    reach: float,  # metres; see `surface_kernels.look_up_cells`
+    reach: float,  # metres, see `surface_kernels.look_up_cells`
 ) -> tuple[list[Patch], np.ndarray]:
-    """Return the patch that an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
+    """Return the observations of an image in each of T grids, and the moments [T, 10] of the points in each grid.
+
+    The moments of grid t are about ``anchors[t]``.
+    """
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     labels, segments = detection.labels, detection.segments
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
@@ -269,7 +278,7 @@ def observe(
     table = np.asarray(table, dtype=np.int64)
     image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
     extents, moments = kernels.image_sums(image, frames, anchors, cell)
-    extents += np.array([-2, -2, 2, 2])  # Include two cells beyond the edge, to observe what is next to it.
+    extents += np.array([-2, -2, 2, 2])  # two cells beyond the edge, to observe what is next to the plane
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
@@ -279,7 +288,7 @@ def observe(
     kernels.count_hits(image, rectangles, hits)
     planes = np.array([[*segment.normal, segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
-    # Which segments lie on the visible side of each grid's plane.
+    # Whether each segment is on the side of each grid's plane from which the plane is observed.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
     kernels.look_up_cells(image, rectangles, seen, beside, reach, planes, facing)

@@ -1,7 +1,7 @@
-"""Compute the loops between an image and the planes' tangent grids, compiled.
+"""Compute the compiled loops between an image and the grids of planes.
 
-A tangent grid is passed as twelve numbers in the world frame: origin, two axes, normal. Cell (r, c) covers ``[r, r + 1)
-x [c, c + 1)`` cells along the axes from the origin.
+The frame of a grid is passed as twelve numbers: origin (metres, world), two axes and normal. Cell (r, c) covers ``[r, r
++ 1) x [c, c + 1)`` cells along the axes from the origin.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
 
-UNKNOWN, OPEN, COVERED = 0, 1, 2
+UNKNOWN, OPEN, COVERED = 0, 1, 2  # unseen cells: nothing observed, ray passes through, another object
 
 
 class LabelledImage(NamedTuple):
-    """Hold a depth image, its segments and its pose."""
+    """Hold a depth image, its planar segments and its pose as one kernel argument."""
 
     depth: np.ndarray  # [H, W] float32 metres
-    labels: np.ndarray  # [H, W] int32 segment, -1 = none
-    table: np.ndarray  # [S] int64, grid of each segment, -1 = none
+    labels: np.ndarray  # [H, W] int32 segment of each pixel, -1 = none
+    table: np.ndarray  # [S] int64 grid of each segment, -1 = none
     lens: np.ndarray  # [4] fx, fy, cx, cy, pixels
     rotation: np.ndarray  # [3, 3] world from camera
     translation: np.ndarray  # [3] metres, world
 
 
 class Rectangles(NamedTuple):
-    """Hold for every tangent grid the cells that an image may observe, concatenated in flat arrays."""
+    """Hold for each of T grids the rectangle of cells that an image may observe; all cells are in one flat array."""
 
-    grids: np.ndarray  # [T, 12]
+    grids: np.ndarray  # [T, 12] frames
     cell: float  # metres
     extents: np.ndarray  # [T, 4] int64: first row, first column, last row, last column
-    starts: np.ndarray  # [T + 1] int64: node t has [starts[t], starts[t + 1]), row-major
+    starts: np.ndarray  # [T + 1] int64: the cells of grid t are [starts[t], starts[t + 1]), row-major
 
 
 class Votes(NamedTuple):
-    """Hold the observations in the cells of a grid, or of a rectangle of it; see `surface.SurfaceGrid`."""
+    """Hold the observations in the cells of a grid or of a rectangle, as in `surface.SurfaceGrid`."""
 
     shown: np.ndarray  # [R, C] int32
     denied: np.ndarray  # [R, C] int32
@@ -47,7 +47,10 @@ class Votes(NamedTuple):
 
 @kernel
 def _lift(u, v, depth, lens, rotation, translation):
-    """Return the world point of the centre of pixel (u, v); ``lens`` is fx, fy, cx, cy."""
+    """Return the world point of the centre of pixel (u, v) with a depth in metres.
+
+    ``lens`` is fx, fy, cx, cy in pixels; ``rotation`` [3, 3] and ``translation`` [3] are the pose world from camera.
+    """
     z = np.float64(depth)
     x, y = (u + 0.5 - lens[2]) / lens[0] * z, (v + 0.5 - lens[3]) / lens[1] * z
     return (
@@ -59,7 +62,10 @@ def _lift(u, v, depth, lens, rotation, translation):
 
 @kernel
 def cell_of(px, py, pz, grid, cell):
-    """Return row and column of a world point in a tangent grid."""
+    """Return row and column of the cell that contains the projection of world point (px, py, pz) onto a plane.
+
+    ``grid`` is the frame of the plane's grid, and ``cell`` the side of a cell in metres.
+    """
     dx, dy, dz = px - grid[0], py - grid[1], pz - grid[2]
     row = int(np.floor((dx * grid[3] + dy * grid[4] + dz * grid[5]) / cell))
     column = int(np.floor((dx * grid[6] + dy * grid[7] + dz * grid[8]) / cell))
@@ -68,10 +74,11 @@ def cell_of(px, py, pz, grid, cell):
 
 @kernel
 def image_sums(image, grids, anchors, cell):
-    """Compute in one pass over the pixels each node's extent in its grid and the moments of its new points.
+    """Return the extent of each grid's new points in cells, and their moments, in one pass over the pixels.
 
-    ``grids`` [T, 12]; the moments are taken about ``anchors`` [T, 3]. Returns extents [T, 4] (first row, first column,
-    last row, last column) and moments [T, 10].
+    ``image`` is a `LabelledImage`, ``grids`` [T, 12] are frames, and ``cell`` is the side of a cell in metres. Moments
+    are taken about ``anchors`` [T, 3]. Returns extents [T, 4] (first row, first column, last row, last column) and
+    moments [T, 10].
     """
     depth, labels, table, lens, rotation, translation = image
     count = len(grids)
@@ -99,7 +106,10 @@ def image_sums(image, grids, anchors, cell):
 
 @kernel
 def count_hits(image, rectangles, hits):
-    """Add the number of pixels per cell to the flat ``hits``."""
+    """Add the number of pixels in each cell to the flat array ``hits``.
+
+    ``image`` is a `LabelledImage`, and ``rectangles`` the `Rectangles` of cells.
+    """
     depth, labels, table, lens, rotation, translation = image
     grids, cell, extents, starts = rectangles
     for v in range(depth.shape[0]):
@@ -120,22 +130,23 @@ def count_hits(image, rectangles, hits):
 
 @kernel
 def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
-    """Project every cell's centre into the image and record whether the image shows this plane there.
+    """Project the centre of every cell into the image, and record whether the image shows the grid's plane there.
 
-    Testing cells in the image, instead of pixels in the grid, makes a cell seen at any pixel density, so distant
-    surfaces have no false holes. ``seen`` is 0 or 1. ``beside`` gives the reason for an unseen cell. OPEN: the ray
-    passes through the plane by more than ``reach`` metres. COVERED: something else is within ``reach`` of it. In a
-    corner, noise assigns pixels of one wall to the other, and at grazing incidence such a pixel is far beyond the
-    corner. A cell next to another segment's pixels is thus also COVERED if it is behind that segment's plane
-    (``planes`` [S, 4] world) and the segment is on this plane's visible side (``facing`` [T, S]). At a convex edge
-    neither plane hides the other.
+    Cells are tested in the image, and not pixels in the grid, so that a cell is seen at any pixel density. So distant
+    surfaces have no false holes. ``seen`` is 0 or 1. ``beside`` is the reason for an unseen cell: OPEN if the ray
+    passes through the plane by more than ``reach`` metres, COVERED if something else is within ``reach`` of the plane.
+
+    In a corner, noise assigns pixels of one wall to the other, and at grazing incidence such a pixel is far beyond the
+    corner. So a cell next to pixels of another segment is also COVERED under two conditions. It is behind the plane of
+    that segment (``planes`` [S, 4] world), and the segment is on the visible side of this plane (``facing`` [T, S]). At
+    a convex edge neither plane hides the other.
     """
     depth, labels, table, lens, rotation, translation = image
     grids, cell, extents, starts = rectangles
     height, width = depth.shape
     for t in range(len(grids)):
         g = grids[t]
-        # Height of the camera above the plane; the normal points to the side from which it is seen.
+        # Height of the camera above the plane. The normal points to the side from which the plane is observed.
         camera_height = (
             (translation[0] - g[0]) * g[9] + (translation[1] - g[1]) * g[10] + (translation[2] - g[2]) * g[11]
         )
@@ -186,7 +197,10 @@ def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
 
 @kernel
 def near_seen(points, grid, low, seen, cell, disc):
-    """Return whether the points [P, 3], projected onto a grid's plane, are within a ``disc`` [D, D] of a seen cell."""
+    """Return whether each of the points [P, 3], projected onto a grid's plane, is within a disc of a seen cell.
+
+    ``disc`` [D, D] is a structuring element, and ``low`` [2] the cell at which the array ``seen`` begins.
+    """
     near, reach = np.zeros(len(points), np.bool_), len(disc) // 2
     for n in range(len(points)):
         r, c = cell_of(points[n, 0], points[n, 1], points[n, 2], grid, cell)
@@ -200,7 +214,11 @@ def near_seen(points, grid, low, seen, cell, disc):
 
 @kernel
 def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
-    """Sample another grid's arrays at the centres of a rectangle of cells that starts at ``low``; 0 outside."""
+    """Read the arrays ``asked`` of another grid at the centres of a rectangle of cells, and write them to ``answers``.
+
+    ``low`` [2] is the first cell of the rectangle. The other grid has the frame ``other``, cells of ``other_cell``
+    metres, and arrays that begin at its cell ``other_low``. Cells outside the other grid keep the value 0.
+    """
     shown, denied, hits, beside = asked
     to_shown, to_denied, to_hits, to_beside = answers
     for r in range(to_shown.shape[0]):
@@ -217,10 +235,10 @@ def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
 
 @kernel
 def join(votes, patch, row, column, seen):
-    """Add the votes of one image to those of a grid, starting at (row, column).
+    """Add the observations ``patch`` of one image to the observations ``votes`` of a grid, starting at (row, column).
 
-    Where two planes meet, noise sometimes assigns a pixel to the wrong one. Voting keeps planes from growing beyond
-    their edges over time.
+    A cell is seen if it was observed at least as often as this plane as as something else. Where two planes meet, noise
+    sometimes assigns a pixel to the wrong plane, and the majority keeps planes from growing beyond their edges.
     """
     shown, denied, hits, beside = votes
     patch_shown, patch_denied, patch_hits, patch_beside = patch

@@ -20,13 +20,13 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class SurpriseConfig:
-    """Configure Eqs. 8 to 11; the paper names the symbols, the values are this project's."""
+    """Configure Eqs. 8 to 11. The paper names the symbols; the values are this project's."""
 
-    floor: float = 0.1  # phi_min of all three indicators
-    saturation_degree: int = 3  # tree degree at which a plane is fully anchored
-    radius: float = 1.5  # Eq. 8: r, metres between centroids
-    max_angle_deg: float = 45.0  # Eq. 9: theta_max; no acute angle is farther from 0 and 90
-    blend: float = 0.5  # Eq. 11: eta, weight of the mean against the maximum
+    floor: float = 0.1  # phi_min, smallest value of each of the three indicators
+    saturation_degree: int = 3  # degree in the spanning forest at which the connectivity surprise is smallest
+    radius: float = 1.5  # Eq. 8: r, metres between the centroids of nearby planes
+    max_angle_deg: float = 45.0  # Eq. 9: theta_max, degrees; no acute angle is farther from both 0 and 90
+    blend: float = 0.5  # Eq. 11: eta, weight of the mean; the rest is the weight of the maximum
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -34,7 +34,7 @@ class SurpriseConfig:
 
 @dataclass(frozen=True)
 class Surprise:
-    """Hold the three indicators and their product, each [N] in [0, 1]."""
+    """Hold the three indicators of surprise and their product, each [N] in [0, 1]."""
 
     connectivity: np.ndarray  # phi^c
     neighbourhood: np.ndarray  # phi^r
@@ -43,7 +43,7 @@ class Surprise:
 
 
 def connectivity_surprise(degree: np.ndarray, config: SurpriseConfig) -> np.ndarray:
-    """Return phi^c: it falls with the degree in the spanning forest; a leaf plane lacks context."""
+    """Return phi^c [N]. It decreases with the degree [N] in the spanning forest: planes with few edges lack context."""
     return np.maximum(config.floor, 1.0 - degree / config.saturation_degree)
 
 
@@ -52,9 +52,9 @@ def neighbourhood_surprise(
     edges: np.ndarray,  # [N, N] bool
     config: SurpriseConfig,
 ) -> np.ndarray:  # [N]
-    """Return phi^r: the fraction of nearby planes never related to this one (Eq. 8; printed as phi^c, a misprint).
+    """Return phi^r, which increases with the fraction of nearby planes without an edge to this plane (Eq. 8).
 
-    Without a plane within the radius it is the floor.
+    The paper prints it as phi^c, a misprint. Without a plane within the radius it is the floor.
     """
     near = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) < config.radius
     np.fill_diagonal(near, False)
@@ -69,9 +69,13 @@ def geometric_surprise(
     tree: np.ndarray,  # [N, N] bool
     config: SurpriseConfig,
 ) -> np.ndarray:  # [N]
-    """Return phi^g: the mean deviation of angles to the tree's neighbours from 0 and 90 degrees (Eq. 9)."""
+    """Return phi^g: how far the angles of a plane to its neighbours are from 0 and 90 degrees (Eq. 9).
+
+    Neighbours are in the spanning forest. Their mean deviation in units of ``config.max_angle_deg``, each at most 1, is
+    mapped linearly to the range from ``config.floor`` to 1.
+    """
     angle = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0.0, 1.0)))
-    # theta is acute by definition, so 180 degrees of the canonical set is never the nearest.
+    # theta is acute by definition, so the 180 degrees of the paper's canonical angles are never the nearest.
     deviation = np.minimum(np.minimum(angle, 90.0 - angle) / config.max_angle_deg, 1.0)
     degree = tree.sum(axis=1)
     mean = (deviation * tree).sum(axis=1) / np.maximum(degree, 1)
@@ -81,7 +85,10 @@ def geometric_surprise(
 def structural_surprise(
     normals: np.ndarray, centroids: np.ndarray, edges: np.ndarray, tree: np.ndarray, config: SurpriseConfig
 ) -> Surprise:
-    """Return all three indicators; their product is large only if all invariants are violated."""
+    """Return the three indicators of each of N planes and their product, which is large only if all three are large.
+
+    Arguments as in `neighbourhood_surprise` and `geometric_surprise`.
+    """
     c = connectivity_surprise(tree.sum(axis=1), config)
     r = neighbourhood_surprise(centroids, edges, config)
     g = geometric_surprise(normals, tree, config)
@@ -89,7 +96,10 @@ def structural_surprise(
 
 
 def information_deficit(quality: np.ndarray, surprise: np.ndarray) -> np.ndarray:
-    """Return gamma = (1 - q) Phi (Eq. 10): large for planes that are under-reconstructed and poorly integrated."""
+    """Return the deficit gamma = (1 - q) Phi (Eq. 10) of planes with quality q [N] and surprise Phi [N].
+
+    It is large for planes that are incompletely reconstructed and poorly integrated.
+    """
     return (1.0 - quality) * surprise
 
 
@@ -98,7 +108,7 @@ def view_surprise(
     visible: np.ndarray,  # [C, N] bool
     config: SurpriseConfig | None = None,
 ) -> np.ndarray:  # [C], 0 for a view without visible planes
-    """Return the surprise of candidate views: a blend of mean and maximum over their visible planes (Eq. 11)."""
+    """Return the surprise of C candidate views (Eq. 11): a weighted sum of mean and maximum over the visible planes."""
     config = config or SurpriseConfig()
     visible = np.asarray(visible, dtype=bool)
     if not len(surprise):

@@ -1,4 +1,4 @@
-"""Build the graph over the planes: weights, edges, spanning forest, betweenness, structural planes (Sec. 3.2)."""
+"""Compute the graph over the planes: weights, edges, spanning forest, betweenness, structural planes (Sec. 3.2)."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TopologyConfig:
-    """Configure Eqs. 4 and 5; the paper names the symbols, the values are this project's."""
+    """Configure Eqs. 4 and 5. The paper names the symbols; the values are this project's."""
 
-    beta: float = 0.5  # Eq. 4: weight of normal alignment against proximity, 0..1
-    decay: float = 0.5  # Eq. 4: lambda, per metre
-    max_edge_weight: float = 0.95  # pairs with a larger weight have no edge
-    min_betweenness: float = 0.15  # Eq. 5: tau_c
-    min_degree: int = 3  # Eq. 5: tau_d
-    min_area: float = 1.5  # Eq. 5: tau_a, m^2
-    min_points: int = 400  # Eq. 5: tau_p, points of the thinned set
+    beta: float = 0.5  # Eq. 4: weight of the alignment of normals, 0..1; the rest is the weight of proximity
+    decay: float = 0.5  # Eq. 4: lambda, decay of proximity per metre
+    max_edge_weight: float = 0.95  # pairs of planes with a larger weight have no edge
+    min_betweenness: float = 0.15  # Eq. 5: tau_c, least betweenness of a structural plane
+    min_degree: int = 3  # Eq. 5: tau_d, least degree of a structural plane
+    min_area: float = 1.5  # Eq. 5: tau_a, m^2, least area of a structural plane
+    min_points: int = 400  # Eq. 5: tau_p, least number of points (one per cell) of a structural plane
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -36,10 +36,10 @@ def edge_weights(
     normals: np.ndarray,  # [N, 3] unit
     centroids: np.ndarray,  # [N, 3] metres, world
     *,
-    beta: float = 0.5,  # weight of normal alignment, 0..1
-    decay: float = 0.5,  # lambda, per metre
+    beta: float = 0.5,  # weight of the alignment of normals, 0..1
+    decay: float = 0.5,  # lambda, decay of proximity per metre
 ) -> np.ndarray:  # [N, N] in [0, 1], 0 on the diagonal
-    """Return the edge weight of every pair of planes; small means mutual support (Eq. 4)."""
+    """Return the edge weight of every pair of planes (Eq. 4). A small weight means parallel and close planes."""
     alignment = np.minimum((normals @ normals.T) ** 2, 1.0)
     distance = np.linalg.norm(centroids[:, None] - centroids[None], axis=2)
     weights = 1.0 - (beta * alignment + (1.0 - beta) * np.exp(-decay * distance))  # Eq. 4
@@ -51,10 +51,10 @@ def spanning_forest(
     weights: np.ndarray,  # [N, N] symmetric
     edges: np.ndarray,  # [N, N] bool symmetric
 ) -> np.ndarray:  # [N, N] bool symmetric
-    """Return the minimum spanning tree of every connected component.
+    """Return the edges of the minimum spanning tree of every connected component.
 
-    Weights equal to nine digits are ties, resolved by the lower indices. Symmetric rooms have exact ties, and a
-    rotation's rounding error must not change the choice.
+    Weights that agree to nine digits count as equal, and the lower indices are preferred. Symmetric rooms have equal
+    weights, and rounding errors after a rotation must not change the choice.
     """
     count = len(weights)
     tree = np.zeros((count, count), bool)
@@ -62,7 +62,8 @@ def spanning_forest(
     if not len(rows):
         return tree
     order = np.lexsort((columns, rows, np.round(weights[rows, columns], 9)))
-    # Kruskal: parent of each node towards its component's root, and number of edges left to add
+    # Kruskal's algorithm: parent of each node on the path to the root of its component, and number of edges still to
+    # add.
     above, left = list(range(count)), count - 1
     for row, column in zip(rows[order].tolist(), columns[order].tolist()):
         one, other = _root(above, row), _root(above, column)
@@ -85,9 +86,9 @@ def _root(above: list[int], node: int) -> int:
 def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, no cycles -> [N] in [0, 1]
     """Return the betweenness centrality of every node of a forest, normalised as in networkx.
 
-    Removing u from its tree of n nodes leaves components of sizes s_k; the pairs whose path crosses u are ((n - 1)^2 -
-    sum s_k^2) / 2. They are normalised by the (N - 1)(N - 2) / 2 pairs of the whole graph. The cost is O(N) after
-    building the adjacency.
+    Without node u, its tree of n nodes has components of sizes s_k. The number of pairs whose path contains u is ((n -
+    1)^2 - sum s_k^2) / 2. It is divided by the (N - 1)(N - 2) / 2 pairs of the whole graph. The cost is O(N) after the
+    adjacency lists are built.
     """
     count = len(tree)
     centrality = np.zeros(count)
@@ -114,7 +115,7 @@ def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, 
         below = dict.fromkeys(order, 1)
         squares = dict.fromkeys(order, 0)
         for node in reversed(order):
-            rest = size - below[node]  # number of nodes not below this one
+            rest = size - below[node]  # number of nodes that are not in the subtree of this node
             centrality[node] = ((size - 1) ** 2 - squares[node] - rest**2) / 2.0
             if parent[node] >= 0:
                 below[parent[node]] += below[node]
@@ -124,12 +125,12 @@ def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, 
 
 def classify_structural(
     betweenness: np.ndarray,  # [N]
-    degree: np.ndarray,  # [N] in the forest
+    degree: np.ndarray,  # [N] degree in the spanning forest
     area: np.ndarray,  # [N] m^2
-    points: np.ndarray,  # [N] number of thinned points
+    points: np.ndarray,  # [N] number of seen cells with a measured point
     config: TopologyConfig | None = None,
 ) -> np.ndarray:  # [N] bool
-    """Return which planes are structural, that is, define the layout (Eq. 5)."""
+    """Return which planes are structural: planes that define the layout, such as walls (Eq. 5)."""
     config = config or TopologyConfig()
     large = (area >= config.min_area) & (points >= config.min_points)
     return (betweenness >= config.min_betweenness) | (degree >= config.min_degree) | large  # Eq. 5

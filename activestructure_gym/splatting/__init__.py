@@ -1,8 +1,8 @@
-"""Render 3D Gaussians differentiably: on CPUs, on CUDA through gsplat, and in plain torch as the test oracle.
+"""Render 3D Gaussians differentiably: on CPUs, on CUDA devices with gsplat, and in plain torch as reference for tests.
 
-The mapper and the features use the implementations of `rasterizers` by name: ``cpu`` (numpy arrays), or the others
-behind the same protocol. ``rasterize`` (torch, autograd) serves any other loss. Names are loaded on first use, so a
-mapper on the CPU does not load torch.
+The mapper and the features use an implementation of `rasterizers` by its name: ``cpu`` works on numpy arrays, and the
+others have the same protocol. ``rasterize`` (torch, autograd) is for any other loss. Names are loaded at their first
+use, so a mapper on the CPU does not load torch.
 """
 
 from typing import TYPE_CHECKING

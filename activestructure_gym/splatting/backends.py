@@ -1,4 +1,4 @@
-"""Register implementations of the rasteriser, and report which can run here."""
+"""Register implementations of the rasteriser, and report which ones can run on this machine."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any, Literal
 
 from activestructure_gym.registry import Registry
 
-WORKS = "works"
+WORKS = "works"  # status of a backend that can run
 
 
 @dataclass(frozen=True)
 class Backend:
-    """Hold an implementation of `rasterizers.Rasterizer`."""
+    """Hold an implementation of `rasterizers.Rasterizer`: how to create it, and whether it can run."""
 
-    make: Callable[[], Any]  # returns it; imports it first, since it may load torch
-    status: Callable[[], str] = lambda: WORKS  # `WORKS`, or one sentence on what is missing
+    make: Callable[[], Any]  # imports and returns the implementation; may load torch
+    status: Callable[[], str] = lambda: WORKS  # returns `WORKS`, or one sentence on what is missing
 
 
 BACKENDS: Registry[Backend] = Registry(
@@ -28,7 +28,7 @@ BACKENDS: Registry[Backend] = Registry(
 
 
 def backend_status() -> dict[str, str]:
-    """Return for every backend ``"works"`` or one sentence on what is missing (shown by ``asg doctor``)."""
+    """Return for every backend ``"works"``, or one sentence on what is missing (shown by ``asg doctor``)."""
     return {name: BACKENDS.get(name).status() for name in BACKENDS}
 
 

@@ -1,6 +1,8 @@
-"""Blend a tile front to back, and run the backward pass.
+"""Blend the Gaussians of a tile front to back, and compute the gradients in the backward pass.
 
-A stopped pixel stores its negative transmittance.
+A tile has 8 x 8 blocks of 4 x 4 pixels, and a block is one vector of 16 floats. The state of a block is in the array
+``state``; a pixel that has stopped stores its negative transmittance. ``base`` is the offset of a Gaussian's record in
+``records``, ``view`` holds the camera and ``grid`` the sizes of the rendering (`layout`).
 """
 
 # mypy: ignore-errors
@@ -76,13 +78,16 @@ _BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
 
 @inline
 def corner_of(tile, grid):
-    """Return the column and row of a tile's first pixel."""
+    """Return column and row of the first pixel of a tile."""
     return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
 
 
 @inline
 def open_tile(tile, grid, state, width):
-    """Set transmittance to 1 inside the image, -1 outside, other state to 0; return a bit per block with pixels."""
+    """Set the state of a tile: transmittance 1 inside the image and -1 outside, the rest 0.
+
+    ``width`` is the number of floats per block. Returns one bit per block that has pixels inside the image.
+    """
     tiles_x, zero = grid[TILES_X], spread(F(0.0))
     alive = 0
     for offset in range(0, width * grid[TILE_BLOCKS], LANES):
@@ -99,20 +104,26 @@ def open_tile(tile, grid, state, width):
 
 @inline
 def _fetch_ahead(entries, entry, stop, records):
-    """Prefetch the record of a later entry; its address is random, so hardware prefetchers cannot predict it."""
+    """Prefetch the record of the entry six places after ``entry``, but before ``stop``.
+
+    Its address is random, so the processor cannot predict it.
+    """
     later = peek(entries, SORTED_SPLAT * entries.shape[1] + min(entry + 6, stop - 1))
     prefetch(records, RECORD * np.int64(later & U64(0xFFFFFFFF)))
 
 
 @inline
 def stopped(transmittance):
-    """Mark a pixel as stopped: minus its transmittance, which stays readable."""
+    """Return the transmittance with a negative sign, which marks pixels whose blending has ended."""
     return float_bits(int_bits(transmittance) | np.int32(-0x80000000))
 
 
 @inline
 def place_of(records, base, block, along, across):
-    """Return t and s at the 16 pixels of a block."""
+    """Return t and s of a Gaussian at the 16 pixels of a block, with alpha = opacity 2^-(t^2 + s^2).
+
+    ``along`` and ``across`` are its t and s in the first block of the tile (`splat_at`).
+    """
     bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
     t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
     return t, fma(spread(peek(records, base + L11)), by, across)
@@ -120,14 +131,17 @@ def place_of(records, base, block, along, across):
 
 @inline
 def alpha_of(records, base, block, along, across, view):
-    """Return alpha (0 below 1/255) at the 16 pixels of a block."""
+    """Return the alpha of a Gaussian at the 16 pixels of a block; 0 where it is below 1/255.
+
+    ``along`` and ``across`` are its t and s in the first block of the tile (`splat_at`).
+    """
     t, s = place_of(records, base, block, along, across)
     return alpha_at(records, base, t, s, view)
 
 
 @inline
 def alpha_at(records, base, t, s, view):
-    """Return alpha (0 below 1/255) at 16 pixels."""
+    """Return the alpha of a Gaussian at 16 pixels with the given t and s; 0 where it is below 1/255."""
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
     alpha = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
     return sel(power >= peek(view, MIN_POWER), alpha, F(0.0))
@@ -135,37 +149,44 @@ def alpha_at(records, base, t, s, view):
 
 @inline
 def depth_at(records, base, z, t, s, view):
-    """Return the first-order depth at which the rays of 16 pixels meet a Gaussian, at least the near plane's."""
+    """Return the depth at which the rays of 16 pixels meet a Gaussian, to first order, at least the near plane's.
+
+    ``z`` is the depth of its mean, and t and s are its whitened offsets at the pixels (`place_of`).
+    """
     depth = fma(spread(peek(records, base + SLOPE_T)), t, fma(spread(peek(records, base + SLOPE_S)), s, z))
     return larger(depth, spread(peek(view, MIN_DEPTH)))
 
 
-# State of a block while blending, in floats: transmittance, depth (, red, green, blue), and workspace for the backward
-# pass: transmittance, remaining sum, gradient by red, green, blue, depth, alpha.
+# Floats of state per block. While blending: transmittance, depth, and with colour red, green, blue. In the backward
+# pass: transmittance, remaining sum, gradients with respect to red, green, blue, depth, alpha.
 SCORING_STATE, COLORED_STATE = 32, 112
 
 
 @inline
 def splat_at(records, base, x, y):
-    """Return t and s of a Gaussian at the pixels of the block at (x, y), the start for further blocks."""
+    """Return the whitened offsets t and s from the mean of a Gaussian to the 16 pixels of the block at pixel (x, y).
+
+    `place_of` computes the offsets in the other blocks of the tile from them.
+    """
     dx, dy = lane_x() - (peek(records, base + U) - x), lane_y() - (peek(records, base + V) - y)
     along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
     return along, dy * peek(records, base + L11)
 
 
 def _make_forward(with_color):
-    """Make the forward loop over the entries of a tile.
+    """Return the forward loop over the entries of a tile, with or without colour.
 
-    Scoring of candidates omits colour and the backward pass's data.
+    Without colour, for scoring candidates, no data for the backward pass are stored.
     """
     width = COLORED_STATE if with_color else SCORING_STATE
 
     @inner
     def forward(tile, alive, lists, state, kept, keeps):
-        """Blend the entries of a tile into ``state``; return the first entry at which all pixels had stopped.
+        """Blend the entries of a tile into ``state``.
 
-        With colour, the alphas that count (0 for stopped pixels) go to ``kept`` every ``keeps`` floats. The blocks
-        still open replace the entries' reach, so that the backward loop visits the same blocks.
+        Return the first entry that was not needed, as all pixels had stopped. ``alive`` has one bit per block with
+        unstopped pixels. With colour, the alphas are written to ``kept``, ``keeps`` floats apart, with 0 for stopped
+        pixels. The blocks that each entry reached replace its reach, so that the backward loop visits the same blocks.
         """
         entries, records, view = lists.entries, lists.records, lists.camera
         start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -199,8 +220,8 @@ def _make_forward(with_color):
                 goes_on = after > peek(view, MIN_LEFT)
                 opaque = sel(goes_on, opaque, F(0.0))
                 weight = opaque * before
-                # With colour, a branch hides this test's latency from the next Gaussian on the block. Without colour
-                # (small, saturated images) its mispredictions cost more. Both were measured.
+                # With colour, a branch hides the latency of this test from the next Gaussian on the block. Without
+                # colour (small, saturated images) its mispredictions cost more. Both were measured.
                 if not with_color or bits(goes_on) != 0xFFFF:
                     after = sel(goes_on, after, stopped(before))
                     if bits(goes_on) == 0:
@@ -213,7 +234,7 @@ def _make_forward(with_color):
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
                     store(kept, at_kept, opaque)
-                    prefetch(kept, at_kept + 16 * LANES)  # a write to a distant line costs more than the block
+                    prefetch(kept, at_kept + 16 * LANES)  # a write to a distant cache line costs more than the block
                     at_kept += keeps
         return stop
 
@@ -226,7 +247,10 @@ blend_forward_without_color = _make_forward(False)
 
 @inner
 def _find_again(reach, records, base, along, across, view, state, kept):
-    """Recompute the alphas of one entry that `blend_forward` had no space to store."""
+    """Compute the alphas of one entry again, because `blend_forward` had no space to store them.
+
+    ``reach`` has one bit per block that the entry reached. The alphas are written to ``kept``.
+    """
     at_kept = 0
     while reach != 0:
         block = lowest_bit(reach)
@@ -242,10 +266,12 @@ def _find_again(reach, records, base, along, across, view, state, kept):
 
 @inner
 def blend_backward(tile, done, lists, state, kept, keeps, slots):
-    """Process a tile's entries before ``done`` front to back, and write the sums of each entry.
+    """Process the entries of a tile before ``done`` front to back, and write each entry's gradient sums to ``slots``.
 
-    The remaining sum R = C.gC + D gD + A gA loses each Gaussian's share in turn, without division or order reversal.
-    With s = c.gC + z gD + gA, v = alpha dL/dalpha = w s - alpha / (1 - alpha) R.
+    For each pixel, R is the sum C.gC + D gD + A gA over the Gaussians not yet processed, with gC, gD and gA the
+    gradients with respect to colour, depth and alpha. Each Gaussian's share is subtracted in turn, without division or
+    reversal of the order. With s = c.gC + z gD + gA and weight w, v = alpha dL/dalpha = w s - alpha / (1 - alpha) R.
+    ``kept`` and ``keeps`` are those of `blend_forward`; with ``keeps`` = 0 the alphas are computed again.
     """
     entries, records, view = lists.entries, lists.records, lists.camera
     start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -293,7 +319,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             w_z, w_all = w_z + by_depth, w_all + weight
             w_zt, w_zs = fma(by_depth, t, w_zt), fma(by_depth, s, w_zs)
             v = term - opaque / (peek(view, ONE) - opaque) * rest
-            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # a clamped alpha has no gradient
+            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # an alpha at its upper limit has no gradient
             vt, vs = v * t, v * s
             m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
             m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
@@ -304,7 +330,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
 
 @inner
 def write_tile(tile, grid, state, width, pictures):
-    """Write a tile's blocks into the images (without colour if ``width`` is that of scoring)."""
+    """Write the blocks of a tile into the images ``pictures``; without colour if ``width`` is `SCORING_STATE`."""
     color, depth, alpha = pictures
     x, y = corner_of(tile, grid)
     for block in range(grid[TILE_BLOCKS]):
@@ -331,7 +357,10 @@ def write_tile(tile, grid, state, width, pictures):
 
 @inner
 def read_tile(tile, grid, state, pictures, by_pictures, by_layout):
-    """Set up the backward loop's state from the images and the gradients by them."""
+    """Set the state of the backward loop from the images ``pictures`` and their gradients ``by_pictures``.
+
+    ``by_layout`` [2] is the number of floats per row of the colour gradient, and before the first pixel of a row.
+    """
     color, depth, alpha = pictures
     by_color, by_depth, by_alpha = by_pictures
     x, y = corner_of(tile, grid)

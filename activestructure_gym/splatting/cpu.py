@@ -1,7 +1,8 @@
 """Render, score and optimise a Gaussian map on the CPU, without torch.
 
-Parameters are one float32 array ``[14, capacity]``: rows 0-2 mean, 3-6 quaternion wxyz, 7-9 log-scale, 10 opacity
-logit, 11-13 colour (0..1, used unchanged). The first ``count`` columns are in use.
+Parameters are one float32 array ``[14, capacity]``: rows 0-2 mean (metres, world), 3-6 quaternion wxyz, 7-9 natural
+logarithm of the standard deviations in metres, 10 opacity logit, 11-13 colour (0..1, used unchanged). The first
+``count`` columns are in use.
 """
 
 from __future__ import annotations
@@ -29,30 +30,36 @@ PARAMETER_ROWS = layout.ROWS
 
 @dataclass(frozen=True)
 class Rendering:
-    """Hold colour, depth and alpha of one camera."""
+    """Hold colour, accumulated depth and alpha of one camera."""
 
     color: np.ndarray  # [H, W, 3] float32
-    depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth; divide by alpha for metres
+    # [H, W] float32 accumulated depth: sum of weight times depth, metres; depth is this divided by alpha.
+    depth: np.ndarray
     alpha: np.ndarray  # [H, W] float32 0..1
 
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weight the terms of the mapping loss.
+    """Define the weights of the mapping loss.
 
-    Loss = image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * M. M is the mean over all
-    pixels of (1 - A)^2 where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is
-    above 0.5. With ``normalised_depth=False`` it is the accumulated depth itself, compared wherever a depth was
-    measured. Either sum is divided by the number of pixels with a measured depth. Without the last term black surfaces
-    become transparent, which is equivalent in front of the black background.
+    Loss = image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * M, with measured depth D.
+
+    - L1 is the mean absolute colour difference over pixels and channels.
+    - ED is the accumulated depth divided by alpha A, and compared where A is above 0.5. With ``normalised_depth=False``
+      it
+      is the accumulated depth itself, compared at every pixel with a measured depth. The sum is divided by the number
+      of pixels with a measured depth.
+    - M is the mean over all pixels of (1 - A)^2 at pixels with a measured depth, else 0. Without this term black
+      surfaces
+      become transparent, since the background is black.
     """
 
-    image: float = 0.5  # of the colour terms
-    l1_share: float = 0.8  # of L1 in the colour terms; the rest is SSIM
-    depth: float = 1.0  # per metre
-    alpha: float = 0.0  # of missing opacity where there is a depth
-    normalised_depth: bool = True
-    centre_depth: bool = False  # use the depth of each Gaussian's centre instead of the ray's intersection
+    image: float = 0.5  # weight of the colour terms
+    l1_share: float = 0.8  # weight of L1 in the colour terms; the rest is the weight of SSIM
+    depth: float = 1.0  # weight of the depth term, per metre
+    alpha: float = 0.0  # weight of missing opacity at pixels with a measured depth
+    normalised_depth: bool = True  # whether the depth term compares accumulated depth / alpha
+    centre_depth: bool = False  # whether depth is that of centres instead of ray intersections
 
     def __post_init__(self) -> None:
         check_ranges(self, {**dict.fromkeys(("image", "depth", "alpha"), "[0, 1e6]"), "l1_share": "[0, 1]"})
@@ -60,27 +67,27 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class StepLosses:
-    """Hold the unweighted terms of the loss before the step."""
+    """Hold the unweighted terms of the mapping loss before a step."""
 
-    color: float  # mean |colour difference| over pixels and channels
-    # metres, sum of |ED - D| over the pixels with a measured depth, divided by their number (see `LossWeights`)
+    color: float  # mean absolute colour difference over pixels and channels
+    # Metres: sum of |ED - D| / number of pixels with a measured depth, see `LossWeights`.
     depth: float
     ssim: float  # mean SSIM (1 = equal); nan if its weight is 0
 
 
 @dataclass(frozen=True)
 class TrackingWeights:
-    """Weight the loss of pose tracking: color * |C - I| + depth * |D / A - D_measured|.
+    """Define the weights of the loss for pose tracking: color * |C - I| + depth * |D / A - D_measured|.
 
-    Both are summed over the pixels with a measured depth and an accumulated alpha above ``min_alpha`` ([splatam, eq.
-    8]; depth is divided by alpha as in the mapping loss, unlike in SplaTAM). With ``mean`` they are means over these
-    pixels, and colour also over its three channels.
+    Both terms are sums over the pixels with a measured depth and an alpha A above ``min_alpha`` ([splatam, eq. 8]).
+    Accumulated depth D is divided by alpha as in the mapping loss, unlike in SplaTAM. With ``mean`` the terms are means
+    over these pixels, and colour also over its three channels.
     """
 
-    color: float = 0.5
-    depth: float = 1.0  # per metre
-    min_alpha: float = 0.99
-    mean: bool = False
+    color: float = 0.5  # weight of the colour term
+    depth: float = 1.0  # weight of the depth term, per metre
+    min_alpha: float = 0.99  # pixels with a smaller alpha are not compared
+    mean: bool = False  # whether the terms are means instead of sums
 
     def __post_init__(self) -> None:
         check_ranges(self, {"color": "[0, 1e6]", "depth": "[0, 1e6]", "min_alpha": "[0, 1)"})
@@ -88,10 +95,10 @@ class TrackingWeights:
 
 @dataclass(frozen=True)
 class PoseGradient:
-    """Hold the tracking loss at a pose, and its gradient for camera_from_world -> exp(xi) camera_from_world."""
+    """Hold the tracking loss at a pose, and its gradient for changes camera_from_world -> exp(xi) camera_from_world."""
 
     loss: float
-    gradient: np.ndarray  # [6] float64 by xi = (rho, phi): metres and radians in the camera frame
+    gradient: np.ndarray  # [6] float64 for xi = (rho, phi), metres and radians in the camera frame
     color: float  # unweighted sum or mean of |C - I|
     depth: float  # metres, unweighted sum or mean of |D / A - D_measured|
     pixels: int  # number of pixels compared
@@ -99,7 +106,7 @@ class PoseGradient:
 
 def render(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     *,
@@ -107,13 +114,13 @@ def render(
     centre_depth: bool = False,
     blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
     threads: int | None = None,
-    unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool
+    unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool, see below
 ) -> Rendering:
     """Render colour, accumulated depth and alpha of one camera.
 
-    A pixel uses a Gaussian's depth where its ray meets it, with ``centre_depth`` that of its centre. ``blur_variance``
-    is added to the covariance in the image; [gsplat, code] uses 0.3. ``unseen`` marks chunks known to be outside the
-    view, which then cost nothing in a large map.
+    A pixel uses the depth at which its ray meets a Gaussian, or with ``centre_depth`` the depth of the centre.
+    ``blur_variance`` is added to the covariance in the image; [gsplat, code] uses 0.3. ``unseen`` marks chunks of
+    Gaussians that are known to be outside the view, which saves time for a large map.
     """
     check_map(parameters, count)
     pooled = PooledWorkspace()
@@ -126,15 +133,15 @@ def render(
 
 def render_depth_alpha(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [C, 4, 4]
     *,
     centre_depth: bool = False,
     blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
     threads: int | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
-    """Render accumulated depth and alpha of many cameras, for scoring candidates."""
+) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W] metres, alpha [C, H, W]
+    """Render accumulated depth and alpha of C cameras, for scoring candidates; arguments as in `render`."""
     check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
@@ -154,14 +161,14 @@ def mapping_step(
     parameters: np.ndarray,  # [14, capacity] float32, changed in place
     first_moment: np.ndarray,  # [14, capacity] float32, changed in place
     second_moment: np.ndarray,  # [14, capacity] float32, changed in place
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
     target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
     *,
     weights: LossWeights,
-    learning_rates: np.ndarray,  # [14] float32
+    learning_rates: np.ndarray,  # [14] float32, one per row of the parameters
     beta1: float = 0.9,
     beta2: float = 0.999,
     epsilon: float = 1e-15,
@@ -169,11 +176,11 @@ def mapping_step(
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `render`
 ) -> StepLosses:
-    """Render, compare, differentiate, and update the Gaussians that contribute to some pixel (Adam).
+    """Take one optimiser step on the loss of one image; only Gaussians that contribute to some pixel change.
 
-    With ``isotropic`` the three log-scales of a Gaussian are one parameter: each row gets the derivative by all of
-    them, so equal scales stay equal. Raises `ValueError` for arrays of another shape or type, or isotropic with
-    different learning rates of the log-scales.
+    The step is Adam without bias correction. With ``isotropic`` the three log-scales of a Gaussian are one parameter:
+    each row gets the sum of their gradients, so equal scales remain equal. Raises `ValueError` for arrays of another
+    shape or type, or for isotropic Gaussians with different learning rates of the log-scales.
     """
     check_map(parameters, count)
     check_step(parameters, first_moment, second_moment, learning_rates, isotropic=isotropic)
@@ -211,7 +218,7 @@ def mapping_step(
 
 def pose_gradient(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
@@ -220,7 +227,7 @@ def pose_gradient(
     *,
     threads: int | None = None,
 ) -> PoseGradient:
-    """Return the tracking loss of an image and its derivative by the pose; the map is unchanged.
+    """Return the tracking loss of an image and its gradient with respect to the pose; the map is unchanged.
 
     A gradient descent step is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
     """
@@ -234,18 +241,18 @@ def pose_gradient(
         target_rgb, target_depth, of_color, weights.depth, weights.min_alpha
     )
     by_pose = by_pose.astype(np.float64)
-    turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T: the derivative by the entries of hat(phi)
+    turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T, so this is the gradient by the entries of hat(phi)
     gradient = np.empty(6)
     gradient[:3] = by_pose[:, 3]
     gradient[3:] = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
     if weights.mean:
-        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images; the derivative is linear in them
+        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images, in which the gradient is linear
         gradient, color, depth = gradient * of_pixel, color * of_pixel / 3.0, depth * of_pixel
     return PoseGradient(weights.color * color + weights.depth * depth, gradient, color, depth, pixels)
 
 
 def check_map(parameters: np.ndarray, count: int) -> None:
-    """Raise `ValueError` unless the first ``count`` columns of ``parameters`` can be a map."""
+    """Raise `ValueError` unless ``parameters`` is float32 [14, capacity] with at least ``count`` columns."""
     if parameters.ndim != 2 or parameters.shape[0] != PARAMETER_ROWS or parameters.dtype != np.float32:
         raise ValueError(f"parameters must be float32 [14, capacity], got {parameters.dtype} {parameters.shape}")
     if not 0 <= count <= parameters.shape[1]:
@@ -260,7 +267,7 @@ def check_step(
     *,
     isotropic: bool,
 ) -> None:
-    """Raise `ValueError` unless moments and rates fit the parameters."""
+    """Raise `ValueError` unless the Adam moments have the shape of the parameters and the learning rates fit them."""
     for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
         if array.shape != parameters.shape or array.dtype != np.float32:
             raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")

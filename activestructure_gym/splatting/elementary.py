@@ -1,4 +1,4 @@
-"""Compute elementary functions of 16 lanes: powers and logarithms of 2 as polynomials, minimum and maximum."""
+"""Compute elementary functions of vectors of 16 floats: powers and logarithms of 2, minimum and maximum."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -14,8 +14,8 @@ from activestructure_gym.splatting.simd import F, float_bits, fma, inline, int_b
 
 @inline
 def exp2(x):
-    """Return 2 ** x for -126 < x < 126 as 1 + f Q(f), most accurate near 1, where 1 - alpha matters."""
-    shifted = x + F(12582912.0)  # 1.5 * 2^23: the low bits then hold the nearest integer
+    """Return 2^x for -126 < x < 126 by a polynomial that is most accurate near 1, where 1 - alpha needs it."""
+    shifted = x + F(12582912.0)  # 1.5 * 2^23: after the addition the low bits hold the nearest integer
     f = x - (shifted - F(12582912.0))
     q = fma(f, fma(f, fma(f, fma(f, F(1.3264725e-3), F(9.6715127e-3)), F(5.5507337e-2)), F(0.24022242)), F(0.69314698))
     return float_bits(int_bits(fma(f, q, F(1.0))) + (int_bits(shifted) << np.int32(23)))
@@ -23,7 +23,7 @@ def exp2(x):
 
 @inline
 def exp2_hot(x, view):
-    """Return `exp2` with its constants read from memory."""
+    """Return 2^x as `exp2`, with the constants read from ``view`` in memory."""
     shifted = x + peek(view, MAGIC)
     f = x - (shifted - peek(view, MAGIC))
     q = fma(f, spread(peek(view, EXP_5)), peek(view, EXP_4))
@@ -33,7 +33,7 @@ def exp2_hot(x, view):
 
 @inline
 def log2_of(x):
-    """Return log2 of normal positive numbers: exponent plus atanh series of the mantissa in [1/sqrt 2, sqrt 2)."""
+    """Return log2 of normal positive floats: the exponent, plus a series of the mantissa in [1/sqrt 2, sqrt 2)."""
     whole = (int_bits(x) - np.int32(0x3F3504F3)) >> np.int32(23)
     mantissa = float_bits(int_bits(x) - (whole << np.int32(23)))
     y = (mantissa - F(1.0)) / (mantissa + F(1.0))
@@ -45,23 +45,23 @@ def log2_of(x):
 
 @inline
 def smaller(a, b):
-    """Return the minimum lane by lane; ``b`` if a number is NaN."""
+    """Return the minimum in each lane; ``b`` if one of the two is NaN."""
     return sel(a < b, a, b)
 
 
 @inline
 def larger(a, b):
-    """Return the maximum lane by lane; ``b`` if a number is NaN."""
+    """Return the maximum in each lane; ``b`` if one of the two is NaN."""
     return sel(a > b, a, b)
 
 
 @inline
 def clamped(value, low, high):
-    """Return the value limited to [low, high]."""
+    """Return the value limited to [low, high] in each lane."""
     return smaller(larger(value, low), high)
 
 
 @inline
 def dot3(a0, a1, a2, b0, b1, b2):
-    """Return the dot product of two vectors of three components."""
+    """Return the dot product of the vectors (a0, a1, a2) and (b0, b1, b2), in each lane."""
     return fma(a2, b2, fma(a1, b1, a0 * b0))

@@ -1,8 +1,8 @@
-"""Compute the rasteriser's second pass, without torch: Fisher information of single Gaussians, weights and counts.
+"""Compute the Fisher information of a view about each Gaussian, together with weights and pixel counts, without torch.
 
-A Gaussian's block is the sum over pixels and colour channels of J^T J. J is the derivative of a rendered colour by the
-Gaussian's mean (metres, world) and log-scales. Information-based planners compare it between a candidate and the
-keyframes ([fisherrf]; for [popgs] these parameters perform as well as all).
+The information about a Gaussian is a block: the sum over pixels and colour channels of J^T J. J is the derivative of a
+rendered colour by the Gaussian's mean (metres, world) and log-scales. Information-based planners compare it between a
+candidate and the keyframes ([fisherrf]; for [popgs] these parameters perform as well as all).
 """
 
 from __future__ import annotations
@@ -19,31 +19,34 @@ from activestructure_gym.splatting.cpu import check_map
 from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
 
-TOUCH_TRANSMITTANCE = 0.5  # the published programs use 0.5 or 0.8
-BLOCK_NUMBERS = 21  # of a symmetric 6 x 6 matrix
-DIAGONAL = np.array([0, 6, 11, 15, 18, 20])  # positions in `ViewInformation.blocks`: mean x, y, z, log-scale 0, 1, 2
+TOUCH_TRANSMITTANCE = 0.5  # transmittance limit of `ViewInformation.touches`; published programs use 0.5 or 0.8
+BLOCK_NUMBERS = 21  # numbers in the upper triangle of a symmetric 6 x 6 matrix
+DIAGONAL = np.array([0, 6, 11, 15, 18, 20])  # diagonal in `ViewInformation.blocks`: mean x, y, z, log-scale 0, 1, 2
 _NO_FLOATS = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True)
 class ViewInformation:
-    """Hold the images of one camera, and its information about each of the S Gaussians that contribute to it."""
+    """Hold the images of one camera, and its information about each of the S Gaussians that contribute to an image."""
 
     color: np.ndarray  # [H, W, 3] float32
-    depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth
+    depth: np.ndarray  # [H, W] float32 accumulated depth: sum of weight times depth, metres
     alpha: np.ndarray  # [H, W] float32 0..1
     channels: np.ndarray  # [H, W, D] float32: sum of weight times channel
-    indices: np.ndarray  # [S] int64, ascending: columns of the parameters
-    numbers: np.ndarray  # [S, 26] float32; the properties below are views of it
+    indices: np.ndarray  # [S] int64, increasing: columns of the Gaussians in the parameters
+    numbers: np.ndarray  # [S, 26] float32 all numbers per Gaussian; the properties below are views of it
 
     @property
     def blocks(self) -> np.ndarray:  # [S, 21]
-        """Return the upper triangles, row by row, of the blocks by (mean 3, log-scale 3); see `full_blocks`."""
+        """Return the upper triangles, row by row, of the 6 x 6 blocks for mean (3) and log-scales (3).
+
+        See `full_blocks`.
+        """
         return self.numbers[:, :BLOCK_NUMBERS]
 
     @property
     def logits(self) -> np.ndarray:  # [S]
-        """Return the information about the opacity logit: its diagonal entry."""
+        """Return the information about each opacity logit, a diagonal entry without cross terms."""
         return self.numbers[:, 21]
 
     @property
@@ -53,12 +56,12 @@ class ViewInformation:
 
     @property
     def weights(self) -> np.ndarray:  # [S] > 0
-        """Return the sum of weights (alpha times the transmittance in front) over the pixels."""
+        """Return the sum over the pixels of each Gaussian's weight: alpha times the transmittance in front of it."""
         return self.numbers[:, 23]
 
     @property
     def touches(self) -> np.ndarray:  # [S]
-        """Return the number of pixels to which it contributes with a transmittance in front above the limit."""
+        """Return each Gaussian's number of pixels in which the transmittance in front of it is above a limit."""
         return self.numbers[:, 24]
 
     @property
@@ -69,21 +72,21 @@ class ViewInformation:
 
 def view_information(
     parameters: np.ndarray,  # [14, capacity] float32, rows as in `cpu`
-    count: int,
+    count: int,  # number of Gaussians N
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4] or [C, 4, 4]
     *,
-    channels: np.ndarray | None = None,  # [N, D] values of the Gaussians, to be blended
-    pixel_values: np.ndarray | None = None,  # [H, W] values of the pixels, to be summed per Gaussian
+    channels: np.ndarray | None = None,  # [N, D] values of the Gaussians, blended to images
+    pixel_values: np.ndarray | None = None,  # [H, W] values of the pixels, summed per Gaussian
     touch_transmittance: float = TOUCH_TRANSMITTANCE,
     max_alpha: float = MAX_ALPHA,
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
 ) -> Iterator[ViewInformation]:
-    """Yield one `ViewInformation` per camera, computed on demand to save memory.
+    """Yield one `ViewInformation` per camera, computed when it is requested, to save memory.
 
     Results are bit-equal for any number of threads. Source: [fisherrf] in its exact form: channels are squared before
-    they are summed, while its program sums first. Raises `ValueError` for arrays of another shape or type.
+    they are summed, while its program sums them first. Raises `ValueError` for arrays of another shape or type.
     """
     check_map(parameters, count)
     poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
@@ -102,21 +105,22 @@ def view_information(
 
 def depth_information(
     parameters: np.ndarray,  # [14, capacity] float32, rows as in `cpu`
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [4, 4]
     *,
     unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
 ) -> ViewInformation:
-    """Return `view_information` of one camera about the accumulated depth (sum of weight times depth), not colours.
+    """Return the information of one camera for accumulated depth (sum of weight times depth) instead of colours.
 
-    Depths replace a colour, which is exact for log-scales and opacity. A mean also changes its own depth: the block
-    gets the sum of squared weights times z z^T, with z the derivative of the depth by the mean. The product of both
-    effects is omitted, since its sums are not stored. For Gaussians entirely inside the image it almost cancels, since
-    its sign is that of the offset from the mean. Only ``blocks`` and ``logits`` are meaningful; there are no channels.
-    Source: [next_best_sense], J^T J of the rendered depth.
+    The depth of each Gaussian is rendered as its colour, which is exact for log-scales and opacity. A mean also changes
+    its own depth: the block gets the sum of squared weights times z z^T, with z the derivative of the depth by the
+    mean. The product of both effects is left out, since its sums are not stored. For Gaussians entirely inside the
+    image it almost cancels, since its sign is that of the offset from the mean. Only ``blocks`` and ``logits`` are
+    meaningful; there are no channels. Source: [next_best_sense], J^T J of the rendered depth.
     """
-    axis = np.asarray(world_from_camera, dtype=np.float64)[:3, 2]  # the camera's optical axis: derivative of the depth
+    # Optical axis of the camera, the derivative of the depth by the mean.
+    axis = np.asarray(world_from_camera, dtype=np.float64)[:3, 2]
     depths = axis @ (parameters[:3, :count] - np.asarray(world_from_camera)[:3, 3:])
     painted = fitted(parameters).copy()
     painted[11:] = 0.0
@@ -141,8 +145,12 @@ def _of_view(given, pose, channels, values, touch, options) -> ViewInformation: 
 
 def _run(
     workspace: Workspace, channels: np.ndarray, values: np.ndarray, touch: np.float32, pictures: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:  # [S], [S, 26]
-    """Run the kernel on a prepared workspace, which then holds the images."""
+) -> tuple[np.ndarray, np.ndarray]:  # indices [S], numbers [S, 26]
+    """Compute the information and the images on a prepared workspace, which then holds the images.
+
+    ``channels`` and ``values`` are flat, see `view_information`; ``touch`` is the transmittance limit. The images of
+    the channels are written to ``pictures`` [H, W, D].
+    """
     from activestructure_gym.splatting import fisher_kernels as f
 
     camera, grid = workspace.camera, workspace.grid
@@ -162,14 +170,14 @@ def _run(
     bits = np.unpackbits(words[taken].astype("<u2").view(np.uint8), axis=1, bitorder="little")
     chunk, place = np.nonzero(bits)
     indices = taken[chunk] * layout.CHUNK + place
-    indices = indices[indices < count]  # the rest is from an earlier image
+    indices = indices[indices < count]  # the other bits are from an earlier image
     rows = result[: capacity * f.RESULT_FLOATS].reshape(capacity, f.RESULT_FLOATS)
-    # Whole rows: copying 26 of 32 numbers takes longer.
+    # Whole rows are copied, because copying 26 of 32 numbers takes longer.
     return indices, np.take(rows, indices, axis=0, mode="clip")[:, : f.COLUMNS]
 
 
 def full_blocks(blocks: np.ndarray) -> np.ndarray:  # [..., 21] -> [..., 6, 6]
-    """Return symmetric matrices from their upper triangles."""
+    """Return the symmetric 6 x 6 matrices of upper triangles, see `ViewInformation.blocks`."""
     full = np.empty((*blocks.shape[:-1], 6, 6), blocks.dtype)
     row, column = np.triu_indices(6)
     full[..., row, column] = blocks

@@ -1,14 +1,14 @@
-"""Run the rasteriser's second pass: the information of one view about every visible Gaussian.
+"""Compute the information of one view about every visible Gaussian, by a second pass over the tiles.
 
-A tile is blended front to back. The pass then goes back to front over the stored alphas, so that the transmittance
-behind a Gaussian and the colour behind it are both exact. Let t and s be the whitened offsets, so that alpha = 2^(lo -
-t^2 - s^2). Every derivative of alpha by projected mean, conic and opacity is then alpha times a combination of b = (1,
-t, s, t^2, t s, s^2). Let q be the squared derivative of the colours by log(alpha). The 21 sums over pixels of q b_i b_j
-then reduce to 15 moments, the sums of q t^i s^j with i + j <= 4. They fill one vector together with the sum of the
-weights.
+A tile is blended front to back. The second pass then goes back to front over the stored alphas, so that transmittance
+and colour behind a Gaussian are both exact. Let t and s be the whitened offsets, so that alpha = 2^(lo - t^2 - s^2).
+Every derivative of alpha by projected mean, conic and opacity is then alpha times a combination of b = (1, t, s, t^2, t
+s, s^2). Let q be the squared derivative of the colours by log(alpha). The 21 sums over pixels of q b_i b_j then reduce
+to 15 moments, the sums of q t^i s^j with i + j <= 4. They fill one vector together with the sum of the weights.
 
-Once per Gaussian the moments are converted to the 6 x 6 block by mean and log-scale, its 21 entries on and above the
-diagonal. Source: [fisherrf], with the chain rule to mean and scale of [zwicker2002] moved out of the sum over pixels.
+Once per Gaussian the moments are converted to the 6 x 6 block for mean and log-scales, of which the 21 entries on and
+above the diagonal are stored. Source: [fisherrf], with the chain rule to mean and scale of [zwicker2002] moved out of
+the sum over pixels.
 """
 
 # mypy: ignore-errors
@@ -47,40 +47,42 @@ _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper"
 _inner, _inline = njit(**_plain), njit(forceinline=True, **_plain)
 F = np.float32
 
-SLOT_FLOATS = 2 * LANES  # of a (tile, Gaussian) pair: moments and sum of weights, then further sums
-SQUARED, GATHERED, TOUCHES = range(3)  # in the second vector
+SLOT_FLOATS = 2 * LANES  # of an entry (a pair of tile and Gaussian): moments and sum of weights, then the other sums
+# Sums in the second vector: squared weights, weight times pixel value, number of pixels.
+SQUARED, GATHERED, TOUCHES = range(3)
 _TOUCHES_LANE = SUM_LANES.index(TOUCHES)
-# Columns of a result. The block by mean and log-scale, row by row from the diagonal, and the opacity logit's entry.
-# Then sums: squared weights, weights, pixels with a transmittance in front above a limit, and weight times pixel value
-# there.
+# Columns of a result. First the block for mean and log-scales, row by row from the diagonal, and the entry of the
+# opacity logit. Then sums over pixels: squared weights, weights, number of pixels with a transmittance in front above a
+# limit, and weight times pixel value in these.
 BLOCK, LOGIT, COLOR, WEIGHT, TOUCH, SCATTER, COLUMNS = 0, *range(21, 27)
 RESULT_FLOATS = 2 * LANES
 _STATE = 64 * blending.COLORED_STATE
 
 
 class Asked(NamedTuple):
-    """Hold optional inputs of the second pass: channels to blend, pixel values to sum, and the touch limit."""
+    """Hold optional inputs of the second pass: channels to blend, pixel values to sum, and the transmittance limit."""
 
-    touch: np.float32  # transmittance in front of a Gaussian above which it counts in a pixel
+    touch: np.float32  # a Gaussian counts in a pixel if the transmittance in front of it is above this
     width: int  # D, number of channels per Gaussian
-    channels: np.ndarray  # [N * D] float32, to be blended
-    pixel_values: np.ndarray  # [H * W] float32, to be summed per Gaussian; or empty
+    channels: np.ndarray  # [N * D] float32 values of the Gaussians, blended to images
+    pixel_values: np.ndarray  # [H * W] float32 values of the pixels, summed per Gaussian; or empty
 
 
 class Told(NamedTuple):
-    """Hold outputs of the second pass besides the images, and its workspace."""
+    """Hold the outputs of the second pass other than the images, and its workspace."""
 
-    pictures: np.ndarray  # [H * W * D] float32, the channels
+    pictures: np.ndarray  # [H * W * D] float32 images of the channels
     slots: np.ndarray  # [entries * SLOT_FLOATS] float32, workspace for the sums of every entry
-    numbers: np.ndarray  # [capacity * RESULT_FLOATS] float32: `BLOCK ...`, where ``visible`` has a bit
+    # [capacity * RESULT_FLOATS] float32 rows `BLOCK ...` of the Gaussians with a bit in ``visible``.
+    numbers: np.ndarray
 
 
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
-    """Replace the state that blending leaves by the state from which the tile is processed back to front.
+    """Convert the state that blending leaves to the state in which the tile is processed back to front.
 
-    Stopped pixels get their positive transmittance back. The colour behind is 0, as nothing has been passed yet. The
-    pixel values are loaded if there are any.
+    Stopped pixels get a positive transmittance again. The colour behind is 0, since no Gaussian has been processed yet.
+    The pixel values are loaded if there are any.
     """
     zero, width = spread(F(0.0)), grid[layout.WIDTH]
     x, y = blending.corner_of(tile, grid)
@@ -100,7 +102,7 @@ def _turn_back(state, tile, grid, pixel_values):
 
 @_inner
 def _write_channels(tile, grid, painted, channels, pictures):
-    """Write the further channels of a tile, ``painted [64, D, 16]``, into ``pictures [H * W * D]``."""
+    """Write the channels of a tile, ``painted [64, D, 16]``, into the images ``pictures [H * W * D]``."""
     x, y = blending.corner_of(tile, grid)
     for block in range(grid[layout.TILE_BLOCKS]):
         left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
@@ -114,12 +116,12 @@ def _write_channels(tile, grid, painted, channels, pictures):
 
 @_inner
 def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
-    """Process the entries blended into this tile back to front; write one slot of sums per entry.
+    """Process the entries blended into a tile back to front, and write the sums of each entry to ``slots``.
 
     With ``after`` the transmittance behind a Gaussian and R the colour behind it, the derivative of a colour by
-    log(alpha) is alpha / (1 - alpha) (after c - R). It needs one division and no subtraction of large numbers. Sums of
-    pixel values and channels are rarely used and kept in memory behind ``painted``, since the others just fit into the
-    registers.
+    log(alpha) is alpha / (1 - alpha) (after c - R). It needs one division and no subtraction of large numbers. The sums
+    of pixel values and channels are rarely used, so they are in memory behind ``painted``; the other sums just fit into
+    registers. ``done`` is the first entry that was not blended, and ``kept`` holds the alphas. ``asked`` is an `Asked`.
     """
     entries, records, view = lists.entries, lists.records, lists.camera
     start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
@@ -174,7 +176,7 @@ def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
                 fma(after, r, neg(rest_r)), fma(after, g, neg(rest_g)), fma(after, b, neg(rest_b)),
             )  # fmt: skip
             q = ratio * ratio * fma(d_r, d_r, fma(d_g, d_g, d_b * d_b))
-            q = sel(opaque < peek(view, layout.MAX_ALPHA), q, F(0.0))  # a clamped alpha has no gradient
+            q = sel(opaque < peek(view, layout.MAX_ALPHA), q, F(0.0))  # an alpha at its upper limit has no gradient
             tt, ts, ss = t * t, t * s, s * s
             q10, q01, q20, q11, q02 = q * t, q * s, q * tt, q * ts, q * ss
             m00, m10, m01 = m00 + q, m10 + q10, m01 + q01
@@ -206,7 +208,10 @@ def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
 
 @_inline
 def _axis(r0, r1, r2, scale, lens, view):
-    """Return one axis of the Gaussian: rotated into the camera frame, and projected."""
+    """Return one axis of 16 Gaussians: three components in the camera frame (metres), and two in the image (pixels).
+
+    (r0, r1, r2) is the unit axis in the world and ``scale`` its length. ``lens`` holds J00, J02, J11, J12.
+    """
     j00, j02, j11, j12 = lens
     k0, k1, k2 = r0 * scale, r1 * scale, r2 * scale
     t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
@@ -217,14 +222,17 @@ def _axis(r0, r1, r2, scale, lens, view):
 
 @_inline
 def _white(axis, whitening):
-    """Return a projected axis in the coordinates t and s."""
+    """Return a projected axis in the whitened coordinates t and s; ``whitening`` is (L00, L01, L11)."""
     l00, l01, l11 = whitening
     return fma(l00, axis[3], l01 * axis[4]), l11 * axis[4]
 
 
 @_inline
 def _add_lens(e0, e1, axis, whitening, by_j):
-    """Return derivatives by J00, J02, J11 and J12 through one axis: 2 S b with S b = L^T e / 2."""
+    """Add the derivatives by J00, J02, J11 and J12 through one axis to ``by_j``.
+
+    They are 2 S b, where S b = L^T e / 2 with e = (e0, e1) and the whitening matrix L.
+    """
     l00, l01, l11 = whitening
     by_b0, by_b1 = l00 * e0, fma(l01, e0, l11 * e1)
     return (
@@ -243,7 +251,7 @@ def _to_world(x, y, z, view):
 
 @_inline
 def _point_by_lens(by_j, point, lens_slopes, view):
-    """Return the derivative by the camera point through the projection's Jacobian alone, in world axes."""
+    """Return the derivative by the point in the camera frame, through the projection's Jacobian only, in world axes."""
     j00, j02, j11, j12 = by_j
     f_x, f_y, inside_x, inside_y = point
     slope_x, slope_y = lens_slopes
@@ -254,7 +262,7 @@ def _point_by_lens(by_j, point, lens_slopes, view):
 
 @_inline
 def _times_moments(a, m):
-    """Multiply the 5 x 5 matrix of moments of (t, s, tt, ts, ss) by a vector."""
+    """Return the product of the 5 x 5 matrix of moments of (t, s, tt, ts, ss), given by ``m``, and vector ``a`` [5]."""
     return (
         fma(a[4], m[8], fma(a[3], m[7], fma(a[2], m[6], fma(a[1], m[4], a[0] * m[3])))),
         fma(a[4], m[9], fma(a[3], m[8], fma(a[2], m[7], fma(a[1], m[5], a[0] * m[4])))),
@@ -271,13 +279,13 @@ def _dot5(a, b):
 
 @_inline
 def _dot_curved(a, b):
-    """Compute `_dot5` for a vector ``a`` whose first two entries are 0: a log-scale does not move the mean."""
+    """Return the dot product of (0, 0, *a) and ``b`` [5]; ``a`` [3] has no t and s, as log-scales move no mean."""
     return fma(a[2], b[4], fma(a[1], b[3], a[0] * b[2]))
 
 
 @_inline
 def _times_curved(a, m):
-    """Multiply the moments of (tt, ts, ss) by three numbers."""
+    """Return the product of the 3 x 3 matrix of moments of (tt, ts, ss), given by ``m``, and vector ``a`` [3]."""
     return (
         fma(a[2], m[12], fma(a[1], m[11], a[0] * m[10])), fma(a[2], m[13], fma(a[1], m[12], a[0] * m[11])),
         fma(a[2], m[14], fma(a[1], m[13], a[0] * m[12])),
@@ -286,9 +294,10 @@ def _times_curved(a, m):
 
 @_inner
 def _chain_block(parameters, i, view, grid, records, sums_of, result):
-    """Compute the blocks of Gaussians i .. i + 15 from their summed slots; return the bits of those with a weight.
+    """Compute the blocks of Gaussians i to i + 15 from their summed slots; return the bits of Gaussians with a weight.
 
-    ``sums_of [2 * 256]`` holds the moments, then the other sums, and is overwritten. ``result [count, 32]``.
+    ``sums_of [2 * 256]`` holds the moments, then the other sums, and is overwritten. ``result [count, 32]`` is the
+    output.
     """
     capacity = grid[layout.CAPACITY]
     m = load_sums(sums_of, 0)
@@ -319,12 +328,12 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
     p2, r2 = _white(axis2, whitening)
     zero = spread(F(0.0))
     nothing, four, slopes = (zero, zero, zero, zero), layout.LN_4 * layout.LN_4, (slope_x, slope_y)
-    # Coefficients of the derivatives by the mean: of t and s through the projected mean, ...
+    # Coefficients of the derivatives by the mean. First of t and s, through the projected mean:
     f_x, f_y = point[0], point[1]
     u_t, v_t, v_s = l00 * layout.LN_4, l01 * layout.LN_4, l11 * layout.LN_4
     of_t = _to_world(j00 * u_t, j11 * v_t, neg(fma(f_x * x, u_t, f_y * y * v_t)), view)
     of_s = _to_world(zero, j11 * v_s, neg(f_y * y * v_s), view)
-    # ... of t^2, t s and s^2 through the Jacobian of the projection.
+    # Then of t^2, t s and s^2, through the Jacobian of the projection:
     by_j = _add_lens(p0, zero, axis0, whitening, nothing)
     by_j = _add_lens(p1, zero, axis1, whitening, by_j)
     of_tt = _point_by_lens(_add_lens(p2, zero, axis2, whitening, by_j), point, slopes, view)
@@ -370,9 +379,9 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
 
 @_inner
 def _chain_chunk(number, parameters, lists, slots, sums_of, result):
-    """Sum the slots of the 1024 Gaussians of ``lists.taken[number]`` and compute their blocks.
+    """Sum the slots of the 1024 Gaussians of chunk ``lists.taken[number]``, and compute their blocks.
 
-    ``visible`` then marks those with a row in ``result``.
+    ``visible`` then has a bit for each Gaussian with a row in ``result``.
     """
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     zero, chunk = spread(F(0.0)), lists.taken[number]
@@ -396,7 +405,11 @@ def _chain_chunk(number, parameters, lists, slots, sums_of, result):
 
 @kernel
 def inform(tickets, parameters, lists, scratch, asked, pictures, told):
-    """After `prepare`: compute images, sums and blocks tile by tile in the cache; then chunk by chunk."""
+    """Compute images and sums over pixels tile by tile, then the information block of each Gaussian chunk by chunk.
+
+    `kernels.prepare` must have run before. ``asked`` (`Asked`) is input. The images of colour, depth and alpha are
+    written to ``pictures``, and all other results to ``told`` (`Told`).
+    """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (layout.SCRATCH // LANES)
     state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + layout.SCRATCH]
     grid, tile_order, width, pixel_values, slots = (

@@ -1,14 +1,14 @@
 """Compute losses of whole images: colour with SSIM, and depth.
 
-A colour image is stored in rows of STRIDE floats: MARGIN zeros, the pixels with interleaved channels, zeros. A
-horizontal blur of one channel thus has steps of three floats.
+A colour image is stored in rows of STRIDE floats: MARGIN zeros, the pixels with interleaved channels, zeros. So a
+horizontal blur of one channel has steps of three floats.
 
 A thread processes a strip of the image: a few columns of vectors of 16 floats, over all rows. It takes 8 rows at a
 time, a group. Each group is blurred horizontally first. It is blurred vertically once the groups above and below it
 have been blurred horizontally. One load of a row then serves up to 8 sums.
 
 In the following, x is the rendered image, y the target, u = (x + y) / sqrt(2) and v = (x - y) / sqrt(2). The blurs of
-u^2 and v^2 give all second moments that SSIM needs, so no product x y is stored. The data between the steps stays in
+u^2 and v^2 give all second moments that SSIM needs, so no product x y is stored. The data between the steps remain in
 the second-level cache:
 
 - lines: u and v of one row;
@@ -64,29 +64,29 @@ from activestructure_gym.splatting.tile_losses import (
 
 _HALF_TAPS = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
 _TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
-_C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))
-GROUP_ROWS = 8
-GROUP_FLOATS = GROUP_ROWS * LANES  # floats of one quantity of a group in one column
-# Terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM. Then of pieces of the depth image,
-# PIECE pixels each: the sum of |depth error|.
+_C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))  # constants of SSIM for colours in 0..1, and 1 / sqrt(2)
+GROUP_ROWS = 8  # rows per group
+GROUP_FLOATS = GROUP_ROWS * LANES  # floats of one quantity in one column of a group
+# Offsets of partial sums: per column of vectors, 16 lanes each, |colour difference| and SSIM. After all columns, the
+# sum of |depth error| of each piece of the depth image.
 TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
-PIECE = 1920
-# floats of scratch per column of a strip and per its 4 edge columns
+PIECE = 1920  # pixels per piece of the depth image
+# Floats of workspace per column of a strip; four more columns are needed for its edges.
 STRIP_FLOATS = (3 * 4 + 3 * 3 + 3) * GROUP_FLOATS + 2 * LANES
 
 
 class Strip(NamedTuple):
-    """Hold the columns of vectors that a thread processes, and offsets of its data in the scratch."""
+    """Hold the columns of vectors that a thread processes, and the offsets of its data in the workspace."""
 
-    first: int  # column
-    last: int  # end column, exclusive
-    lines: int  # offset in the scratch
-    blurred: int  # offset of the space for a group of one column, blurred down
-    maps: int  # offset
+    first: int  # first column
+    last: int  # last column, exclusive
+    lines: int  # offset of the lines
+    blurred: int  # offset of the space for one column of a group, blurred vertically
+    maps: int  # offset of the maps
 
 
 class Around(NamedTuple):
-    """Hold the offsets in the scratch of a quantity of a group of rows and of its neighbours."""
+    """Hold the offsets in the workspace of a quantity in three consecutive groups of rows."""
 
     above: int
     here: int
@@ -99,10 +99,10 @@ def _load_at(context, builder, sig, args, offset):
 
 
 def _taps(builder):
-    """Return a vector per weight of the blur, by the distance from the pixel, 0 to 5.
+    """Return the weights of the blur by distance from the pixel, 0 to 5, each in all lanes of a vector.
 
-    Each vector is built once from one number and used for all sums. Written out as literals at every use, the vectors
-    would be most of the code that LLVM has to read.
+    Each vector is built once from one number and used for all sums. Written as literals at every use, the vectors would
+    be most of the code that LLVM has to read.
     """
     return [spread_value(builder, ir.Constant(F32, float(tap))) for tap in _TAPS[5:]]
 
@@ -113,7 +113,7 @@ def _fused(builder, a, b, c):
 
 @intrinsic
 def _blur_along(typingctx, array, index):
-    """Blur horizontally at 16 floats."""
+    """Blur horizontally at the 16 floats of ``array`` from ``index`` on."""
 
     def codegen(context, builder, sig, args):
         taps = _taps(builder)
@@ -128,7 +128,7 @@ def _blur_along(typingctx, array, index):
 
 @intrinsic
 def _blur_squares_along(typingctx, array, index):
-    """Blur the values and their squares horizontally at 16 floats."""
+    """Blur the 16 floats from ``index`` on, and their squares, horizontally; return both results."""
 
     def codegen(context, builder, sig, args):
         taps, value = _taps(builder), _load_at(context, builder, sig, args, 0)
@@ -144,7 +144,10 @@ def _blur_squares_along(typingctx, array, index):
 
 @intrinsic
 def _blur_down(typingctx, array, above, here, below, to):
-    """Blur a group of 8 rows vertically, from its blocks and its neighbours' to the block at ``to``."""
+    """Blur a group of 8 rows vertically, and store the result at offset ``to``.
+
+    ``above``, ``here`` and ``below`` are the offsets of three consecutive groups in ``array``.
+    """
 
     def codegen(context, builder, sig, args):
         taps, totals = _taps(builder), [None] * GROUP_ROWS
@@ -170,7 +173,7 @@ def _first_lanes(builder, count):
 
 @intrinsic
 def _load_first(typingctx, array, index, count):
-    """Load the first ``count`` of 16 floats and zeros; memory beyond is not accessed."""
+    """Load the first ``count`` of 16 floats, and zeros for the others, whose memory is not accessed."""
 
     def codegen(context, builder, sig, args):
         pointer = builder.bitcast(pointer_to(context, builder, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
@@ -196,7 +199,7 @@ def _store_first(typingctx, array, index, count, value):
 
 @inline
 def _load_up_to(array, at, end):
-    """Load 16 floats, zeros from ``end`` on."""
+    """Load 16 floats, with zeros from index ``end`` on."""
     return load(array, at) if at + LANES <= end else _load_first(array, at, end - at)
 
 
@@ -210,20 +213,23 @@ def _store_up_to(array, at, end, value):
 
 @inline
 def _load_target(target, row, column, length):
-    """Load 16 floats of a row of ``target [H, length]``, zeros after its end."""
+    """Load 16 floats of a row of ``target [H, length]``, with zeros after the end of the row."""
     return _load_up_to(target, row * length + LANES * column, (row + 1) * length)
 
 
 @inner
 def clear(array, first, end):
-    """Set the floats ``first`` to ``end`` of an array to 0, 16 at a time."""
+    """Set the floats from index ``first`` to ``end`` of an array to 0, 16 at a time."""
     for at in range(first, end, LANES):
         store(array, at, spread(F(0.0)))
 
 
 @inner
 def means_of_group(top, strip, grid, image, target, scratch, means):
-    """Blur along the rows starting at ``top``; write to the scratch at offset ``means``."""
+    """Blur u, u^2, v and v^2 of the group of rows from ``top`` on horizontally; write them at offset ``means``.
+
+    ``strip`` is the `Strip` of the thread; u and v are computed from ``image`` and ``target``.
+    """
     first, last, lines = strip.first, strip.last, strip.lines
     stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
     columns = (length + LANES - 1) // LANES
@@ -252,15 +258,19 @@ def means_of_group(top, strip, grid, image, target, scratch, means):
 
 @inner
 def maps_of_group(top, strip, grid, scratch, means, backs, terms):
-    """Compute SSIM of the rows starting at ``top``: its sum, and its derivatives blurred along the rows."""
+    """Compute SSIM in the group of rows from ``top`` on: its sum, and its derivatives, blurred horizontally.
+
+    ``strip`` is the `Strip` of the thread, and ``means`` has the offsets of the blurred quantities. The sum is added to
+    ``terms``, and the derivatives are written at offset ``backs``.
+    """
     first, last, blurred, maps = strip.first, strip.last, strip.blurred, strip.maps
     above, here, below = means
     length, zero = 3 * grid[WIDTH], spread(F(0.0))
-    line = LANES * (last - first + 2)  # of the maps: the strip's columns and one on each side
+    line = LANES * (last - first + 2)  # floats of a row of the maps: columns of the strip and one on each side
     plane = GROUP_ROWS * line
     for column in range(max(first - 1, 0), last + 2):
-        # The derivatives are blurred two columns later, in turn with SSIM row by row. SSIM's arithmetic overlaps with
-        # their loads across cache lines, and loads do not meet stores.
+        # The derivatives are blurred two columns later, alternating with SSIM row by row. So the arithmetic of SSIM
+        # overlaps with their loads across cache lines, and loads do not meet stores.
         total = zero
         if column <= last:
             for own in range(0, 4 * GROUP_FLOATS, GROUP_FLOATS):
@@ -277,7 +287,7 @@ def maps_of_group(top, strip, grid, scratch, means, backs, terms):
                 d1, d2 = mu_mu + mv_mv + _C1, var_u + var_v + _C2
                 inverse = spread(F(1.0)) / (d1 * d2)
                 value = n1 * n2 * inverse
-                mx, my = mu + mv, mu - mv  # times sqrt(2)
+                mx, my = mu + mv, mu - mv  # both times sqrt(2)
                 by_mean = fma(my, n2 - n1, mx * value * (d1 - d2)) * inverse * (F(2.0) * _ROOT)
                 inside = lane_index() < F(length - LANES * column if top + row < grid[HEIGHT] else 0)
                 total = total + sel(inside, value, F(0.0))
@@ -296,7 +306,11 @@ def maps_of_group(top, strip, grid, scratch, means, backs, terms):
 
 @inner
 def gradient_of_group(top, strip, grid, image, comparison, scratch, backs, by_color):
-    """Compute the derivative by the colours of the rows starting at ``top``, and the sum of their differences."""
+    """Compute the gradient by the colours in the group of rows from ``top`` on, and the sum of |colour difference|.
+
+    ``strip`` is the `Strip` of the thread, and ``backs`` has the offsets of the derivatives of SSIM. The gradient is
+    written to ``by_color``.
+    """
     first, last, blurred = strip.first, strip.last, strip.blurred
     above, here, below = backs
     target, factors, terms = comparison.color, comparison.factors, comparison.terms
@@ -316,7 +330,7 @@ def gradient_of_group(top, strip, grid, image, comparison, scratch, backs, by_co
             of_both = fma(x + x, by_variance, fma(y, by_covariance, load(scratch, own)))
             store(by_color, at, sel(inside, fma(of_both, of_ssim, gradient), F(0.0)))
         at = TERMS * column + TERM_COLOR
-        store(terms, at, load(terms, at) + total)  # both are 0 after the row's end
+        store(terms, at, load(terms, at) + total)  # both are 0 after the end of the row
 
 
 @inner

@@ -1,21 +1,21 @@
-"""Run the CPU rasteriser's compiled kernels, on 16-lane SIMD values: the functions called from Python.
+"""Run the compiled kernels of the CPU rasteriser, which compute with vectors of 16 floats (SIMD).
 
 The image is cut into tiles of 32 x 32 pixels = 8 x 8 blocks of 4 x 4 pixels. A block is one vector, and the blocks of a
-tile that a Gaussian reaches are the bits of one uint64. One rendering runs:
+tile that a Gaussian reaches are the bits of one uint64. An entry is a pair of tile and Gaussian. One rendering runs:
 
-- ``prepare``. Per chunk of 1024 Gaussians: 64-byte records (`projection`), block bitmaps and the number of (tile,
-  Gaussian) entries. Serial: positions of every tile's and chunk's entries. Per chunk: the entries (`tile_lists`).
+- ``prepare``. Per chunk of 1024 Gaussians: 64-byte records (`projection`), bitmaps of blocks and the number of entries.
+  In one thread: positions of the entries of every tile and chunk. Per chunk: the entries (`tile_lists`).
 - ``blend``. Per tile: sort by depth (exact float order, ties by index), blend front to back (`blending`).
 - ``compare``. Per strip of columns: losses, SSIM and the gradient images (`image_losses`).
-- ``unblend``. Per tile: front to back again, one 16-float slot of sums per entry. Per chunk: sum the slots, go back
-  through the projection, step Adam or write dense gradients (`stepping`).
+- ``unblend``. Per tile: front to back again, with one slot of 16 sums per entry. Per chunk: sum the slots, propagate
+  the gradient through the projection, take an Adam step or write gradients (`stepping`).
 
 For pixelwise losses (`tile_losses`), ``fuse`` does everything after ``prepare``: blending, comparing and the backward
-pass, tile by tile. Between the parts of a kernel, threads wait for each other inside the kernel, since restarting them
-takes longer.
+pass, tile by tile. Between the parts of a kernel, threads wait for each other inside the kernel, since starting them
+again takes longer.
 
 Every thread calls the same kernel. Every partial result has a fixed position, so results do not depend on the number of
-threads. Chunks, tiles and rows are distributed by atomic counters (`counters`).
+threads. Chunks, tiles and rows are distributed by the atomic counters ``tickets`` (`counters`).
 """
 
 # mypy: ignore-errors
@@ -94,11 +94,11 @@ from activestructure_gym.splatting.tile_losses import compare_tile
 
 @kernel
 def prepare(tickets, parameters, lists, histogram, chunk_entries):
-    """Project, count and list the Gaussians.
+    """Project the Gaussians, count their entries and list them per tile.
 
-    Without enough space for the entries it returns before listing, and continues when called again with more; FILLED
-    counts up to the number of chunks taken. ``histogram [n * tiles]`` and ``chunk_entries [n]`` are workspace for the
-    counts of the n chunks taken.
+    Without enough space for the entries it returns before listing, and continues when called again with more space.
+    Counter FILLED then reaches the number n of chunks taken. ``histogram [n * tiles]`` and ``chunk_entries [n]`` are
+    workspace for the numbers of entries.
     """
     chunks = len(lists.taken)
     while True:
@@ -106,7 +106,7 @@ def prepare(tickets, parameters, lists, histogram, chunk_entries):
         if chunk >= chunks:
             break
         project_chunk(chunk, parameters, lists, histogram, chunk_entries)
-        if take_ticket(tickets, PROJECTED) == chunks - 1:  # the last one to finish
+        if take_ticket(tickets, PROJECTED) == chunks - 1:  # the last chunk
             tickets[ENTRIES] = plan_entries(lists, histogram, chunk_entries)
             take_ticket(tickets, PLANNED)
     if not all_done(tickets, PLANNED, 1) or tickets[ENTRIES] > lists.entries.shape[1]:
@@ -145,7 +145,7 @@ def blend(tickets, lists, scratch, kept, pictures):
 
 @kernel
 def fuse(tickets, lists, scratch, comparison, step):
-    """Blend, compare with the target and go back, tile by tile in the cache; then step."""
+    """Blend, compare with the target and run the backward pass, tile by tile in the cache; then take a step."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, kept = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
     digits, edge = np.empty(DIGITS, np.int64), np.empty(64, np.float32)
@@ -174,7 +174,8 @@ def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pict
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, columns = scratch[own : own + SCRATCH], (3 * grid[WIDTH] + LANES - 1) // LANES
     image, target, terms, by_color = pictures.color, comparison.color, comparison.terms, by_pictures.color
-    means, backs = 4 * GROUP_FLOATS * (strip_columns + 2), 3 * GROUP_FLOATS * strip_columns  # floats of a group
+    # Floats of the means and backs of a group.
+    means, backs = 4 * GROUP_FLOATS * (strip_columns + 2), 3 * GROUP_FLOATS * strip_columns
     at_backs = 3 * means
     at_maps = at_backs + 3 * backs
     at_lines = at_maps + 3 * GROUP_FLOATS * (strip_columns + 2)
@@ -187,10 +188,10 @@ def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pict
         last = min(first + strip_columns, columns)
         strip = Strip(first, last, at_lines, at_blurred, at_maps)
         clear(state, 2 * means, 3 * means)  # rows above the image
-        clear(state, at_backs + 2 * backs, at_blurred)  # the same, and columns at its sides
+        clear(state, at_backs + 2 * backs, at_blurred)  # the same, and columns next to the image
         clear(terms, TERMS * first, TERMS * last)
         for step in range(groups + 2):
-            # group g is at position (g + 3) % 3
+            # Group g is stored at position (g + 3) % 3.
             newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
             if step <= groups:
                 means_of_group(GROUP_ROWS * step, strip, grid, image, target, state, means * newest)
@@ -214,9 +215,9 @@ def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pict
 
 @kernel
 def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, step):
-    """Run the backward pass after `blend` from the gradients by its images; then step.
+    """Run the backward pass after `blend` from the gradients ``by_pictures`` of its images; then take a step.
 
-    ``by_layout [2]``: floats per row of ``by_pictures.color``, and before the first pixel of a row.
+    ``by_layout [2]`` is the number of floats per row of ``by_pictures.color``, and before the first pixel of a row.
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, spare = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
@@ -238,7 +239,7 @@ def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, ste
 
 @kernel
 def shape(tickets, parameters, grid, shapes):
-    """Compute the camera-independent data of every Gaussian for `score`, 16 floats each."""
+    """Compute the camera-independent data of every Gaussian for `score`: ``shapes``, 16 floats each (`shape_of`)."""
     while True:
         chunk = take_ticket(tickets, 0)
         if chunk >= grid[CHUNKS]:
@@ -249,9 +250,10 @@ def shape(tickets, parameters, grid, shapes):
 
 @kernel
 def score(tickets, parameters, shapes, views, whole, depth, alpha):
-    """Render depth and alpha of many cameras, one camera per thread at a time.
+    """Render depth and alpha of many cameras; each thread renders one camera at a time.
 
-    Visible Gaussians are found first, and only these are projected, 16 at a time: of 16 neighbours in the map a narrow
+    ``views`` [C, VIEW_SIZE] are the cameras, ``shapes`` the data from `shape`, and ``whole`` the sizes of the map.
+    Visible Gaussians are found first, and only these are projected, 16 at a time: of 16 neighbours in the map, a narrow
     view contains about four.
     """
     grid, tiles = whole.copy(), whole[TILES_X] * whole[TILES_Y]
@@ -291,7 +293,10 @@ def score(tickets, parameters, shapes, views, whole, depth, alpha):
 
 @kernel
 def multiply_add(tickets, rounds, pieces, values):
-    """Run ten independent chains of 16-lane multiply-adds: the processor's peak rate, for the benchmark."""
+    """Run ten independent chains of multiply-add instructions: the peak rate of the processor, for the benchmark.
+
+    ``pieces`` pieces of work have ``rounds`` rounds each. ``values`` holds the operands, and then the results.
+    """
     x, y = load(values, 0), load(values, LANES)
     while True:
         piece = take_ticket(tickets, 0)

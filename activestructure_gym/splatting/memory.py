@@ -1,4 +1,8 @@
-"""Load and store between arrays and SIMD values, single elements and bits; transpose; sum over lanes."""
+"""Access arrays from kernels: vectors of 16 floats, single elements and bits.
+
+Also transpose vectors and sum their lanes. Arrays are C-ordered, and ``index`` is the index of an element in the flat
+array.
+"""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -15,14 +19,14 @@ from activestructure_gym.splatting.simd import BIT, F32, FLOATS, I32, I64, INTS,
 
 
 def pointer_to(context, builder, array_type, array, index):
-    """Return the LLVM pointer to an element of a C-ordered array by its flat index."""
+    """Return the LLVM pointer to an element of a C-ordered array, given its flat index."""
     data = context.make_array(array_type)(context, builder, value=array).data
     return builder.gep(data, [index], inbounds=True)
 
 
 @intrinsic
 def load(typingctx, array, index):
-    """Load 16 floats from a C-ordered float32 array, flat."""
+    """Load the 16 floats from ``index`` on of a float32 array."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -33,7 +37,7 @@ def load(typingctx, array, index):
 
 @intrinsic
 def store(typingctx, array, index, value):
-    """Store 16 floats in a C-ordered float32 array, flat."""
+    """Store 16 floats from ``index`` on in a float32 array."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -45,7 +49,7 @@ def store(typingctx, array, index, value):
 
 @intrinsic
 def peek(typingctx, array, index):
-    """Load one element of a C-ordered array, flat, without the wrap-around test of negative indices."""
+    """Load one element, without numba's test for negative indices."""
 
     def codegen(context, builder, sig, args):
         return builder.load(pointer_to(context, builder, sig.args[0], args[0], args[1]))
@@ -55,7 +59,7 @@ def peek(typingctx, array, index):
 
 @intrinsic
 def poke(typingctx, array, index, value):
-    """Store one element in a C-ordered array, flat."""
+    """Store one element, without numba's test for negative indices."""
 
     def codegen(context, builder, sig, args):
         builder.store(args[2], pointer_to(context, builder, sig.args[0], args[0], args[1]))
@@ -66,7 +70,7 @@ def poke(typingctx, array, index, value):
 
 @intrinsic
 def poke_add(typingctx, array, index, value):
-    """Add to one element."""
+    """Add ``value`` to one element of an array of integers."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -78,7 +82,7 @@ def poke_add(typingctx, array, index, value):
 
 @intrinsic
 def peek_bits(typingctx, array, index):
-    """Return the bits of one float32 as int64 (zero extended)."""
+    """Return the bits of one float32 as an int64, with zeros above bit 31."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -89,7 +93,7 @@ def peek_bits(typingctx, array, index):
 
 @intrinsic
 def poke_bits(typingctx, array, index, value):
-    """Store the low 32 bits of an integer in a float32 array."""
+    """Store the low 32 bits of an integer as one element of a float32 array."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -101,7 +105,7 @@ def poke_bits(typingctx, array, index, value):
 
 @intrinsic
 def prefetch(typingctx, array, index):
-    """Fetch the cache line of an element for reading."""
+    """Prefetch the cache line of an element for reading."""
 
     def codegen(context, builder, sig, args):
         pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
@@ -116,7 +120,7 @@ def prefetch(typingctx, array, index):
 
 @intrinsic
 def _to_line(typingctx, array):
-    """Return the number of floats from the array's start to the next 64-byte boundary."""
+    """Return the number of floats between the start of an array and the next 64-byte boundary."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, value=args[0]).data
@@ -128,7 +132,7 @@ def _to_line(typingctx, array):
 
 @allocating
 def scratch_of(size):
-    """Allocate floats that start on a cache line; vectors across two lines cost double."""
+    """Return an uninitialised float32 array that starts on a cache line, since vectors across two lines cost double."""
     room = np.empty(size + LANES, np.float32)
     start = _to_line(room)
     return room[start : start + size]
@@ -136,7 +140,7 @@ def scratch_of(size):
 
 @intrinsic
 def lowest_bit(typingctx, value):
-    """Return the index of the lowest set bit of a nonzero value."""
+    """Return the index of the lowest set bit of an integer that is not 0."""
 
     def codegen(context, builder, sig, args):
         return builder.cttz(args[0], ir.Constant(BIT, 1))
@@ -146,7 +150,7 @@ def lowest_bit(typingctx, value):
 
 @intrinsic
 def count_bits(typingctx, value):
-    """Return the number of set bits."""
+    """Return the number of set bits of an integer."""
 
     def codegen(context, builder, sig, args):
         return builder.ctpop(args[0])
@@ -155,7 +159,7 @@ def count_bits(typingctx, value):
 
 
 def _transposed(builder, rows):
-    """Transpose 16 vectors in four rounds of exchanging sub-blocks."""
+    """Return 16 vectors transposed, by four rounds of exchanges between pairs of vectors."""
     for step in (1, 2, 4, 8):
         first = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
         second = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
@@ -171,7 +175,10 @@ def _transposed(builder, rows):
 
 @intrinsic
 def store_transposed(typingctx, array, index, vectors):
-    """Store lane k of the (up to 16) vectors at floats ``index + 16 k ...``; missing vectors are zero."""
+    """Store up to 16 vectors transposed: lane k of all vectors goes to the 16 floats from ``index + 16 k`` on.
+
+    Missing vectors are zero.
+    """
 
     def codegen(context, builder, sig, args):
         rows = cgutils.unpack_tuple(builder, args[2], len(vectors))
@@ -196,7 +203,7 @@ def _load_columns(context, builder, sig, args):
 
 @intrinsic
 def load_transposed(typingctx, array, index):
-    """Invert `store_transposed`: load 16 vectors, lane k of each from floats ``index + 16 k ...``."""
+    """Load 16 vectors transposed: lane k of all vectors is in the 16 floats from ``index + 16 k`` on."""
 
     def codegen(context, builder, sig, args):
         return context.make_tuple(builder, sig.return_type, _load_columns(context, builder, sig, args))
@@ -206,7 +213,7 @@ def load_transposed(typingctx, array, index):
 
 @intrinsic
 def load_rows_transposed(typingctx, array, rows, index):
-    """Load 16 vectors, lane k of each from floats ``16 rows[index + k] ...``."""
+    """Load 16 vectors transposed: lane k of all vectors is in the 16 floats from ``16 rows[index + k]`` on."""
 
     def codegen(context, builder, sig, args):
         lines = []
@@ -222,14 +229,14 @@ def load_rows_transposed(typingctx, array, rows, index):
 
 
 def _four(builder, vector, row):
-    """Return lanes 4 row .. 4 row + 3."""
+    """Return lanes 4 row to 4 row + 3 of a vector."""
     picked = ir.Constant(ir.VectorType(I32, 4), [4 * row + x for x in range(4)])
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), picked)
 
 
 @intrinsic
 def store_block(typingctx, array, index, stride, value):
-    """Store a block of 4 x 4 pixels into an image with ``stride`` floats per row."""
+    """Store a block of 4 x 4 pixels in an image with ``stride`` floats per row; ``index`` is its first pixel."""
 
     def codegen(context, builder, sig, args):
         for row in range(4):
@@ -244,7 +251,7 @@ def store_block(typingctx, array, index, stride, value):
 
 @intrinsic
 def load_block(typingctx, array, index, stride):
-    """Load a block of 4 x 4 pixels from an image with ``stride`` floats per row."""
+    """Load a block of 4 x 4 pixels from an image with ``stride`` floats per row; ``index`` is its first pixel."""
 
     def codegen(context, builder, sig, args):
         kind, rows = ir.VectorType(F32, 4), []
@@ -261,7 +268,7 @@ def load_block(typingctx, array, index, stride):
 
 @intrinsic
 def store_color_block(typingctx, array, index, stride, r, g, b):
-    """Store three channels of a block, interleaved: rows of 12 floats."""
+    """Store three channels of a block of 4 x 4 pixels in an image with interleaved channels: four rows of 12 floats."""
 
     def codegen(context, builder, sig, args):
         _, _, _, r, g, b = args
@@ -286,7 +293,7 @@ def store_color_block(typingctx, array, index, stride, r, g, b):
 
 @intrinsic
 def load_color_block(typingctx, array, index, stride):
-    """Load the three channels of a block from interleaved rows."""
+    """Load three channels of a block of 4 x 4 pixels from an image with interleaved channels."""
 
     def codegen(context, builder, sig, args):
         kind, rows = ir.VectorType(F32, 12), []
@@ -305,14 +312,15 @@ def load_color_block(typingctx, array, index, stride):
 
 
 def _sum_plan():
-    """Return the shuffles of a tree that adds up 16 vectors, and the lane of each sum."""
+    """Return the lane shuffles of a tree that adds up the lanes of 16 vectors, and the lane in which each sum ends."""
     quarters = range(0, LANES, 4)
     halves = list(range(8))
     pairs = [lane for lane in range(LANES) if not lane & 4]
     plan = [
         (halves + [LANES + x for x in halves], 8),
         (pairs + [LANES + x for x in pairs], 4),
-        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),  # within 128 bits from here: cheap
+        # From here on within 128 bits, which is faster.
+        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),
         ([q + x for q in quarters for x in (0, 2, LANES, LANES + 2)], 1),
     ]
     vectors = [[number] * LANES for number in range(LANES)]
@@ -326,7 +334,7 @@ _SUM_ROUNDS, SUM_LANES = _sum_plan()
 
 @intrinsic
 def sums(typingctx, vectors):
-    """Return the sums over the lanes of up to 16 vectors as one vector, in the lane order of `load_sums`."""
+    """Return the sums over the lanes of up to 16 vectors as one vector, in the lane order of `SUM_LANES`."""
 
     def codegen(context, builder, sig, args):
         level = cgutils.unpack_tuple(builder, args[0], len(vectors))
@@ -350,7 +358,7 @@ def sums(typingctx, vectors):
 
 @intrinsic
 def load_sums(typingctx, array, index):
-    """Load 16 results of `sums` stored consecutively: the sum of vector k of result j is lane j of entry k."""
+    """Load 16 consecutive results of `sums`: lane j of returned vector k is the sum of vector k in result j."""
 
     def codegen(context, builder, sig, args):
         columns = _load_columns(context, builder, sig, args)

@@ -1,4 +1,4 @@
-"""Convert between torch tensors, one row per Gaussian, and the kernels' array, one row per parameter (as in `cpu`)."""
+"""Convert between torch tensors with a row per Gaussian and the kernels' array with a row per parameter (`cpu`)."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types)
@@ -23,9 +23,10 @@ def parameter_rows(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return means, quaternions, log-scales, opacity logits and colours that share memory with ``parameters``.
 
-    Shapes: ``[3, N]``, ``[4, N]``, ``[3, N]``, ``[N]``, ``[3, N]``. As leaves (``requires_grad_()``), passed on as
-    ``means.T`` and so on, they are rendered, differentiated and stepped without a copy. Pass whole rows: torch's fused
-    Adam is slow for transposed leaves, and wrong for leaves with gaps between rows (torch 2.13).
+    Shapes: ``[3, N]``, ``[4, N]``, ``[3, N]``, ``[N]``, ``[3, N]``. With gradients (``requires_grad_()``) and passed to
+    `rasterize` as ``means.T`` and so on, they are rendered, differentiated and optimised without a copy. Pass these
+    whole rows to the optimiser: torch's fused Adam is slow for transposed tensors, and wrong for tensors with gaps
+    between rows (torch 2.13).
     """
     means, quaternions, log_scales, logits, colors = (parameters[first:last] for first, last in _ROWS)
     return means, quaternions, log_scales, logits[0], colors
@@ -35,7 +36,7 @@ def packed(
     tensors: tuple[torch.Tensor | None, ...],  # means [N, 3] ... colors [N, 3], detached; colours may be None
     threads: int,
 ) -> np.ndarray:  # [14, capacity]
-    """Return one array for the kernels: the tensors' own memory if its layout fits, else a copy."""
+    """Return one array for the kernels: the memory of the tensors if its layout fits, otherwise a copy."""
     shared = _shared(tensors)
     if shared is not None:
         return shared
@@ -52,7 +53,7 @@ def unpacked(
     tensors: tuple[torch.Tensor | None, ...],  # as in `packed`
     threads: int,
 ) -> list[torch.Tensor | None]:
-    """Return gradients in the tensors' layout, so that torch accepts them: views of the rows, or copies."""
+    """Return the gradients in the memory layout of the tensors, as torch requires: views of the rows, or copies."""
     count = len(tensors[0])
     rows = torch.from_numpy(gradient)[:, :count]
     results = [rows[first:last].T if last - first > 1 else rows[first] for first, last in _ROWS]
@@ -68,7 +69,7 @@ def _columns(tensor: torch.Tensor) -> np.ndarray:  # [N, D], contiguous, writeab
 
 
 def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
-    """Return the array whose columns the five tensors are, or None."""
+    """Return the array of which the five tensors are columns, or None if they are separate."""
     means = tensors[0]
     if not len(means) or any(tensor is None for tensor in tensors):
         return None
@@ -87,7 +88,10 @@ def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
 
 @_inline
 def _to_rows(block, row, values, size, first, last):
-    """Copy ``block[row + d, i] = values[i, d]``; both flat, so that the loops are vectorised."""
+    """Copy ``values[i, d]`` to ``block[row + d, i]`` for d below ``size`` and i from ``first`` to ``last - 1``.
+
+    The indices are flat, so that the loops are vectorised.
+    """
     capacity = block.shape[1]
     for d in range(size):
         for i in range(first, last):

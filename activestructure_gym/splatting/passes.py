@@ -1,8 +1,8 @@
-"""Run further passes over the tile lists of a rendering.
+"""Compute further results from the tile lists of a rendering: median depth, and images of more channels.
 
-After `Workspace.render`, sorted lists, records and images are available; after `Workspace.prepare`, records and
-unsorted lists. A pass goes over the lists again and computes a result that most callers do not need, such as a median
-depth or more channels. Each has its own kernel or reuses those of `kernels`, and a function that takes the workspace.
+A pass goes over the lists again for a result that most callers do not need. After `Workspace.render`, sorted lists,
+records and images are available; after `Workspace.prepare`, records and unsorted lists. Each pass is a function of the
+workspace, with its own kernel or those of `kernels`.
 """
 
 # mypy: ignore-errors
@@ -22,13 +22,13 @@ from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
 _TO_GRADIENT = np.zeros(layout.RATES, np.float32)
 _TO_GRADIENT[layout.MODE] = layout.TO_GRADIENT
-_AT_ONCE = 3  # channels per rendering
+_AT_ONCE = 3  # channels blended at once, in place of red, green and blue
 
 
 def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
-    """Return the depth at the pixel of the Gaussian at which the transmittance first falls to 0.5 or below.
+    """Return the depth at each pixel of the Gaussian at which the transmittance first falls to 0.5 or below.
 
-    0 if there is none.
+    It is 0 if there is none.
     """
     gaussian = median_gaussian(workspace)
     record = workspace.records.reshape(-1, layout.RECORD)[np.maximum(gaussian, 0)]  # [H, W, 16]
@@ -40,13 +40,13 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
 
 
 def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray:  # [H, W] int64
-    """Return the column of the Gaussian at which the transmittance first falls to 0.5 or below; -1 if there is none.
+    """Return the column of the Gaussian at which each pixel's transmittance first falls to 0.5 or below.
 
-    ``blended=False``: only `Workspace.prepare` has run, and the lists must be sorted. After blending they must not be
-    sorted again; `Workspace.backward` would fail.
+    -1 if there is none. With ``blended=False``, only `Workspace.prepare` has run, and the lists are sorted here. After
+    blending they must not be sorted again, since `Workspace.backward` would fail.
     """
     camera = workspace.camera
-    picture = np.empty((camera.height, camera.width), np.float32)  # exact up to 16 million
+    picture = np.empty((camera.height, camera.width), np.float32)  # exact for column numbers up to 16 million
     workspace.tickets[:] = 0
     workspace._run(_median, workspace.lists, not blended, picture.reshape(-1))
     return picture.astype(np.int64)
@@ -56,7 +56,7 @@ def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray
 def _median(tickets, lists, sorts, picture):
     view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
     tile_start, tile_order = lists.tile_start, lists.tile_order
-    width = 2 * LANES  # floats of state per block: transmittance, column of the Gaussian that crosses one half
+    width = 2 * LANES  # floats of state per block: transmittance, column of the Gaussian that was found
     state, digits = scratch_of(64 * width), np.empty(layout.DIGITS, np.int64)
     half, nobody = np.float32(0.5), spread(np.float32(-1.0))
     room, tiles_x = entries.shape[1], grid[layout.TILES_X]
@@ -110,7 +110,7 @@ def blend_channels(
     workspace: Workspace,
     channels: np.ndarray,  # [N, D] float32
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Blend any per-Gaussian values to an image ``[H, W, D]``; also return the data for `unblend_channels`.
+    """Return an image ``[H, W, D]`` of any values per Gaussian, blended like colours, and data for `unblend_channels`.
 
     Three channels at a time replace the colours in the records, and the lists are blended again.
     """
@@ -132,11 +132,14 @@ def unblend_channels(
     workspace: Workspace,
     channels: np.ndarray,  # [N, D] float32
     kept: list[np.ndarray],  # from `blend_channels`
-    by_picture: np.ndarray,  # [H, W, D] float32
-    gradient: np.ndarray,  # [14, capacity] float32: rows 0 to 10 (geometry) are added to
-    by_channels: np.ndarray,  # [N, D] float32, added to
-) -> np.ndarray:  # [3, 4] derivative by camera_from_world
-    """Compute the derivative of `blend_channels`; it is linear in the gradient image, so groups of three add up."""
+    by_picture: np.ndarray,  # [H, W, D] float32 gradient by the image
+    gradient: np.ndarray,  # [14, capacity] float32: the result is added to rows 0 to 10 (geometry)
+    by_channels: np.ndarray,  # [N, D] float32: the result is added
+) -> np.ndarray:  # [3, 4] gradient by camera_from_world
+    """Compute the gradient of `blend_channels`.
+
+    It is linear in the gradient image, so groups of three channels add up.
+    """
     height, width = by_picture.shape[:2]
     count, own = len(channels), workspace.color
     colors, nothing = _colors(workspace, count), np.zeros((height, width), np.float32)
@@ -158,7 +161,7 @@ def unblend_channels(
 
 
 def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
-    """Return a view of the colour fields of the records."""
+    """Return a view of the colours in the records of ``count`` Gaussians."""
     assert (layout.GREEN, layout.BLUE) == (layout.RED + 1, layout.RED + 2)
     return workspace.records[: count * layout.RECORD].reshape(count, layout.RECORD)[:, layout.RED : layout.RED + 3]
 

@@ -1,4 +1,8 @@
-"""Project Gaussians to ellipses in the image, 16 at a time, into records of 64 bytes."""
+"""Project Gaussians to ellipses in the image, 16 at a time, into records of 64 bytes (`layout`).
+
+A value of 16 Gaussians is one vector. ``i`` is the column of the first, ``capacity`` the number of columns of
+``parameters``, and ``view`` holds the camera.
+"""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -55,7 +59,7 @@ from activestructure_gym.splatting.simd import (
 
 @inline
 def camera_point(parameters, capacity, i, view):
-    """Return the means of 16 Gaussians in camera coordinates, in metres."""
+    """Return the means of 16 Gaussians in the camera frame, in metres."""
     return _seen_from(
         load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i), view
     )  # fmt: skip
@@ -71,13 +75,13 @@ def _seen_from(mx, my, mz, view):
 
 @inline
 def scale_of(parameters, capacity, i, axis):
-    """Return the scale of 16 Gaussians along one of their axes, in metres, limited to 2^-60 ... 2^60."""
+    """Return the standard deviation of 16 Gaussians along one of their axes in metres, limited to 2^-60 .. 2^60."""
     return exp2(clamped(load(parameters, (7 + axis) * capacity + i) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
 
 
 @inline
 def rotation_of(parameters, capacity, i):
-    """Return unit quaternion, inverse of its original length, and the 9 entries of the matrix."""
+    """Return unit quaternions of 16 Gaussians, the inverse of their original lengths, and the matrices (9 entries)."""
     w, x = load(parameters, 3 * capacity + i), load(parameters, 4 * capacity + i)
     y, z = load(parameters, 5 * capacity + i), load(parameters, 6 * capacity + i)
     inverse = spread(F(1.0)) / sqrt(fma(w, w, fma(x, x, fma(y, y, z * z))))
@@ -94,7 +98,7 @@ def rotation_of(parameters, capacity, i):
 
 @inline
 def jacobian_of(x, y, inverse_z, view):
-    """Return J00, J02, J11, J12 of the projection and the clamped slopes."""
+    """Return the entries J00, J02, J11, J12 of the projection's Jacobian, and the clamped slopes x / z and y / z."""
     slope_x = clamped(x * inverse_z, spread(view[LOW_X]), spread(view[HIGH_X]))
     slope_y = clamped(y * inverse_z, spread(view[LOW_Y]), spread(view[HIGH_Y]))
     j00, j11 = inverse_z * view[FX], inverse_z * view[FY]
@@ -103,11 +107,12 @@ def jacobian_of(x, y, inverse_z, view):
 
 @inline
 def depth_slopes(p, n, z, view):
-    """Return the depth slopes of a ray's intersection along x and y in metres per pixel: A^-1 (z.p, z.n).
+    """Return the depth slopes of 16 Gaussians along x and y, in metres per pixel: A^-1 (z.p, z.n).
 
-    Also return the determinant of A, the covariance in the image with less blur than for drawing. ``p``, ``n`` and
-    ``z`` are the three axes' components in pixels along x and y and in metres. Cross products avoid cancellation for
-    needles: without blur A^-1 (z.p, z.n) = ((z x n).(p x n), (p x z).(p x n)) / |p x n|^2.
+    They are the slopes of the depth at which rays meet the Gaussian. Also return the determinant of A, the covariance
+    in the image with less blur than for rendering. ``p``, ``n`` and ``z`` are the components of the three axes along x
+    and y in pixels, and along depth in metres. Cross products avoid cancellation for needle-shaped Gaussians: without
+    blur, A^-1 (z.p, z.n) = ((z x n).(p x n), (p x z).(p x n)) / |p x n|^2.
     """
     c, a, b = cross(p, n), cross(z, n), cross(p, z)
     spread_of = dot3(*p, *p) + dot3(*n, *n)
@@ -119,15 +124,18 @@ def depth_slopes(p, n, z, view):
 
 @inline
 def cross(a, b):
-    """Return the cross product of two vectors of three components."""
+    """Return the cross product of two vectors with three components, in each lane."""
     return fma(a[1], b[2], neg(a[2] * b[1])), fma(a[2], b[0], neg(a[0] * b[2])), fma(a[0], b[1], neg(a[1] * b[0]))
 
 
 @inline
 def opacity_of(parameters, capacity, i):
-    """Return opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
+    """Return three values of 16 Gaussians: opacity, 1 - opacity, and log2 of opacity.
+
+    1 - opacity multiplies gradients, so it is computed without cancellation.
+    """
     power = load(parameters, 10 * capacity + i) * neg(spread(LOG2_E))
-    e = exp2(larger(smaller(power, spread(F(80.0))), spread(F(-80.0))))  # in this order NaN becomes opacity 0
+    e = exp2(larger(smaller(power, spread(F(80.0))), spread(F(-80.0))))  # in this order NaN gives opacity 0
     one_more = e + F(1.0)
     opacity = spread(F(1.0)) / one_more
     return opacity, e * opacity, neg(log2_of(one_more))
@@ -135,7 +143,7 @@ def opacity_of(parameters, capacity, i):
 
 @inline
 def reaches_image(parameters, i, view, grid):
-    """Return which of the Gaussians i .. i + 15 may reach a pixel, by a cheap bound of their extent in the image."""
+    """Return a mask of Gaussians i to i + 15 that may reach a pixel, by a cheap bound of their extent in the image."""
     capacity = grid[CAPACITY]
     x, y, z = camera_point(parameters, capacity, i, view)
     live = (z >= NEAR_PLANE) & (lane_index() < F(grid[COUNT] - i))
@@ -144,7 +152,7 @@ def reaches_image(parameters, i, view, grid):
     inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
     u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
     j00, j02, j11, j12, _, _ = jacobian_of(x, y, inverse_z, view)
-    # 3.34 sigma of the largest axis times the norm of the Jacobian at the clamped slope.
+    # 3.34 sigmas of the largest axis times the norm of the Jacobian at the clamped slope.
     log0, log1, log2 = (
         load(parameters, 7 * capacity + i), load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)
     )  # fmt: skip
@@ -158,7 +166,7 @@ def reaches_image(parameters, i, view, grid):
 
 @inline
 def shape_of(parameters, capacity, i):
-    """Return the camera-independent data in 16 vectors: means, rotations by rows, scales, log2 of opacities."""
+    """Return camera-independent data of 16 Gaussians in 16 vectors: mean, rotation by rows, scales, log2 of opacity."""
     _, _, r = rotation_of(parameters, capacity, i)
     _, _, log_opacity = opacity_of(parameters, capacity, i)
     return (
@@ -173,7 +181,7 @@ def shape_of(parameters, capacity, i):
 
 @inner
 def project_block(parameters, i, view, grid, records):
-    """Write records of Gaussians i .. i + 15; return the bits of those that reach a pixel block."""
+    """Write the records of Gaussians i to i + 15; return the bits of Gaussians that reach a block of pixels."""
     live, capacity = reaches_image(parameters, i, view, grid), grid[CAPACITY]
     if bits(live) == 0:
         return np.int64(0)
@@ -185,7 +193,10 @@ def project_block(parameters, i, view, grid, records):
 
 @inner
 def project_found(found, i, view, grid, records):
-    """Do the same for Gaussians ``found.places[i] .. found.places[i + 15]``, from their shapes and without colour."""
+    """Write the records of Gaussians ``found.places[i]`` to ``found.places[i + 15]``, without colour.
+
+    ``found`` is an `arguments.Found`. Returns the bits of Gaussians that reach a block of pixels.
+    """
     none = spread(F(0.0))
     live = lane_index() < F(grid[COUNT] - i)
     shape = load_rows_transposed(found.shapes, found.places, i)
@@ -194,7 +205,10 @@ def project_found(found, i, view, grid, records):
 
 @inline
 def _write_records(live, shape, colors, i, view, grid, records):
-    """Project 16 Gaussians and write records i .. i + 15; return the bits of those that reach a pixel block."""
+    """Project 16 Gaussians and write records i to i + 15; return the bits of Gaussians that reach a block of pixels.
+
+    ``live`` is a mask of Gaussians to project, and ``shape`` is from `shape_of`.
+    """
     mx, my, mz = shape[0], shape[1], shape[2]
     r = (shape[3], shape[4], shape[5], shape[6], shape[7], shape[8], shape[9], shape[10], shape[11])
     s0, s1, s2, log_opacity = shape[12], shape[13], shape[14], shape[15]
@@ -216,11 +230,11 @@ def _write_records(live, shape, colors, i, view, grid, records):
     )
     xx, yy = dot3(p0, p1, p2, p0, p1, p2), dot3(n0, n1, n2, n0, n1, n2)
     xy = dot3(p0, p1, p2, n0, n1, n2)
-    # |p x n|^2 instead of xx yy - xy^2: no cancellation for needles.
+    # |p x n|^2 is used instead of xx yy - xy^2, because it has no cancellation for needle-shaped Gaussians.
     c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
     determinant = fma(xx + yy, view[BLUR], dot3(c0, c1, c2, c0, c1, c2)) + view[BLUR] * view[BLUR]
     xx, yy = xx + view[BLUR], yy + view[BLUR]
-    inside = log_opacity + LOG2_255  # upper limit of t^2 + s^2 of visible pixels
+    inside = log_opacity + LOG2_255  # upper limit of t^2 + s^2 at visible pixels
     live = live & (inside >= F(0.0)) & (determinant > F(0.0))
     inside = sel(live, inside, F(0.0))
     one = spread(F(1.0))
@@ -235,11 +249,11 @@ def _write_records(live, shape, colors, i, view, grid, records):
     l00 = root_yy / root_determinant * ROOT
     l01 = neg(xy) / (root_yy * root_determinant) * ROOT
     live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # False if a covariance overflows
-    # The same per t and s. Along y alone, the slope is that of the blurred covariance plus the difference.
+    # The same slopes per t and s. The slope per s is that with the blurred covariance, plus a correction.
     zy = dot3(z0, z1, z2, n0, n1, n2) * view[SLANT]
     slope_t, slope_s = slope_x / l00, fma(slope_y, view[BLUR] - SLANT_VARIANCE, zy) / (root_yy * ROOT)
 
-    # Bounding box of the ellipse in blocks whose pixel centres it can contain.
+    # Bounding box of the ellipse, in blocks with a pixel centre that it can contain.
     root = sqrt(inside) * (one / ROOT)
     root_xx = sqrt(xx)
     radius_x, radius_y = root * root_xx + SLACK, root * root_yy + SLACK
@@ -253,7 +267,7 @@ def _write_records(live, shape, colors, i, view, grid, records):
     if bits(live) == 0:
         return np.int64(0)
 
-    # One byte of blocks per band of four pixel rows, from the ellipse's x-interval over the band.
+    # One byte per band of four pixel rows: the blocks between the left and right ends of the ellipse in the band.
     skew, half = l01 / l00, one / l00
     turning = xy / root_xx * root  # dy of the rightmost point
     low = int_bits(spread(F(0.0)))

@@ -1,6 +1,7 @@
-"""Define SIMD values for kernels: 16 float32, 16 int32 or 16 bits as one numba value, and their arithmetic.
+"""Define vectors for kernels: 16 float32, 16 int32 or 16 bits as one numba value (SIMD), and their arithmetic.
 
-The operators become LLVM vector instructions (AVX-512, AVX2, SSE or NEON by LLVM).
+The operators become LLVM vector instructions (AVX-512, AVX2, SSE or NEON, selected by LLVM). The elements of a vector
+are its lanes.
 """
 
 # mypy: ignore-errors
@@ -17,16 +18,17 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-# `inner` and `inline` functions are called only from other kernels, so no entry point for Python is compiled. They do
-# not count references to arrays, which would cost eight atomic additions per block of Gaussians, on cache lines shared
-# by all threads. Without reference counting a function cannot allocate; the few that must are `allocating`. Integer
-# arguments that vary go through np.int64, since numba compiles a function anew for every integer literal.
+# Functions with `inner` and `inline` are called from other kernels only, so no entry point for Python is compiled. They
+# do not count references to arrays, which would cost eight atomic additions per block of Gaussians, on cache lines
+# shared by all threads. A function without reference counting cannot allocate memory; the few that must are
+# `allocating`. Integer arguments that vary are converted by np.int64, since numba compiles a function anew for every
+# integer literal.
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 inner, inline = njit(_nrt=False, **_plain), njit(_nrt=False, forceinline=True, **_plain)
 allocating = njit(**_plain)
 
 F, U64 = np.float32, np.uint64
-LANES = 16
+LANES = 16  # lanes of a vector
 
 
 class _Vector(types.Type):
@@ -35,15 +37,15 @@ class _Vector(types.Type):
 
 
 class Floats(_Vector):
-    """Represent 16 float32."""
+    """Represent a vector of 16 float32 as a numba type."""
 
 
 class Ints(_Vector):
-    """Represent 16 int32."""
+    """Represent a vector of 16 int32 as a numba type."""
 
 
 class Mask(_Vector):
-    """Represent 16 bits."""
+    """Represent a vector of 16 bits as a numba type."""
 
 
 floats, ints, mask16 = Floats(), Ints(), Mask()
@@ -58,7 +60,7 @@ for _numba_type, _llvm_type in ((Floats, FLOATS), (Ints, INTS), (Mask, MASK)):
 
 
 def spread_value(builder, value):
-    """Return the same number in every lane (vectors are unchanged)."""
+    """Return an LLVM vector with the same number in every lane; vectors are returned unchanged."""
     if isinstance(value.type, ir.VectorType):
         return value
     vector = ir.VectorType(value.type, LANES)
@@ -67,7 +69,11 @@ def spread_value(builder, value):
 
 
 def _operator(op, operand, scalar, result, emit) -> None:
-    """Register ``op`` for vector-vector, vector-scalar and scalar-vector."""
+    """Register the operator ``op`` for two vectors, and for a vector and a number in either order.
+
+    ``operand``, ``scalar`` and ``result`` are their numba types; None for ``scalar`` means vectors only. ``emit``
+    builds the LLVM instruction.
+    """
     cases = [signature(result, operand, operand)]
     if scalar is not None:
         cases += [signature(result, operand, scalar), signature(result, scalar, operand)]
@@ -97,7 +103,7 @@ for _op, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
 
 
 def call_llvm(builder, name, result, args):
-    """Emit a call of an LLVM function, declared where it is missing."""
+    """Emit a call of an LLVM function, and declare the function if it is missing."""
     function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, [arg.type for arg in args]), name)
     return builder.call(function, args)
 
@@ -107,7 +113,10 @@ def _as_floats(kind):
 
 
 def _elementwise(llvm_name, arity):
-    """Return an intrinsic of ``arity`` float arguments; scalars are broadcast."""
+    """Return an intrinsic for the LLVM function ``llvm_name`` with ``arity`` float arguments, applied lane by lane.
+
+    Numbers are spread to all lanes.
+    """
 
     def codegen(context, builder, sig, args):
         return call_llvm(builder, f"{llvm_name}.v16f32", FLOATS, [spread_value(builder, arg) for arg in args])
@@ -117,7 +126,7 @@ def _elementwise(llvm_name, arity):
     return intrinsic(lambda typingctx, a, b, c: (floats(*map(_as_floats, (a, b, c))), codegen))
 
 
-# fmuladd instead of fma, which becomes a library call per lane without FMA hardware.
+# llvm.fmuladd and not llvm.fma, which becomes one library call per lane on processors without FMA instructions.
 fma = _elementwise("llvm.fmuladd", 3)
 sqrt = _elementwise("llvm.sqrt", 1)
 floor = _elementwise("llvm.floor", 1)
@@ -132,13 +141,13 @@ def neg(typingctx, a):
 
 @intrinsic
 def spread(typingctx, a):
-    """Return the same float in every lane."""
+    """Return a vector with the same float in every lane."""
     return floats(types.float32), lambda context, builder, sig, args: spread_value(builder, args[0])
 
 
 @intrinsic
 def sel(typingctx, mask, a, b):
-    """Return ``a if mask else b`` lane by lane."""
+    """Return ``a`` in lanes where the mask is true, and ``b`` in the others."""
     kind = ints if ints in (a, b) else floats
     scalar = types.int32 if kind is ints else types.float32
     arguments = [kind if isinstance(x, _Vector) else scalar for x in (a, b)]
@@ -151,7 +160,7 @@ def sel(typingctx, mask, a, b):
 
 @intrinsic
 def bits(typingctx, mask):
-    """Return the mask as an integer, lane 0 lowest."""
+    """Return a mask as an integer; lane 0 is the lowest bit."""
 
     def codegen(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(16)), I64)
@@ -161,25 +170,25 @@ def bits(typingctx, mask):
 
 @intrinsic
 def to_int(typingctx, a):
-    """Convert floats to integers, rounded towards zero."""
+    """Return floats as integers, rounded towards zero."""
     return ints(floats), lambda context, builder, sig, args: builder.fptosi(args[0], INTS)
 
 
 @intrinsic
 def to_float(typingctx, a):
-    """Convert integers to floats."""
+    """Return integers as floats."""
     return floats(ints), lambda context, builder, sig, args: builder.sitofp(args[0], FLOATS)
 
 
 @intrinsic
 def int_bits(typingctx, a):
-    """Return the bits of floats as integers."""
+    """Return integers with the same bits as the floats."""
     return ints(floats), lambda context, builder, sig, args: builder.bitcast(args[0], INTS)
 
 
 @intrinsic
 def float_bits(typingctx, a):
-    """Return the bits of integers as floats."""
+    """Return floats with the same bits as the integers."""
     return floats(ints), lambda context, builder, sig, args: builder.bitcast(args[0], FLOATS)
 
 
@@ -191,5 +200,6 @@ def _constant(values):
 
 
 lane_index = _constant(range(LANES))
-lane_x = _constant([(lane % 4) + 0.5 for lane in range(LANES)])  # pixel centres within a block
-lane_y = _constant([(lane // 4) + 0.5 for lane in range(LANES)])
+# Column of each pixel's centre in a block of 4 x 4 pixels.
+lane_x = _constant([(lane % 4) + 0.5 for lane in range(LANES)])
+lane_y = _constant([(lane // 4) + 0.5 for lane in range(LANES)])  # row of each pixel's centre

@@ -1,9 +1,9 @@
-"""Compute view-dependent colour: real spherical harmonics of degree 0 to 3.
+"""Compute view-dependent colours from real spherical harmonics of degree 0 to 3.
 
 The convention is that of 3D Gaussian splatting and gsplat: colour = max(0, 0.5 + sum_k Y_k(d) f_k). Here d is the unit
 vector from the camera centre to the mean, and the basis has the signs of [kerbl2023, code]. Colours are evaluated once
-per Gaussian. The kernels convert coefficients to colours before a rendering. Afterwards they convert the derivatives by
-colour to those by coefficients, mean and camera centre.
+per Gaussian. The kernels convert coefficients to colours before a rendering. Afterwards they convert the gradients by
+colour to gradients by coefficients, mean and camera centre.
 """
 
 # mypy: ignore-errors
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
     Array = TypeVar("Array", np.ndarray, torch.Tensor)
 
-TERMS = (1, 4, 9, 16)  # coefficients per channel of degree 0, 1, 2, 3
-_TINY = 1e-30
+TERMS = (1, 4, 9, 16)  # number of coefficients per channel for degree 0, 1, 2, 3
+_TINY = 1e-30  # avoids division by 0 for a mean at the camera centre
 
 
 def _make_bands(number):
-    """Return the basis functions with constants in one precision: values and slopes of degree 1, 2, 3."""
+    """Return the basis functions of degree 1, 2 and 3 and their derivatives, with constants in the type ``number``."""
     c1 = number(0.4886025119029199)
     c2, c20, c22 = number(1.0925484305920792), number(0.31539156525252005), number(0.5462742152960396)
     c30, c31, c32 = number(0.3731763325901154), number(0.4570457994644658), number(2.890611442640554)
@@ -77,7 +77,7 @@ def _make_bands(number):
     return degree_1, degree_2, degree_3, slopes_1, slopes_2, slopes_3
 
 
-_C0 = 0.28209479177387814
+_C0 = 0.28209479177387814  # spherical harmonic of degree 0
 _DEGREES = _make_bands(float)[:3]
 
 
@@ -85,7 +85,7 @@ def evaluate_sh(
     coefficients: Array,  # [N, K, 3], K = 1, 4, 9 or 16
     directions: Array,  # [N, 3] from the camera centre to the Gaussian, any length
 ) -> Array:  # [N, 3]
-    """Return the colours, for numpy arrays or torch tensors (with gradients)."""
+    """Return the colours of N Gaussians, for numpy arrays or torch tensors (with gradients)."""
     x, y, z = (
         directions / ((directions * directions).sum(-1) + _TINY)[..., None] ** 0.5
     ).T  # a direction of length 0 gets the colour of degree 0
@@ -109,7 +109,7 @@ _degree_1, _degree_2, _degree_3, _slopes_1, _slopes_2, _slopes_3 = map(njit, _ma
 
 @njit
 def _fill_basis(basis, terms, x, y, z):
-    """Write Y_0 ... Y_(terms - 1) of a unit vector."""
+    """Write the values Y_0 to Y_(terms - 1) for the unit vector (x, y, z) to ``basis`` [16]."""
     basis[0] = _C0_32
     if terms > 1:
         basis[1], basis[2], basis[3] = _degree_1(x, y, z)
@@ -121,7 +121,7 @@ def _fill_basis(basis, terms, x, y, z):
 
 @njit
 def _fill_slopes(slopes, terms, x, y, z):
-    """Write the derivatives of the basis polynomials by x, y and z into rows 0 to 2 of ``slopes [3, 16]``."""
+    """Write the derivatives of the basis polynomials by x, y and z to rows 0 to 2 of ``slopes [3, 16]``."""
     a, b, c = slopes[0], slopes[1], slopes[2]
     a[0] = b[0] = c[0] = np.float32(0.0)
     if terms > 1:
@@ -139,7 +139,7 @@ def _fill_slopes(slopes, terms, x, y, z):
 
 @njit
 def _may_be_seen(parameters, i, view, grid):
-    """Return False only for Gaussians that the projection drops: the same bound, slightly wider."""
+    """Return False only for Gaussians that the projection leaves out. The bound is the same, but slightly wider."""
     mx, my, mz = parameters[0, i], parameters[1, i], parameters[2, i]
     z = view[8] * mx + view[9] * my + view[10] * mz + view[11]
     if not z > np.float32(0.5) * layout.NEAR_PLANE:
@@ -160,7 +160,7 @@ def _may_be_seen(parameters, i, view, grid):
 
 @njit
 def _direction(parameters, i, centre):
-    """Return the unit vector from the camera centre to the mean, and the inverse of its original length."""
+    """Return the unit vector from the camera centre to the mean of Gaussian i, and the inverse of the distance."""
     x, y, z = parameters[0, i] - centre[0], parameters[1, i] - centre[1], parameters[2, i] - centre[2]
     inverse = np.float32(1.0) / np.sqrt(x * x + y * y + z * z + np.float32(_TINY))
     return x * inverse, y * inverse, z * inverse, inverse
@@ -168,7 +168,7 @@ def _direction(parameters, i, centre):
 
 @kernel
 def _shade(tickets, parameters, view, grid, centre, coefficients):
-    """Compute rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
+    """Write the colours of Gaussians to rows 11 to 13 of the parameters, from ``coefficients [N, K, 3]``."""
     terms, basis = coefficients.shape[1], np.empty(16, np.float32)
     while True:
         chunk = counters.take_ticket(tickets, 0)
@@ -193,10 +193,10 @@ def _shade(tickets, parameters, view, grid, centre, coefficients):
 
 @kernel
 def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coefficients, by_centre):
-    """Propagate the derivatives by colour (rows 11 to 13 of ``gradient``) to mean, coefficients and camera centre.
+    """Convert gradients by colour (rows 11 to 13 of ``gradient``) to gradients by mean, coefficients, camera centre.
 
-    They are added to rows 0 to 2 and to ``by_coefficients [N, K, 3]``; ``by_centre [chunks, 3]`` gets each chunk's
-    share.
+    They are added to rows 0 to 2 and to ``by_coefficients [N, K, 3]``. The gradient by the camera centre from each
+    chunk is written to ``by_centre [chunks, 3]``.
     """
     terms, zero = coefficients.shape[1], np.float32(0.0)
     basis, slopes = np.empty(16, np.float32), np.empty((3, 16), np.float32)
@@ -232,7 +232,7 @@ def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coeff
                 by_x += slopes[0, term] * share
                 by_y += slopes[1, term] * share
                 by_z += slopes[2, term] * share
-            along = x * by_x + y * by_y + z * by_z  # moving along the ray changes nothing
+            along = x * by_x + y * by_y + z * by_z  # a change of the mean along the ray changes no colour
             by_x, by_y = (by_x - x * along) * inverse, (by_y - y * along) * inverse
             by_z = (by_z - z * along) * inverse
             gradient[0, i] += by_x
@@ -243,20 +243,20 @@ def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coeff
 
 
 def camera_centre(camera_from_world: np.ndarray) -> np.ndarray:  # [4, 4] -> [3]
-    """Return the camera's position in the world, by a general inverse as in gsplat."""
+    """Return the camera centre in the world; ``camera_from_world`` is inverted as a general matrix, as in gsplat."""
     pose = np.asarray(camera_from_world, np.float64)
     return -np.linalg.solve(pose[:3, :3], pose[:3, 3])
 
 
 def shade(
-    parameters: np.ndarray,  # [14, capacity] float32; rows 11 to 13 are written
+    parameters: np.ndarray,  # [14, capacity] float32; rows 11 to 13 are output
     coefficients: np.ndarray,  # [N, K, 3] float32
     camera_from_world: np.ndarray,  # [4, 4]
-    view: np.ndarray,
-    grid: np.ndarray,
+    view: np.ndarray,  # see `workspace.make_view`
+    grid: np.ndarray,  # see `workspace.make_grid`
     threads: int,
 ) -> None:
-    """Write the colours of the Gaussians that a camera may see; the others get black."""
+    """Write the colours of the Gaussians that a camera may see to the parameters; the others get black."""
     centre = camera_centre(camera_from_world).astype(np.float32)
     TEAM.run(_shade, (np.zeros(1, np.int64), parameters, view, grid, centre, coefficients), threads)
 
@@ -265,16 +265,16 @@ def unshade(
     parameters: np.ndarray,  # [14, capacity] float32
     coefficients: np.ndarray,  # [N, K, 3] float32
     camera_from_world: np.ndarray,  # [4, 4]
-    grid: np.ndarray,
-    gradient: np.ndarray,  # [14, capacity] float32: reads rows 11 to 13, adds to rows 0 to 2
-    by_coefficients: np.ndarray,  # [N, K, 3] float32, added to
+    grid: np.ndarray,  # see `workspace.make_grid`
+    gradient: np.ndarray,  # [14, capacity] float32: rows 11 to 13 are read, results are added to rows 0 to 2
+    by_coefficients: np.ndarray,  # [N, K, 3] float32: results are added
     threads: int,
-) -> np.ndarray:  # [3, 4] derivative by camera_from_world, through the camera centre
-    """Compute the derivative of `shade`."""
+) -> np.ndarray:  # [3, 4] gradient by camera_from_world, through the camera centre
+    """Convert gradients by colour to gradients by mean, coefficients and camera pose: the backward pass of `shade`."""
     centre = camera_centre(camera_from_world)
     parts = np.zeros((int(grid[layout.CHUNKS]), 3))
     arguments = (parameters, grid, centre.astype(np.float32), coefficients, gradient, by_coefficients, parts)
     TEAM.run(_unshade, (np.zeros(1, np.int64), *arguments), threads)
-    # centre = -R^-1 t: a change of R and t moves it by -R^-1 (dt + dR centre).
+    # The camera centre is -R^-1 t, so a change of R and t moves it by -R^-1 (dt + dR centre).
     by_translation = -np.linalg.solve(np.asarray(camera_from_world, np.float64)[:3, :3].T, parts.sum(axis=0))
     return np.concatenate([np.outer(by_translation, centre), by_translation[:, None]], axis=1)

@@ -1,7 +1,7 @@
-"""Compute structural similarity and its gradient (11 taps, sigma 1.5, zero padding; [ssim]).
+"""Compute the structural similarity of two images and its gradient (blur of 11 pixels, sigma 1.5; [ssim]).
 
-Only the sum of the two variances enters SSIM, so four blurs give the value and three the gradient. The loops are those
-of the mapping step in `image_losses`.
+Outside the images all values are 0. Only the sum of the two variances enters SSIM, so four blurs give the value and
+three the gradient. The loops are those of the mapping step in `image_losses`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ def ssim_and_gradient(
     target: np.ndarray,  # [H, W, 3] float32 0..1
     *,
     threads: int | None = None,
-) -> tuple[float, np.ndarray]:
-    """Return mean SSIM over pixels and channels, and its derivative by ``image`` ``[H, W, 3]``."""
+) -> tuple[float, np.ndarray]:  # SSIM, [H, W, 3] gradient
+    """Return the mean SSIM over pixels and channels, and its gradient with respect to ``image``."""
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"two images [H, W, 3] of one size are needed, got {image.shape} and {target.shape}")
     height, width = image.shape[:2]

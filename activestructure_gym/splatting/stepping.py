@@ -1,4 +1,8 @@
-"""Compute the parameters' gradients from the sums of every entry, dense or as a step of Adam."""
+"""Compute the gradients of the parameters from the sums of every entry, and write them or take an Adam step.
+
+An entry is a pair of tile and Gaussian; its slot holds sums over the pixels (`blending.blend_backward`). A value of 16
+Gaussians is one vector.
+"""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -79,7 +83,7 @@ from activestructure_gym.splatting.tile_losses import TILE_TERMS
 
 @inline
 def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
-    """Add pose[3 j + k] += a_j b_k in the lanes that count."""
+    """Add a_j b_k to pose[3 j + k], in the lanes of the mask ``seen``."""
     a0, a1, a2 = sel(seen, a0, F(0.0)), sel(seen, a1, F(0.0)), sel(seen, a2, F(0.0))
     b0, b1, b2 = sel(seen, b0, F(0.0)), sel(seen, b1, F(0.0)), sel(seen, b2, F(0.0))
     store(pose, 0, fma(a0, b0, load(pose, 0)))
@@ -94,17 +98,20 @@ def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
 
 
 class _Shared(NamedTuple):
-    """Hold data common to the three axes of 16 Gaussians; SIMD values."""
+    """Hold data common to the three axes of 16 Gaussians, as vectors."""
 
-    covariance: Any  # (s00, s01, s11): derivatives by the projected covariance, the first and last times 1/2
+    covariance: Any  # (s00, s01, s11): derivatives by the projected covariance, the first and last halved
     leaning: Any  # (a0, a1): derivatives by the covariance of projection and depth
-    lens: Any  # (j00, j02, j11, j12): the Jacobian of the projection
-    seen: Any  # mask of the 16 that count
+    lens: Any  # (j00, j02, j11, j12): Jacobian of the projection
+    seen: Any  # mask of the Gaussians with a weight in the image
 
 
 @inline
 def _turned_axis(axis, scale, lens, view):
-    """Return an axis of the Gaussian in the world (k), rotated into the camera frame (t), and projected (b)."""
+    """Return one axis of 16 Gaussians in the world (3 components), in the camera frame (3) and in the image (2).
+
+    ``axis`` is the unit axis in the world, and ``scale`` its length in metres.
+    """
     j00, j02, j11, j12 = lens
     k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
     t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
@@ -115,9 +122,10 @@ def _turned_axis(axis, scale, lens, view):
 
 @inline
 def _axis_gradient(turned, scale, row, shared, view, gradient, pose):
-    """Process one axis of the Gaussian: write the derivative by its log-scale and add to the pose's.
+    """Compute the gradient through one axis: write the one by its log-scale, and add the one by the pose.
 
-    Returns the derivatives by the axis direction (3) and by J00, J02, J11, J12.
+    ``turned`` is the axis from `_turned_axis`, ``row`` its row in ``gradient``, and ``shared`` a `_Shared`. Returns the
+    derivatives by the axis direction (3) and by J00, J02, J11, J12.
     """
     s00, s01, s11 = shared.covariance
     a0, a1 = shared.leaning
@@ -137,10 +145,10 @@ def _axis_gradient(turned, scale, row, shared, view, gradient, pose):
 
 @inline
 def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose):
-    """Compute derivatives of Gaussians i .. i + 15; return the bits of those with a weight.
+    """Compute the gradients of Gaussians i to i + 15; return the bits of Gaussians with a weight in the image.
 
-    They go to ``gradient [14 * 16]`` and, summed, to ``pose [12 * 16]``. ``sums_of [16 * 16]`` holds the sums of every
-    Gaussian (zero without any).
+    The gradients are written to ``gradient [14 * 16]``, and the gradient of the pose is added to ``pose [12 * 16]``.
+    ``sums_of [16 * 16]`` holds the sums of every Gaussian, zero for Gaussians without entries.
     """
     capacity = grid[CAPACITY]
     m = load_sums(sums_of, 0)
@@ -166,7 +174,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     first = _turned_axis((r[0], r[3], r[6]), s0, lens, view)
     second = _turned_axis((r[1], r[4], r[7]), s1, lens, view)
     third = _turned_axis((r[2], r[5], r[8]), s2, lens, view)
-    # The depth at pixel offset d from the mean is z + e.d; a is A^-1 times the sum of terms that depend on e, times d.
+    # The depth at pixel offset d from the mean is z + e.d. a is A^-1 times the gradient by e.
     p, n, along = (first[6], second[6], third[6]), (first[7], second[7], third[7]), (first[5], second[5], third[5])
     e0, e1, flat = depth_slopes(p, n, along, view)
     by_u, by_v = by_u - e0 * m[W_DEPTH], by_v - e1 * m[W_DEPTH]
@@ -193,7 +201,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     store(gradient, LANES * 5, (g2 - q2 * along) * twice)
     store(gradient, LANES * 6, (g3 - q3 * along) * twice)
 
-    # The camera point: through the mean's pixel, the depth channel and the Jacobian.
+    # Gradient by the mean in the camera frame: through its pixel, the depth and the Jacobian.
     square = inverse_z * inverse_z
     f_x, f_y = square * view[FX], square * view[FY]
     inside_x = (x * inverse_z >= view[LOW_X]) & (x * inverse_z <= view[HIGH_X])
@@ -201,7 +209,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     moved_x, moved_y = sel(inside_x, f_x * by_j02, F(0.0)), sel(inside_y, f_y * by_j12, F(0.0))
     by_x, by_y = j00 * by_u - moved_x, j11 * by_v - moved_y
     by_z = m[W_DEPTH] - fma(f_x, fma(x, by_u, by_j00), f_y * fma(y, by_v, by_j11))
-    # J02 = -fx clamp(x / z) / z: outside the clamp only its last factor varies.
+    # J02 = -fx clamp(x / z) / z. Outside the clamping limits only its last factor varies.
     by_z = by_z + fma(slope_x, fma(f_x, by_j02, moved_x), slope_y * fma(f_y, by_j12, moved_y))
     mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
     _add_outer(pose, seen, by_x, by_y, by_z, mx, my, mz)
@@ -221,10 +229,10 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
 
 @inner
 def _step_chunk(number, lists, step, scratch):
-    """Sum the slots of the 1024 Gaussians of chunk ``lists.taken[number]``, then step or write gradients.
+    """Sum the slots of the 1024 Gaussians of chunk ``lists.taken[number]``; then take a step or write gradients.
 
-    ``rates[MODE]`` selects an Adam step, dense gradients, or the pose's gradient only. ``scratch [42 * 16]`` is
-    workspace: summed slots, gradient, pose.
+    ``rates[MODE]`` selects an Adam step, gradients of all parameters, or the gradient of the pose only. ``scratch [42 *
+    16]`` is workspace: summed slots, gradient, pose.
     """
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     parameters, first_moment, second_moment = step.parameters, step.first_moment, step.second_moment
@@ -242,7 +250,7 @@ def _step_chunk(number, lists, step, scratch):
             continue
         later = min(i + LANES, end - 1)
         if peek(visible, later // LANES) != 0:
-            for row in range(ROWS):  # too many streams for the hardware prefetcher
+            for row in range(ROWS):  # too many streams for the hardware's prefetcher
                 prefetch(parameters, row * capacity + later)
                 if stepping:
                     prefetch(first_moment, row * capacity + later)
@@ -270,7 +278,7 @@ def _step_chunk(number, lists, step, scratch):
             if not stepping:
                 store(gradient, at, g)
                 continue
-            # Differences are masked instead of results: a select before a store becomes a slow masked store.
+            # Differences are masked, and not results: a selection before a store becomes a slow masked store.
             m, s = load(first_moment, at), load(second_moment, at)
             m = m + sel(mask, (g - m) * (F(1.0) - beta1), F(0.0))
             s = s + sel(mask, (g * g - s) * (F(1.0) - beta2), F(0.0))
@@ -287,14 +295,14 @@ def _step_chunk(number, lists, step, scratch):
     )  # fmt: skip
 
 
-# results: the derivative by camera_from_world [3, 4], then the sums of the terms of all tiles
+# Offsets in the results: gradient by camera_from_world [3, 4], then the sums of the losses' terms over all tiles.
 OF_POSE, RESULTS = 12, 15
 _POSE_LANES = np.array([[SUM_LANES.index(x) for x in (3 * j, 3 * j + 1, 3 * j + 2, 9 + j)] for j in range(3)]).ravel()
 
 
 @inner
 def _sum_up(chunks, grid, pose_parts, terms, results):
-    """Sum the parts of every chunk and tile to ``results [15]``, in float64 and fixed order."""
+    """Sum pose gradients over chunks and loss terms over tiles into ``results [15]``, in float64, in a fixed order."""
     for number in range(OF_POSE):
         total = 0.0
         for chunk in range(chunks):
@@ -312,9 +320,9 @@ def _sum_up(chunks, grid, pose_parts, terms, results):
 
 @inner
 def step_parameters(tickets, lists, step, terms, scratch):
-    """Run `_step_chunk` for every chunk taken, once the slots of all tiles are written.
+    """Take the optimiser's step in every chunk of Gaussians in the image, once all tiles have written their gradients.
 
-    The last thread sums up the parts.
+    The last thread to finish a chunk sums the pose gradients and the loss terms (`_sum_up`).
     """
     grid, chunks = lists.grid, len(lists.taken)
     if not all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):

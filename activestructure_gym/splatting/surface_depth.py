@@ -1,9 +1,9 @@
-"""Compute the depth of the surface shown by a map, sharper than the mean over a ray.
+"""Compute the depth of the surface that a map shows, which is sharper than the mean depth along a ray.
 
-The mean depth over the Gaussians of a ray, by weight, is between two surfaces at every edge, and uses the depths of
-the Gaussians' centres. Here a pixel uses the single Gaussian at which the transmittance first falls to one half
-([huang2024], median depth). Its depth is that of the Gaussian's greatest density along the ray ([yu2024], ray-Gaussian
-intersection). For an oblique disc, this is the point where the ray meets it.
+The weighted mean depth over the Gaussians of a ray is between two surfaces at every edge, and uses the depths of
+centres. Here a pixel uses the single Gaussian at which the transmittance first falls to one half ([huang2024], median
+depth). Its depth is that of the Gaussian's highest density along the ray ([yu2024], ray-Gaussian intersection). For an
+oblique disk, this is the point where the ray meets the disk.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from activestructure_gym.splatting.workspace import PooledWorkspace, fitted, inv
 
 def surface_depth(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [C, 4, 4]
     *,
     blur_variance: float = float(BLUR_VARIANCE),  # px^2
     threads: int | None = None,
-) -> np.ndarray:  # [C, H, W] float32 metres along the optical axis, 0 where the map is more than half transparent
-    """Return the depth of the map's surface for each camera."""
+) -> np.ndarray:  # [C, H, W] float32 metres along the optical axis; 0 where the map is more than half transparent
+    """Return the depth of the surface that the map shows in each of C cameras."""
     used, pooled = fitted(parameters), PooledWorkspace()
     depth = np.empty((len(world_from_camera), camera.height, camera.width), np.float32)
     intrinsics, whitening = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), _whitening(used[:, :count])
@@ -40,7 +40,7 @@ def surface_depth(
 
 
 def _whitening(parameters: np.ndarray) -> np.ndarray:  # [N, 3, 3]
-    """Return matrices that convert an offset in metres to standard deviations along a Gaussian's axes."""
+    """Return matrices that convert an offset in metres to standard deviations along the axes of each Gaussian."""
     turn = parameters[3:7] / np.linalg.norm(parameters[3:7], axis=0)
     axes = np.array(matrix_rows(*turn))  # [world, axis, N]
     return np.ascontiguousarray((axes * np.exp(-parameters[7:10])).transpose(2, 1, 0))
@@ -48,14 +48,14 @@ def _whitening(parameters: np.ndarray) -> np.ndarray:  # [N, 3, 3]
 
 @kernel
 def _densest(
-    parameters: np.ndarray,
+    parameters: np.ndarray,  # [14, capacity]
     whitening: np.ndarray,  # [N, 3, 3]
     gaussian: np.ndarray,  # [H, W] int64 column, -1 = none
-    world_from_camera: np.ndarray,
-    intrinsics: np.ndarray,  # fx, fy, cx, cy
-    depth: np.ndarray,  # [H, W] out
+    world_from_camera: np.ndarray,  # [4, 4]
+    intrinsics: np.ndarray,  # [4] fx, fy, cx, cy in pixels
+    depth: np.ndarray,  # [H, W] metres, output
 ) -> None:
-    """Write the depth where each pixel's ray is nearest to its Gaussian's centre, in standard deviations."""
+    """Write the depth at which each pixel's ray is nearest to the centre of its Gaussian, in standard deviations."""
     fx, fy, cx, cy = intrinsics
     m = world_from_camera
     for row in range(depth.shape[0]):
@@ -73,4 +73,5 @@ def _densest(
                     centre += whitening[i, axis, k] * (parameters[k, i] - m[k, 3])
                 along += ray * centre
                 square += ray * ray
-            depth[row, column] = max(along / square, 0.0)  # 0 behind a camera inside a large disc
+            # 0 if the point is behind the camera, which can be inside a large disk.
+            depth[row, column] = max(along / square, 0.0)

@@ -1,4 +1,7 @@
-"""Build tile lists: count the entries of every tile, reserve their positions, fill and sort them."""
+"""Build the lists of Gaussians per tile: count the entries of every tile, reserve their positions, fill and sort them.
+
+An entry is a pair of tile and Gaussian. ``base`` is the offset of a Gaussian's record in ``records``.
+"""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -40,12 +43,16 @@ from activestructure_gym.splatting.memory import count_bits, lowest_bit, peek, p
 from activestructure_gym.splatting.projection import project_block, project_found, reaches_image
 from activestructure_gym.splatting.simd import LANES, U64, F, bits, inline, inner
 
+# Bytes with the lowest 8 - shift bits set: columns of blocks that remain in a tile after a shift.
 _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
 
 
 @inner
 def _reach_of_large(records, base, tile_x, tile_y, last_x):
-    """Return the blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar version of the bitmap."""
+    """Return the blocks of tile (tile_x, tile_y) that an ellipse larger than 8 x 8 blocks touches, as 64 bits.
+
+    This is a scalar version of the bitmap in `projection`. ``last_x`` is the last column of blocks in the image.
+    """
     u, v = peek(records, base + U), peek(records, base + V)
     l00, l01, l11 = peek(records, base + L00), peek(records, base + L01), peek(records, base + L11)
     inside = peek(records, base + LOG_OPACITY) + LOG2_255
@@ -73,7 +80,11 @@ def _reach_of_large(records, base, tile_x, tile_y, last_x):
 
 @inline
 def _reach(records, base, x0, y0, x1, y1, tile_x, tile_y):
-    """Return the 64 blocks of a tile as bits: the Gaussian's bitmap shifted to the tile's corner."""
+    """Return the blocks of tile (tile_x, tile_y) that a Gaussian reaches, as 64 bits.
+
+    They are the bitmap of its bounding box, shifted to the corner of the tile. (x0, y0) and (x1, y1) are the first and
+    the last block of the box.
+    """
     if x1 - x0 > 7 or y1 - y0 > 7:
         return _reach_of_large(records, base, tile_x, tile_y, x1)
     reach = U64(peek_bits(records, base + BITMAP)) | (U64(peek_bits(records, base + BITMAP + 1)) << U64(32))
@@ -95,16 +106,19 @@ def _box(records, base):
 
 @inline
 def _one_tile(x0, y0, x1, y1):
-    """Return whether the box is in one tile, as most are; its blocks then need not be tested for counting."""
+    """Return whether a bounding box of blocks, from (x0, y0) to (x1, y1), is in one tile.
+
+    Most boxes are. Their blocks need not be tested when entries are counted.
+    """
     return ((x0 ^ x1) | (y0 ^ y1)) < 8
 
 
 def _make_project(project):
-    """Make the loop over the Gaussians of a chunk: consecutive ones of the map, or those found to be in view."""
+    """Return the loop over the Gaussians of a chunk; ``project`` projects 16 of the map, or of those found in view."""
 
     @inner
     def project_chunk(number, source, lists, histogram, chunk_entries):
-        """Project 1024 Gaussians, those of ``lists.taken[number]``, and count their entries per tile."""
+        """Project the 1024 Gaussians of chunk ``lists.taken[number]``, and count their entries per tile."""
         view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
         tiles_x = grid[TILES_X]
         tiles = tiles_x * grid[TILES_Y]
@@ -136,7 +150,7 @@ project_found_chunk = _make_project(project_found)
 
 @inner
 def find_in_view(parameters, view, grid, places):
-    """Write the indices of the Gaussians that may reach a pixel into ``places``; return their number."""
+    """Write the indices of the Gaussians that may reach a pixel to ``places``; return their number."""
     count = 0
     for i in range(0, grid[COUNT], LANES):
         seen = np.int64(bits(reaches_image(parameters, i, view, grid)))
@@ -149,7 +163,10 @@ def find_in_view(parameters, view, grid, places):
 
 @inner
 def _order_tiles(tiles, tile_start, tile_order):
-    """Sort the tiles by decreasing number of entries, to 1/256 of the largest, ties by index: a counting sort."""
+    """Sort the tiles by decreasing number of entries, in 256 steps, with ties by index (counting sort).
+
+    ``tile_start`` [tiles + 1] gives the entries of each tile. The order is written to ``tile_order``.
+    """
     most = 1
     for rank in range(PLACES):
         poke(tile_order, tiles + rank, 0)
@@ -167,16 +184,17 @@ def _order_tiles(tiles, tile_start, tile_order):
 
 @inner
 def plan_entries(lists, histogram, chunk_entries):
-    """Convert the counts to start positions: of each chunk's entries in each tile, and of each chunk's slots.
+    """Convert numbers of entries to start positions of each chunk's entries in each tile, and of its slots.
 
-    ``tile_order`` lists the tiles with most entries first, so that all threads finish at nearly the same time.
+    ``tile_order`` lists the tiles with most entries first, so that all threads end at nearly the same time. Returns the
+    number of entries.
     """
     grid, tile_start = lists.grid, lists.tile_start
     tiles, chunks = grid[TILES_X] * grid[TILES_Y], len(lists.taken)
     for tile in range(tiles + 1):
         tile_start[tile] = 0
     for chunk in range(chunks):
-        if chunk_entries[chunk] == 0:  # out of view
+        if chunk_entries[chunk] == 0:  # the chunk is out of view
             continue
         for tile in range(tiles):
             poke_add(tile_start, tile, np.int64(peek(histogram, chunk * tiles + tile)))
@@ -192,7 +210,7 @@ def plan_entries(lists, histogram, chunk_entries):
             entries = np.int64(peek(histogram, chunk * tiles + tile))
             poke(histogram, chunk * tiles + tile, np.int32(peek(tile_start, tile)))
             poke_add(tile_start, tile, entries)
-    for tile in range(tiles, 0, -1):  # each start has moved to the next tile's
+    for tile in range(tiles, 0, -1):  # the loop above has moved each start to the start of the next tile
         tile_start[tile] = tile_start[tile - 1]
     tile_start[0] = 0
     slots = 0
@@ -206,7 +224,10 @@ def plan_entries(lists, histogram, chunk_entries):
 
 @inner
 def fill_chunk(number, lists, histogram, chunk_entries):
-    """Write the entries of chunk ``lists.taken[number]``; the slots of one Gaussian are contiguous."""
+    """Write the entries of the 1024 Gaussians of chunk ``lists.taken[number]``.
+
+    Each entry has a slot, to which the backward pass writes its gradients. The slots of one Gaussian are consecutive.
+    """
     grid, records, visible, entries = lists.grid, lists.records, lists.visible, lists.entries
     tiles_x = grid[TILES_X]
     tiles, room = tiles_x * grid[TILES_Y], entries.shape[1]
@@ -224,7 +245,7 @@ def fill_chunk(number, lists, histogram, chunk_entries):
             for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
                     reach = _reach(records, base, x0, y0, x1, y1, tile_x, tile_y)
-                    if alone or reach != U64(0):  # same rule as for counting
+                    if alone or reach != U64(0):  # the same rule as for counting
                         counter = number * tiles + tile_y * tiles_x + tile_x
                         at = np.int64(peek(histogram, counter))
                         poke(histogram, counter, np.int32(at + 1))
@@ -237,9 +258,9 @@ def fill_chunk(number, lists, histogram, chunk_entries):
 
 @inner
 def sort_tile(tile, lists, digits):
-    """Sort the entries of a tile by depth, ties by index; return the total number of blocks they reach.
+    """Sort the entries of a tile by depth, with ties by index; return the total number of blocks that they reach.
 
-    It is a radix sort on the float's bits (positive floats sort as integers).
+    It is a radix sort of the bits of the depths, since positive floats have the order of their bits.
     """
     start, stop, entries = lists.tile_start[tile], lists.tile_start[tile + 1], lists.entries
     room = entries.shape[1]
@@ -258,12 +279,12 @@ def sort_tile(tile, lists, digits):
         for i in range(start, stop):
             key = peek(entries, source + i)
             nearest, farthest = min(nearest, key), max(farthest, key)
-        # Only the bits in which depths of this tile differ from the nearest need sorting.
+        # Only the bits in which depths of this tile can differ from the nearest depth are sorted.
         nearest = nearest >> U64(32)
         spare, width = (farthest >> U64(32)) - nearest, 0
         while (spare >> U64(width)) != U64(0):
             width += 1
-        most = 8 if count < 2048 else 11  # bits of a digit: its table must be traversed too
+        most = 8 if count < 2048 else 11  # bits of a digit; a larger table of digits takes longer to traverse
         rounds = (width + most - 1) // most
         width = (width + rounds - 1) // max(rounds, 1)
         shift, size = 0, 1 << width

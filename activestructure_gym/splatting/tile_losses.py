@@ -1,4 +1,4 @@
-"""Compute pixelwise losses of a tile between blending and the backward pass, in the cache."""
+"""Compute pixelwise losses of a tile between blending and the backward pass, while its pixels are in the cache."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -11,17 +11,17 @@ from activestructure_gym.splatting.layout import HEIGHT, TILE_BLOCKS, WIDTH
 from activestructure_gym.splatting.memory import load, load_block, load_color_block, peek, poke, store
 from activestructure_gym.splatting.simd import LANES, F, fma, inline, inner, neg, sel, spread
 
-# Factors of the losses: of |colour difference|, of SSIM, of |depth error|, and twice that of (1 - alpha)^2. Then the
-# minimum alpha of a pixel whose depth is compared. NORMALISED: 1 to compare depth / alpha, 0 to compare depth itself.
-# EVERYWHERE: 1 to compare colour in every pixel, 0 only where depth is compared.
+# Factors of the losses: of |colour difference|, of SSIM, of |depth error|, and twice the factor of (1 - alpha)^2. Then
+# the minimum alpha of a pixel whose depth is compared. NORMALISED: 1 to compare depth / alpha, 0 to compare accumulated
+# depth. EVERYWHERE: 1 to compare colour in every pixel, 0 only where depth is compared.
 OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, MIN_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
-# terms of a tile, 16 lanes each: sums of |colour difference| and of |depth error|, number of pixels compared
+# Offsets of the sums of a tile, 16 lanes each: |colour difference|, |depth error|, number of pixels compared.
 TILE_COLOR, TILE_DEPTH, TILE_COMPARED, TILE_TERMS = 0, LANES, 2 * LANES, 3 * LANES
 
 
 @inline
 def absolute_difference(value, target, weight):
-    """Return |value - target| and its derivative times ``weight``."""
+    """Return |value - target|, and its derivative times ``weight``."""
     difference = value - target
     return larger(difference, neg(difference)), sel(
         difference > F(0.0), weight, sel(difference < F(0.0), neg(weight), F(0.0))
@@ -30,9 +30,9 @@ def absolute_difference(value, target, weight):
 
 @inner
 def compare_tile(tile, grid, state, comparison, edge):
-    """Convert the forward loop's final state to the backward loop's initial one, by the pixelwise losses.
+    """Compare a blended tile with the target, and convert its state to the initial state of the backward loop.
 
-    ``comparison`` is an `arguments.Comparison`. ``edge [64]`` is workspace for a block.
+    ``comparison`` is an `arguments.Comparison`. ``edge [64]`` is workspace for a block at the border of the image.
     """
     target, target_depth, factors, terms = comparison
     x, y = corner_of(tile, grid)
@@ -63,7 +63,7 @@ def compare_tile(tile, grid, state, comparison, edge):
         opaque = one - left_over
         has_depth = measured > F(0.0)
         counts = has_depth & (opaque > factors[MIN_ALPHA])
-        # Outside the image colours and targets are 0, and so are all derived values.
+        # Outside the image colours and targets are 0, and so are all values computed from them.
         colored = sel(counts, one, spread(factors[EVERYWHERE]))
         of_color = colored * factors[OF_COLOR]
         error_r, g_r = absolute_difference(r, red, of_color)
@@ -80,7 +80,7 @@ def compare_tile(tile, grid, state, comparison, edge):
         g_a = neg(sel(has_depth, left_over * factors[OF_ALPHA], F(0.0)))
         g_a = g_a - g_z * expected * factors[NORMALISED]
         total = fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, opaque * g_a))))
-        store(state, at, sel(rest > F(-1.0), one, neg(one)))  # -1 is kept: no pixel there
+        store(state, at, sel(rest > F(-1.0), one, neg(one)))  # -1 marks positions outside the image
         store(state, at + 16, total)
         store(state, at + 32, g_r)
         store(state, at + 48, g_g)

@@ -12,10 +12,12 @@ from activestructure_gym.splatting import counters, image_losses, kernels, layou
 from activestructure_gym.splatting.arguments import Comparison, Kept, Lists, Pictures, Step
 from activestructure_gym.splatting.simd import LANES
 
-MAX_ALPHA = 0.999
+MAX_ALPHA = 0.999  # upper limit of a Gaussian's opacity in a pixel
 _NO_FLOATS = np.empty(0, np.float32)
-_STRIP = 30  # vectors, approximately: a third of a megabyte in the second-level cache
-_MAX_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a typical Gaussian reaches about 5 blocks of a tile
+_STRIP = 30  # approximate width of a strip in vectors: a third of a megabyte in the second-level cache
+# Largest number of floats kept for the backward pass, and blocks per entry; a typical Gaussian reaches about 5 blocks
+# of a tile.
+_MAX_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8
 
 
 def make_view(
@@ -25,8 +27,8 @@ def make_view(
     *,
     centre_depth: bool = False,
     blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
-) -> np.ndarray:
-    """Return the floats of a camera in the kernels' layout (``layout.POSE ...``)."""
+) -> np.ndarray:  # [VIEW_SIZE] float32
+    """Return the camera as an array in the layout that the kernels need (``layout.POSE ...``)."""
     view = _view_of(camera).copy()
     view[: layout.FX] = camera_from_world[:3].reshape(-1)
     view[layout.MAX_ALPHA] = max_alpha
@@ -37,7 +39,7 @@ def make_view(
 
 @lru_cache(64)
 def _view_of(camera: PinholeCamera) -> np.ndarray:
-    """Return the part of `make_view` that does not depend on the pose."""
+    """Return the array of `make_view` without pose and blur: intrinsics, limits of the slopes, and constants."""
     view = np.zeros(layout.VIEW_SIZE, np.float32)
     view[layout.FX : layout.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
     margin_x, margin_y = 0.5 * layout.CLAMP_MARGIN * camera.width, 0.5 * layout.CLAMP_MARGIN * camera.height
@@ -50,9 +52,9 @@ def _view_of(camera: PinholeCamera) -> np.ndarray:
 
 
 def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
-    """Return the upper rows of the inverse of one rigid motion.
+    """Return the upper rows [3, 4] of the inverse of one rigid transform.
 
-    Plain floats take a tenth of the time of nine small arrays.
+    Plain floats take a tenth of the time of numpy with nine small arrays.
     """
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = np.asarray(pose, dtype=np.float64)[:3].tolist()
     return np.array([
@@ -61,8 +63,8 @@ def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
 
 
 @lru_cache(64)
-def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
-    """Return the integers of a rendering in the kernels' layout (``layout.COUNT ...``); read-only."""
+def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:  # [GRID_SIZE] int64, read-only
+    """Return the sizes of a rendering as an array in the layout that the kernels need (``layout.COUNT ...``)."""
     grid = np.empty(layout.GRID_SIZE, np.int64)
     grid[layout.COUNT], grid[layout.CAPACITY] = count, capacity
     grid[layout.WIDTH], grid[layout.HEIGHT] = camera.width, camera.height
@@ -75,7 +77,7 @@ def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
 
 
 def fitted(parameters: np.ndarray) -> np.ndarray:
-    """Return the array if the kernels can use it directly, else a copy padded to a multiple of 16 columns."""
+    """Return the parameters if the kernels can use this array, else a copy padded to a multiple of 16 columns."""
     rows, columns = parameters.shape
     if columns % LANES == 0 and parameters.flags.c_contiguous and parameters.flags.writeable:
         return parameters
@@ -85,19 +87,25 @@ def fitted(parameters: np.ndarray) -> np.ndarray:
 
 
 def aligned_zeros(size: int, dtype: type = np.float32) -> np.ndarray:
-    """Return a flat array that starts on a cache line (64 bytes)."""
+    """Return a flat array of ``size`` zeros that starts on a cache line (64 bytes)."""
     room = np.zeros(size * np.dtype(dtype).itemsize + 64, np.uint8)
     start = -room.ctypes.data % 64
     return room[start : start + size * np.dtype(dtype).itemsize].view(dtype)
 
 
 def flat(image: np.ndarray) -> np.ndarray:
-    """Return a plain float32 vector; numba would compile another kernel for read-only or strided ones."""
+    """Return an image as a flat, writeable float32 array.
+
+    Numba would compile another kernel for other kinds of arrays.
+    """
     return np.require(image, np.float32, ["C", "W"]).reshape(-1)
 
 
 class Workspace:
-    """Hold buffers reused between renderings: they grow, never shrink, and allocate nothing in a steady state."""
+    """Hold buffers that renderings reuse.
+
+    They grow and never shrink, so that repeated renderings allocate no memory.
+    """
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
@@ -106,14 +114,17 @@ class Workspace:
         self.entries = np.empty((layout.ENTRY_ROWS, 0), np.uint64)
 
     def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
-        """Return a flat buffer of at least ``size`` elements; zero when new."""
+        """Return the flat buffer called ``name`` with at least ``size`` elements; a new buffer is zero."""
         buffer = self._buffers.get(name)
         if buffer is None or len(buffer) < size:
             buffer = self._buffers[name] = aligned_zeros(size + size // 4, dtype)
         return buffer
 
     def _image(self, name: str) -> np.ndarray:
-        """Return a padded colour image; its margins must be zero, so another size gets another buffer."""
+        """Return the colour image called ``name`` with margins.
+
+        The margins must be 0, so each image size has its own buffer.
+        """
         shape = (int(self.grid[layout.HEIGHT]), int(self.grid[layout.STRIDE]), int(self.grid[layout.WIDTH]))
         name = f"{name} {shape}"
         if name not in self._buffers:
@@ -123,7 +134,7 @@ class Workspace:
     def prepare(
         self,
         parameters: np.ndarray,  # [14, capacity] float32, capacity a multiple of 16
-        count: int,
+        count: int,  # number of Gaussians
         camera: PinholeCamera,
         camera_from_world: np.ndarray,  # [4, 4]
         *,
@@ -131,13 +142,13 @@ class Workspace:
         centre_depth: bool = False,
         blur_variance: float = float(layout.BLUR_VARIANCE),
         threads: int | None = None,
-        unseen: np.ndarray | None = None,  # [chunks] bool
+        unseen: np.ndarray | None = None,  # [chunks] bool, see below
     ) -> None:
-        """Run everything before the tiles: records of the visible Gaussians and the tiles they reach.
+        """Compute the records of the visible Gaussians, and the lists of the tiles that they reach.
 
         ``centre_depth`` uses the depth of each Gaussian's centre instead of the ray's intersection. ``blur_variance``,
-        px^2, is added to its covariance in the image. ``unseen`` marks chunks (1024 Gaussians) known to be out of view,
-        which cost nothing.
+        px^2, is added to its covariance in the image. ``unseen`` marks chunks of 1024 Gaussians that are known to be
+        out of view, which cost nothing.
         """
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
@@ -146,7 +157,7 @@ class Workspace:
         )
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
         taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
-        if not len(taken):  # nothing to render: use the one chunk of an empty map
+        if not len(taken):  # nothing to render: use the one empty chunk of an empty map
             self.grid = grid = make_grid(0, parameters.shape[1], camera)
             taken = np.zeros(1, np.int64)
         tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
@@ -172,7 +183,7 @@ class Workspace:
     def render(
         self,
         parameters: np.ndarray,  # [14, capacity] float32, capacity a multiple of 16
-        count: int,
+        count: int,  # number of Gaussians
         camera: PinholeCamera,
         camera_from_world: np.ndarray,  # [4, 4]
         *,
@@ -180,12 +191,12 @@ class Workspace:
         centre_depth: bool = False,
         blur_variance: float = float(layout.BLUR_VARIANCE),
         threads: int | None = None,
-        keep: bool = True,
+        keep: bool = True,  # whether to store data for `backward`
         unseen: np.ndarray | None = None,  # [chunks] bool, see `prepare`
     ) -> None:
-        """Render forward: fill ``color`` (padded), ``depth`` and ``alpha``.
+        """Render the images ``color`` (with margins), ``depth`` and ``alpha``.
 
-        ``keep`` also stores data that makes `backward` faster, up to 64 MiB.
+        With ``keep``, up to 64 MiB of data are stored that make `backward` faster.
         """
         self.prepare(
             parameters, count, camera, camera_from_world, max_alpha=max_alpha, centre_depth=centre_depth,
@@ -209,7 +220,7 @@ class Workspace:
         return Pictures(self.color, self.depth, self.alpha)
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
+        """Return copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` (metres) and alpha ``[H, W]``."""
         height, width = self.camera.height, self.camera.width
         shape, pixels = (height, width), height * width
         return (
@@ -219,7 +230,7 @@ class Workspace:
         )
 
     def show(self, image: np.ndarray, camera: PinholeCamera, *, threads: int | None = None) -> None:
-        """Use ``image [H, W, 3]`` as if it had been rendered from an empty map (for losses alone)."""
+        """Use ``image [H, W, 3]`` as if it had been rendered from an empty map, to compute losses of images."""
         self.threads = threads or default_threads()
         self.camera, self.grid = camera, make_grid(0, 0, camera)
         self.tickets[:] = 0
@@ -228,13 +239,13 @@ class Workspace:
         self.alpha = self._buffer("alpha", camera.width * camera.height)
 
     def pixels_of(self, image: np.ndarray) -> np.ndarray:  # [H, W, 3], a copy
-        """Return a padded colour image without its margins."""
+        """Return a copy of a colour image without its margins."""
         margin, width = int(self.grid[layout.MARGIN]), self.camera.width
         rows = image.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         return rows[:, margin : margin + 3 * width].copy().reshape(-1, width, 3)
 
     def _padded(self, name: str, image: np.ndarray) -> np.ndarray:
-        """Return ``image [H, W, 3]`` in the kernels' layout."""
+        """Return ``image [H, W, 3]`` in the layout of the kernels, with margins."""
         margin, buffer = int(self.grid[layout.MARGIN]), self._image(name)
         rows = buffer.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         rows[:, margin : margin + 3 * self.camera.width] = np.asarray(image).reshape(self.camera.height, -1)
@@ -250,10 +261,11 @@ class Workspace:
         of_alpha: float = 0.0,  # weight of the mean squared missing opacity where there is a depth
         normalised_depth: bool = True,
     ) -> tuple[float, float, float]:
-        """Return mean colour difference, depth error and SSIM (nan if its weight is 0); fill the gradient images.
+        """Return mean colour difference, depth error and SSIM (nan if its weight is 0).
 
-        The depth error is that of depth / alpha where alpha is above 0.5, or with ``normalised_depth=False`` that of
-        the accumulated depth; its sum is divided by the number of pixels with a measured depth.
+        Also compute the gradient images. The depth error is that of depth / alpha where alpha is above 0.5, or with
+        ``normalised_depth=False`` that of the accumulated depth. Its sum is divided by the number of pixels with a
+        measured depth.
         """
         height, width = self.camera.height, self.camera.width
         target_depth = flat(target_depth)
@@ -276,12 +288,15 @@ class Workspace:
         return float(color), float(error), float(ssim) if of_ssim else float("nan")
 
     def _strip(self, columns: int) -> int:
-        """Return the number of vector columns that one thread compares at a time: equally many strips per thread."""
+        """Return the number of vector columns that a thread compares at a time, so that threads get equal work."""
         rounds = max(1, round(columns / (_STRIP * self.threads)))
         return min(-(-columns // (rounds * self.threads)), layout.SCRATCH // image_losses.STRIP_FLOATS - 4)
 
     def _factors(self, of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured) -> np.ndarray:
-        """Return the weights of `losses` in the kernels' layout."""
+        """Return the weights of `losses` in the layout of the kernels (`tile_losses`).
+
+        ``measured`` is the number of pixels with a measured depth; the other arguments are those of `losses`.
+        """
         pixels = self.camera.height * self.camera.width
         factors = np.empty(tile_losses.FACTORS, np.float32)
         factors[tile_losses.OF_COLOR], factors[tile_losses.EVERYWHERE] = of_color / (3 * pixels), 1.0
@@ -295,16 +310,19 @@ class Workspace:
         self,
         target_rgb: np.ndarray,  # [H, W, 3] float32
         target_depth: np.ndarray,  # [H, W] float32
-        rates: np.ndarray,  # [20] float32, as for `backward`
+        rates: np.ndarray,  # [20] float32, see `backward`
         first_moment: np.ndarray,  # [14, capacity] float32
         second_moment: np.ndarray,  # [14, capacity] float32
         *,
-        of_color: float,
-        of_depth: float,
-        of_alpha: float,
+        of_color: float,  # weight of the mean |colour difference|
+        of_depth: float,  # weight of the depth error
+        of_alpha: float,  # weight of the mean squared missing opacity
         normalised_depth: bool,
     ) -> tuple[float, float]:
-        """Blend after `prepare`, compare as `losses` does without SSIM, and run the backward pass, without images."""
+        """Blend after `prepare`, compute the losses without SSIM, and run the backward pass, without writing images.
+
+        Returns mean colour difference and depth error, as `losses`.
+        """
         target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
         factors = self._factors(of_color, 0.0, of_depth, of_alpha, normalised_depth, measured)
@@ -315,14 +333,14 @@ class Workspace:
         self,
         target_rgb: np.ndarray,  # [H, W, 3] float32
         target_depth: np.ndarray,  # [H, W] float32
-        of_color: float,
-        of_depth: float,
-        least_alpha: float,
+        of_color: float,  # factor of the sum of |colour difference|
+        of_depth: float,  # factor of the sum of |depth error|
+        least_alpha: float,  # pixels with a smaller alpha are not compared
     ) -> tuple[float, float, int, np.ndarray]:
-        """Run `fused_step` for sums over the pixels with a depth and an alpha above a limit.
+        """Compute the tracking loss after `prepare`: sums over pixels with a measured depth and an alpha above a limit.
 
         The parameters are unchanged. Returns the sums of |colour difference| and |depth error|, the number of these
-        pixels, and the derivative ``[3, 4]`` by camera_from_world.
+        pixels, and the gradient ``[3, 4]`` by camera_from_world.
         """
         factors = np.zeros(tile_losses.FACTORS, np.float32)
         factors[tile_losses.OF_COLOR], factors[tile_losses.OF_DEPTH] = of_color, of_depth
@@ -350,7 +368,7 @@ class Workspace:
         return self._results[stepping.OF_POSE :].tolist()
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
-        """Set a loss's derivatives by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
+        """Set the gradients of a loss by the three images: ``[H, W, 3]``, ``[H, W]`` and ``[H, W]``."""
         self.by_pictures = Pictures(flat(by_color), flat(by_depth), flat(by_alpha))
         self._by_layout = np.array([3 * self.camera.width, 0])
 
@@ -359,9 +377,12 @@ class Workspace:
         rates: np.ndarray,  # [20] float32: 14 learning rates, then `layout.BETA1 ...`
         first_moment: np.ndarray,  # [14, capacity] float32
         second_moment: np.ndarray,  # [14, capacity] float32
-        gradient: np.ndarray,  # [14, capacity] float32, zeros
-    ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
-        """Propagate the gradient images to an in-place Adam step, to ``gradient``, or to the pose alone."""
+        gradient: np.ndarray,  # [14, capacity] float32, zeros on entry
+    ) -> np.ndarray:  # [3, 4] gradient by camera_from_world
+        """Convert the gradient images to an Adam step in place, to ``gradient``, or to the gradient of the pose only.
+
+        ``rates[MODE]`` selects the result.
+        """
         self.tickets[:] = 0
         self._run_through(
             kernels.unblend, self.lists, self._scratch, self.kept, self._rendered(), self.by_pictures, self._by_layout,
@@ -372,7 +393,7 @@ class Workspace:
     def _step(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
     ) -> Step:
-        """Return the arguments of a backward kernel's step."""
+        """Return the arguments of the step in a backward kernel, described at `arguments.Step`."""
         if len(rates) < layout.RATES:  # omitted rates are 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
         slots = self._buffer("slots", self.total * LANES)
@@ -380,11 +401,11 @@ class Workspace:
         return Step(self.parameters, first_moment, second_moment, rates, slots, gradient, pose_parts, self._results)
 
     def _by_pose(self) -> np.ndarray:  # [3, 4]
-        """Return the derivative by camera_from_world left by a backward kernel."""
+        """Return the gradient by camera_from_world that a backward kernel has computed."""
         return self._results[: stepping.OF_POSE].reshape(3, 4).astype(np.float32)
 
     def _run_through(self, kernel, *arguments) -> None:
-        """Run a kernel that steps the map, again while a thread has left it early."""
+        """Run a kernel until the step is taken in all chunks; a thread may return early, then the kernel runs again."""
         while self.tickets[counters.STEPPED] < len(self.lists.taken):
             self._run(kernel, *arguments)
 
@@ -394,7 +415,7 @@ class Workspace:
 
 
 class PooledWorkspace:
-    """Take a workspace from the pool, and return it when this object is deleted."""
+    """Take a workspace from the pool; it is returned when this object is deleted."""
 
     _free: list[Workspace] = []  # list.append and list.pop are atomic
 
@@ -405,6 +426,6 @@ class PooledWorkspace:
             self.workspace = Workspace()
 
     def __del__(self) -> None:
-        free = type(self)._free  # the module's names are gone when the interpreter shuts down
+        free = type(self)._free  # at shutdown the interpreter has removed the names of the module
         if len(free) < 4:
             free.append(self.workspace)

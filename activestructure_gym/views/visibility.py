@@ -1,4 +1,4 @@
-"""Test which planes of the Plane Scene Graph a candidate view would see (V_c^vis of Sec. 3.4)."""
+"""Compute which planes of the Plane Scene Graph a candidate view would see (V_c^vis of Sec. 3.4)."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
-MIN_DISTANCE_M = 0.2  # metres; closer than this a depth sensor returns nothing
-MAX_DISTANCE_M = 5.0  # distance gate of the paper (Sec. 3.4), which gives no number: own choice
-MIN_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, also own choice
-MIN_SHARE = 0.1  # fraction of a plane's points that must be visible for the plane to be visible
-_WORTH_A_THREAD = 2000  # view-plane pairs; fewer are tested before a second thread starts
-SAMPLES = 16  # points tested per plane, spread evenly over its stored points
+MIN_DISTANCE_M = 0.2  # metres; at smaller distances a depth sensor returns nothing
+MAX_DISTANCE_M = 5.0  # metres; the paper's distance gate (Sec. 3.4), which has no number in the paper: own choice
+MIN_COSINE = float(np.cos(np.radians(80.0)))  # the paper's view-angle filter; 80 degrees are our choice
+MIN_SHARE = 0.1  # fraction of a plane's sample points that must be visible for the plane to count as visible
+_WORTH_A_THREAD = 2000  # number of view-plane pairs below which one thread computes faster than several
+SAMPLES = 16  # sample points per plane, spread evenly over its stored points
 
 
 def visible_planes(
     planes: Sequence[PlaneNode],  # P planes
     camera: PinholeCamera,
-    world_from_camera: np.ndarray,  # [K, 4, 4]
-    volume: VoxelVolume | None = None,
-) -> np.ndarray:  # [K, P] bool
-    """Return visible planes by frustum culling, distance gating and view-angle filtering, as in the paper.
+    world_from_camera: np.ndarray,  # [K, 4, 4] poses of the K candidates
+    volume: VoxelVolume | None = None,  # voxel map for occlusion; None ignores occlusion
+) -> np.ndarray:  # [K, P] bool: plane p is visible from candidate k
+    """Return which planes are visible, by frustum culling, distance gating and view-angle filtering as in the paper.
 
-    A plane is visible only from its front side. With a ``volume``, points behind an occupied voxel are excluded too
-    (beyond the paper).
+    A plane is visible only from its front side. With a ``volume``, points behind an occupied voxel count as hidden,
+    which the paper does not require.
     """
     if not len(planes) or not len(world_from_camera):
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
@@ -43,19 +43,20 @@ def visible_planes(
 
 
 def visible_cosines(
-    points: np.ndarray,  # [P, S, 3] metres, world
-    normals: np.ndarray,  # [P, 3] unit, one for all S points of a row
+    points: np.ndarray,  # [P, S, 3] metres, world: S sample points of each of P planes
+    normals: np.ndarray,  # [P, 3] unit normals of the planes
     camera: PinholeCamera,
-    world_from_camera: np.ndarray,  # [K, 4, 4]
-    volume: VoxelVolume | None = None,  # without one there is no occlusion
+    world_from_camera: np.ndarray,  # [K, 4, 4] poses of K views
+    volume: VoxelVolume | None = None,  # voxel map for occlusion; None ignores occlusion
     *,
-    farthest: np.ndarray | float = np.inf,  # [P] metres of depth
-    enough: int = 1 << 30,  # number of visible points after which a row is not tested further
+    farthest: np.ndarray | float = np.inf,  # [P] metres: points of a plane at a larger depth count as hidden
+    enough: int = 1 << 30,  # stop testing a plane after this number of visible points
 ) -> tuple[np.ndarray, np.ndarray]:  # [K, P, S] float64, [K, P] int64
-    """Return the cosine between normal and line of sight for each point, and the number of visible points per row.
+    """Return the cosine between normal and line of sight per sample point, and the number of visible points per plane.
 
-    The cosine is 0 outside the frustum, the distance gate or the view angle, and behind an occupied voxel. A row that
-    cannot reach ``enough`` any more is not tested further.
+    Both are given for each view. The cosine is 0 for hidden points: outside the frustum, the distance gate or the view
+    angle, or behind an occupied voxel. The points of a plane are tested until ``enough`` are visible, or can no longer
+    be.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
@@ -79,27 +80,27 @@ def visible_cosines(
 
 
 class _Targets(NamedTuple):
-    """Hold sample points of the planes and the parameters of their visibility test."""
+    """Hold the sample points of the planes and the parameters of their visibility test, as one kernel argument."""
 
     points: np.ndarray  # [P, S, 3] metres, world
-    normals: np.ndarray  # [P, 3]
-    ends: np.ndarray  # [P, S, 3] the points in voxels
-    farthest: np.ndarray  # [P] metres of depth
-    enough: int  # points of a row
+    normals: np.ndarray  # [P, 3] unit
+    ends: np.ndarray  # [P, S, 3] the same points in voxel coordinates
+    farthest: np.ndarray  # [P] metres: largest depth of a visible point
+    enough: int  # number of visible points after which a plane is not tested further
 
 
 @kernel
 def _visible_cosines(
-    tickets: np.ndarray,  # [1] int64, number of candidates taken by threads
+    tickets: np.ndarray,  # [1] int64 counter of the views that threads have started
     targets: _Targets,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    eyes: np.ndarray,  # [K, 3] voxels
+    eyes: np.ndarray,  # [K, 3] camera positions in voxel coordinates
     lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
-    blocking: np.ndarray,  # [X, Y, Z] bool
-    cosines: np.ndarray,  # [K, P, S], zeros, written to
-    counts: np.ndarray,  # [K, P], zeros, written to
+    blocking: np.ndarray,  # [X, Y, Z] bool: occupied voxels; empty to ignore occlusion
+    cosines: np.ndarray,  # [K, P, S] output, zeros on entry
+    counts: np.ndarray,  # [K, P] output, zeros on entry
 ) -> None:
-    """Compute `visible_cosines`: cheap tests first, the line of sight last. Compiled, since every step needs it."""
+    """Compute `visible_cosines`. Cheap tests come first; the line of sight through the voxels is tested last."""
     points, normals, ends, farthest, enough = targets
     samples = points.shape[1]
     while True:
@@ -120,7 +121,7 @@ def _visible_cosines(
                 if depth <= 0.0 or depth > farthest[p]:
                     continue
                 height = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2])
-                if height <= 0.0:  # seen from behind
+                if height <= 0.0:  # the camera is behind the plane
                     continue
                 distance = np.sqrt(x * x + y * y + z * z)
                 if distance < MIN_DISTANCE_M or distance > MAX_DISTANCE_M:

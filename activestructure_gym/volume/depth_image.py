@@ -1,4 +1,4 @@
-"""Prepare a depth image for carving: free distances of pixels without return, and minima over blocks of pixels."""
+"""Prepare a depth image for carving: distance up to which each ray is free, and minima over blocks of pixels."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-# A footprint is read in at most 6 blocks per side, so it grows by less than a third.
+# A footprint is read as at most 6 blocks of pixels per side. The blocks then exceed it by less than a third.
 READS_PER_SIDE = 6
-# Lost returns are single pixels or bands a few pixels wide; a block without return of this side length is empty space.
+# Side length in pixels. Lost returns are single pixels or bands a few pixels wide, so a block of this size without any
+# return shows empty space.
 _EMPTY_BLOCK = 5
-# A lost pixel takes its neighbours' depth if at least this many of the 8 have a return.
+# A lost pixel gets the smallest depth of its 8 neighbours if at least this many of them have a return.
 _MIN_NEIGHBOURS = 2
 
 
 def fill_gaps(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
-    sensor_range: float | None,  # metres within which the sensor returns every surface, None = unknown
+    sensor_range: float | None,  # metres up to which the sensor returns every surface; None = unknown
     *,
-    dropouts: bool,  # whether it also loses single returns within that range
+    dropouts: bool,  # whether the sensor also loses single returns within that range
 ) -> np.ndarray:  # [H, W] metres; 0 = unknown
-    """Return the distance up to which each pixel's ray is free.
+    """Return the distance up to which the ray of each pixel is free.
 
-    Without dropouts, a pixel without return is free up to the sensor's range. With dropouts this holds only inside 5 x
-    5 blocks without return; other lost pixels take the smallest depth of their neighbours.
+    Without dropouts, a pixel without return is free up to ``sensor_range``. With dropouts this holds only inside blocks
+    of 5 x 5 pixels without return; other lost pixels get the smallest depth of their neighbours.
     """
     gaps = depth <= 0
     if not gaps.any():
@@ -43,7 +44,7 @@ def fill_gaps(
 def solid_gaps(
     depth: np.ndarray,  # [H, W] metres, 0 = no return
 ) -> np.ndarray:  # [H, W] bool
-    """Return pixels in blocks of 5 x 5 pixels without any return (a morphological opening)."""
+    """Return a mask of the pixels that are in a block of 5 x 5 pixels without any return (a morphological opening)."""
     gap = depth <= 0
     side = _EMPTY_BLOCK
     centers = gap.copy()
@@ -62,8 +63,8 @@ def solid_gaps(
 
 def minimum_pyramid(
     depth: np.ndarray,  # [H, W] metres, 0 = unknown
-) -> tuple[np.ndarray, np.ndarray]:  # (all levels flat, [L, 3] int64: start, height, width of each level)
-    """Return minima over blocks of 2^l x 2^l pixels; a block with an unknown pixel is 0."""
+) -> tuple[np.ndarray, np.ndarray]:  # all levels in one flat array, [L, 3] int64: start, height, width of each level
+    """Return the minimum depth of each block of 2^l x 2^l pixels, for levels l = 0, 1, ...; 0 if a pixel is unknown."""
     height, width = depth.shape
     levels, size = [(0, height, width)], height * width
     while min(height, width) > 2 * READS_PER_SIDE:
@@ -78,7 +79,7 @@ def minimum_pyramid(
 
 @kernel
 def _fill_pyramid(
-    pyramid: np.ndarray,  # written to; level 0 is given
+    pyramid: np.ndarray,  # output; level 0 is given
     levels: np.ndarray,  # [L, 3] start, height, width
 ) -> None:
     for level in range(1, len(levels)):

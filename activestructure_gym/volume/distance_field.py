@@ -1,4 +1,4 @@
-"""Compute distances on the voxel grid from voxel centres to voxel cubes, and sample them along segments."""
+"""Compute distances from voxel centres to the nearest obstacle voxels, and sample them along segments."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-# Quarters of a squared voxel; above any distance in a grid, and sums still fit into 32 bits.
+# A squared distance larger than any in a grid, in quarters of a squared voxel; sums still fit into 32 bits.
 _FAR = 1 << 30
-# Voxels at the end of a line of sight that may be occupied: they contain the target surface.
+# Length in voxels at the end of a line of sight that is not tested, because the target surface itself is there.
 SPARED = 2.0
 
 
 def bounding_box(
     mask: np.ndarray,  # [X, Y, Z] bool
-) -> tuple[np.ndarray, np.ndarray]:  # ([3] lower, [3] upper) int64 indices, upper exclusive; 0 for an empty mask
-    """Return the smallest box that contains all true voxels."""
+) -> tuple[np.ndarray, np.ndarray]:  # [3] lower and [3] upper index, int64, upper exclusive; 0 for an empty mask
+    """Return the smallest box of voxels that contains all true voxels of a mask."""
     lower, upper = _bounding_box(np.ascontiguousarray(mask).view(np.uint8))
     return lower, upper
 
@@ -27,7 +27,7 @@ def _bounding_box(mask: np.ndarray) -> np.ndarray:  # [2, 3] int64
     for i in range(mask.shape[0]):
         for j in range(mask.shape[1]):
             some = np.uint8(0)
-            for k in range(mask.shape[2]):  # most columns are empty; this loop is vectorised
+            for k in range(mask.shape[2]):  # most columns are empty, and the compiler vectorises this loop
                 some |= mask[i, j, k]
             if not some:
                 continue
@@ -43,10 +43,10 @@ def _bounding_box(mask: np.ndarray) -> np.ndarray:  # [2, 3] int64
 
 def cut_out(
     array: np.ndarray,  # [X, Y, Z]
-    lower: np.ndarray,  # [3] int64, may be negative
-    upper: np.ndarray,  # [3] int64, exclusive, may lie beyond the array
+    lower: np.ndarray,  # [3] int64 index, may be negative
+    upper: np.ndarray,  # [3] int64 index, exclusive, may be beyond the array
 ) -> np.ndarray:
-    """Return a copy of the box from ``lower`` to ``upper``, 0 outside the array."""
+    """Return a copy of the box from index ``lower`` to index ``upper``, with 0 outside the array."""
     box = np.zeros(tuple(upper - lower), array.dtype)
     first, last = np.maximum(lower, 0), np.minimum(upper, array.shape)
     source = tuple(slice(a, b) for a, b in zip(first, last))
@@ -57,9 +57,9 @@ def cut_out(
 @kernel
 def _along_columns(
     obstacle: np.ndarray,  # [X, Y, Z] bool
-    most: int,  # upper limit of the result
+    most: int,  # largest value of the result
 ) -> np.ndarray:  # [X, Y, Z] int32, quarters of a squared voxel
-    """Return the squared distance to occupied cubes of the same column (along z), from the nearest on each side."""
+    """Return the squared distance of each voxel centre to the nearest obstacle cube in the same column (along z)."""
     width, depth, height = obstacle.shape
     squared = np.empty(obstacle.shape, np.int32)
     for i in range(width):
@@ -78,17 +78,18 @@ def _along_columns(
 
 @kernel
 def _across_columns(
-    values: np.ndarray,  # [A * N * B * height] int32, in place
+    values: np.ndarray,  # [A * N * B * height] int32, changed in place
     lines: np.ndarray,  # [N * height] int32, workspace
-    outer: int,  # A
-    length: int,  # N
-    inner: int,  # B
-    height: int,
+    outer: int,  # number A
+    length: int,  # number N of voxels along the axis
+    inner: int,  # number B
+    height: int,  # voxels of a column
 ) -> None:
-    """Compute ``out[n] = min_m values[m] + (2 max(0, |n - m| - 1/2))^2`` for all voxels of a column at once.
+    """Compute the minimum over m of values[m] + (2 max(0, |n - m| - 1/2))^2 for all n along one axis, in place.
 
-    The search moves outwards and stops when no farther voxel can be nearer for any of them. Clearances are short, so it
-    takes a few steps, and the integer loop is vectorised.
+    This adds the distance along the axis to squared distances in quarters of a squared voxel. It treats the voxels of a
+    column together in a vectorised loop over integers. The search over m moves outwards from n and stops when no
+    farther m can give a smaller value. It takes few steps, since clearances are short.
     """
     stride = inner * height
     for a in range(outer):
@@ -117,12 +118,12 @@ def _across_columns(
 def distance_to_cubes(
     obstacle: np.ndarray,  # [X, Y, Z] bool
     *,
-    at_most: float = np.inf,  # voxels: larger distances are cut to this, which saves time
-) -> np.ndarray:  # [X, Y, Z] float32, in voxels; inf without any obstacle
-    """Return the distance from each voxel centre to the nearest obstacle voxel's *cube*; 0 inside.
+    at_most: float = np.inf,  # voxels: larger distances are replaced by this, which saves time
+) -> np.ndarray:  # [X, Y, Z] float32 voxels; inf if there is no obstacle
+    """Return the distance from each voxel centre to the nearest obstacle voxel's cube; 0 inside obstacles.
 
-    A Euclidean distance transform measures from centre to centre and is 0.5 to 0.87 voxels too long. This one is exact
-    and separable: 2 ms against 20 to 24 ms of scipy (10 x 8 x 2.7 m at 0.1 m, two thirds free).
+    A Euclidean distance transform measures from centre to centre, which is 0.5 to 0.87 voxels too long. This transform
+    is exact and separable: 2 ms against 20 to 24 ms of scipy (10 x 8 x 2.7 m at 0.1 m, two thirds free).
     """
     width, depth, height = obstacle.shape
     quarters = _along_columns(obstacle, int(min(float(_FAR), np.ceil(4.0 * at_most**2))))
@@ -140,13 +141,13 @@ def distance_to_cubes(
 
 @kernel
 def join_distances(
-    any_kind: np.ndarray,  # [X, Y, Z] float32 voxels: to the nearest voxel that is not free
-    occupied: np.ndarray,  # [X, Y, Z] float32 voxels
-    slack: np.float32,  # voxels added to the distance of voxels that are not free
-    voxel_size: np.float32,
-    out: np.ndarray,  # [X, Y, Z] float32 metres, written to
+    any_kind: np.ndarray,  # [X, Y, Z] float32 voxels: distance to the nearest voxel that is not free
+    occupied: np.ndarray,  # [X, Y, Z] float32 voxels: distance to the nearest occupied voxel
+    slack: np.float32,  # voxels added to ``any_kind``, so that unknown space counts as farther away
+    voxel_size: np.float32,  # metres
+    out: np.ndarray,  # [X, Y, Z] float32 metres, output
 ) -> None:
-    """Write the clearance of `VoxelVolume.clearance` from the two distances."""
+    """Write the clearance of each voxel (`VoxelVolume.clearance`), computed from two distance fields."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             for k in range(out.shape[2]):
@@ -157,11 +158,11 @@ def join_distances(
 @kernel
 def sample(
     field: np.ndarray,  # [X, Y, Z] float32, values at voxel centres
-    x: float,  # in voxels; the centre of voxel (0, 0, 0) is (0, 0, 0)
+    x: float,  # point in voxels; the centre of voxel (0, 0, 0) is at (0, 0, 0)
     y: float,
     z: float,
 ) -> float:
-    """Interpolate trilinearly; outside the grid the field is 0."""
+    """Return the field at a point by trilinear interpolation. Outside the grid the field is 0."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     a, b, c = x - i, y - j, z - k
     total = 0.0
@@ -184,10 +185,10 @@ def sample(
 
 @kernel
 def sample_points(
-    field: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] float32
     points: np.ndarray,  # [N, 3] in voxels
 ) -> np.ndarray:  # [N] float32
-    """Apply `sample` to many points."""
+    """Return the field at many points, as `sample`."""
     values = np.empty(len(points), np.float32)
     for n in range(len(points)):
         values[n] = sample(field, points[n, 0], points[n, 1], points[n, 2])
@@ -196,16 +197,16 @@ def sample_points(
 
 @kernel
 def segment_above(
-    field: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] float32
     start: np.ndarray,  # [3] in voxels
-    end: np.ndarray,  # [3]
-    bound: float,
-    step: float,  # in voxels
+    end: np.ndarray,  # [3] in voxels
+    bound: float,  # in the field's unit
+    step: float,  # largest distance between samples, in voxels
 ) -> bool:
-    """Return whether the field is at least ``bound`` at both ends and at samples at most ``step`` apart."""
+    """Return whether the field is at least ``bound`` at both ends of a segment and at samples along it."""
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     count = max(1, int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / step)))
-    for n in range(count, -1, -1):  # start at the new end, where a search fails most often
+    for n in range(count, -1, -1):  # the end comes first: a search tests new ends, which fail most often
         t = n / count
         if sample(field, start[0] + t * dx, start[1] + t * dy, start[2] + t * dz) < bound:
             return False
@@ -214,13 +215,13 @@ def segment_above(
 
 @kernel
 def segments_above(
-    field: np.ndarray,
+    field: np.ndarray,  # [X, Y, Z] float32
     starts: np.ndarray,  # [N, 3] in voxels
-    ends: np.ndarray,  # [N, 3]
-    bound: float,
-    step: float,
+    ends: np.ndarray,  # [N, 3] in voxels
+    bound: float,  # in the field's unit
+    step: float,  # largest distance between samples, in voxels
 ) -> np.ndarray:  # [N] bool
-    """Apply `segment_above` to many segments."""
+    """Return for many segments whether the field is at least ``bound`` along them, as `segment_above`."""
     above = np.empty(len(starts), np.bool_)
     for n in range(len(starts)):
         above[n] = segment_above(field, starts[n], ends[n], bound, step)
@@ -230,23 +231,23 @@ def segments_above(
 @kernel
 def sight_line(
     blocking: np.ndarray,  # [X, Y, Z] bool
-    x: float,  # start, in voxels; the lower corner of voxel (0, 0, 0) is (0, 0, 0)
+    x: float,  # start in voxels; the lower corner of voxel (0, 0, 0) is at (0, 0, 0)
     y: float,
     z: float,
-    end_x: float,
+    end_x: float,  # end in voxels
     end_y: float,
     end_z: float,
-    spared: float,  # in voxels: this much before the end is ignored
+    spared: float,  # length before the end that is not tested, in voxels
 ) -> bool:
-    """Return whether no blocking voxel is on the line from start to end; every voxel that it enters is tested.
+    """Return whether the line from start to end enters no blocking voxel; every voxel on the line is tested.
 
-    The arguments are scalars, because numba counts references to array rows in loops.
+    The points are given as numbers and not as arrays, since numba counts references to rows of arrays in loops.
     """
     dx, dy, dz = end_x - x, end_y - y, end_z - z
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     limit = 1.0 - spared / length if length > spared else 0.0
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    # Line parameters between boundaries of each axis, and of the first crossing.
+    # Line parameters: distance between two voxel boundaries of each axis, and position of the first boundary.
     step_x, step_y, step_z = 1.0 / abs(dx), 1.0 / abs(dy), 1.0 / abs(dz)
     next_x = ((i + 1 if dx > 0 else i) - x) / dx if dx != 0.0 else np.inf
     next_y = ((j + 1 if dy > 0 else j) - y) / dy if dy != 0.0 else np.inf
@@ -273,12 +274,12 @@ def sight_line(
 
 @kernel
 def sight_lines(
-    blocking: np.ndarray,
+    blocking: np.ndarray,  # [X, Y, Z] bool
     starts: np.ndarray,  # [N, 3] in voxels
-    ends: np.ndarray,  # [N, 3]
-    spared: float,  # in voxels
+    ends: np.ndarray,  # [N, 3] in voxels
+    spared: float,  # length before each end that is not tested, in voxels
 ) -> np.ndarray:  # [N] bool
-    """Apply `sight_line` to many lines."""
+    """Return for many lines whether they enter no blocking voxel, as `sight_line`."""
     clear = np.empty(len(starts), np.bool_)
     for n in range(len(starts)):
         clear[n] = sight_line(

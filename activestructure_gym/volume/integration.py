@@ -1,15 +1,17 @@
-"""Integrate a depth image into the voxel grid in one pass: hits, conservative free carving, projective TSDF.
+"""Integrate a depth image into the voxel grid in one pass: hits, conservative carving of free space, projective TSDF.
 
-Rules that make the free space safe to move in:
+A hit is a ray that ends in a voxel. Carving marks voxels that rays passed through as free. These rules make the free
+space safe to move in:
 
-- A voxel is carved only if *every* ray through its projected footprint, and the ring of rays around it, ends behind the
-  voxel's far side by more than the sensor's noise. A ray without return proves nothing.
+- A voxel is carved only if every ray through its projected footprint, and one ring of rays around it, ends behind the
+  far side of the voxel by more than the sensor's noise. A ray without return proves nothing.
 - A voxel in which any ray ends is occupied, however thin the structure is.
 - A voxel at the border of the image is seen in part. Its 4 x 4 x 4 parts, proven free by different views or by the
-  agent's body, are combined; otherwise every seam between two views would be a wall.
-- Rays are samples: at range z they are z / f apart, and a structure of width w can lie between them. One view misses it
-  with probability 1 - min(1, w f / z). A voxel is free only when the product of these probabilities over all views is
-  small.
+  agent's body, are combined. Otherwise the seam between two views would remain unknown and block the agent.
+- Rays are samples: at depth z they are z / f apart, with focal length f in pixels. A structure of width w can be
+  between
+  them. One view misses it with probability 1 - min(1, w f / z). A voxel is free only when the product of these
+  probabilities over all views is small.
 """
 
 from __future__ import annotations
@@ -28,58 +30,58 @@ UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 
-# Closer than this the footprint of a voxel exceeds the image; it also keeps the projection away from z = 0.
+# Metres. Below this depth the footprint of a voxel exceeds the image; the limit also avoids projection at z = 0.
 _MIN_DEPTH_M = 0.05
-PARTS_PER_SIDE = 4
-ALL_PARTS = np.uint64(2**64 - 1)
+PARTS_PER_SIDE = 4  # parts of a voxel along each axis
+ALL_PARTS = np.uint64(2**64 - 1)  # bit mask with the bits of all 64 parts
 _ONE = np.uint64(1)
-# A smaller miss probability is rounded to 0, and the voxel needs no more views.
+# A smaller miss probability is rounded to 0; the voxel then needs no more views.
 _SURE = 1e-3
 
 
 class VoxelFields(NamedTuple):
-    """Hold the arrays of the volume, each [X, Y, Z]."""
+    """Hold the arrays of the volume, each [X, Y, Z], as one kernel argument."""
 
-    origin: np.ndarray  # [3] lower corner of voxel (0, 0, 0)
+    origin: np.ndarray  # [3] metres, lower corner of voxel (0, 0, 0)
     voxel_size: float  # metres
-    state: np.ndarray  # uint8
-    solidity: np.ndarray  # int16: above 0 = occupied
-    miss_chance: np.ndarray  # float32
-    parts: np.ndarray  # uint64: one bit for each part proven free
+    state: np.ndarray  # uint8: UNKNOWN, FREE or OCCUPIED
+    solidity: np.ndarray  # int16 hit counter; the voxel is occupied while it is above 0
+    miss_chance: np.ndarray  # float32 probability that a thin structure was missed by all views
+    parts: np.ndarray  # uint64: one bit for each of the 64 parts of a voxel that is proven free
     last_hit: np.ndarray  # int32: number of the last image with a hit in the voxel
-    tsdf: np.ndarray  # float32
-    weight: np.ndarray  # float32
+    tsdf: np.ndarray  # float32 signed distance / truncation distance
+    weight: np.ndarray  # float32 number of observations of the TSDF, limited
 
 
 class Look(NamedTuple):
-    """Hold a depth image prepared for `carve`."""
+    """Hold a depth image in the form that `carve` needs."""
 
-    number: int
-    fresh: bool  # whether the pose differs from the previous image's
-    depth: np.ndarray  # [H, W] float32 measured depth
-    pyramid: np.ndarray  # from minimum_pyramid: free distance of each ray
-    levels: np.ndarray
+    number: int  # number of the image
+    fresh: bool  # whether the pose differs from that of the previous image
+    depth: np.ndarray  # [H, W] float32 measured depth, metres
+    pyramid: np.ndarray  # free distance of the rays, see `minimum_pyramid`
+    levels: np.ndarray  # levels of the pyramid, see `minimum_pyramid`
     lens: Lens
     camera_from_world: np.ndarray  # [4, 4]
 
 
 class Frustum(NamedTuple):
-    """Hold the inequalities of `frustum_planes`, and the box [lower, upper) of voxels that the frustum can touch."""
+    """Hold the result of `frustum_planes`, and the box [lower, upper) of voxels that the view frustum can touch."""
 
-    planes: np.ndarray
-    reach: np.ndarray
-    sides: np.ndarray
-    extents: np.ndarray
+    planes: np.ndarray  # [6, 4]
+    reach: np.ndarray  # [6]
+    sides: np.ndarray  # [64, 4]
+    extents: np.ndarray  # [3]
     lower: np.ndarray  # [3] int64
     upper: np.ndarray  # [3] int64
 
 
 class Caution(NamedTuple):
-    """Hold margins and thresholds of `carve`, as in `VolumeConfig`."""
+    """Hold the margins and thresholds of `carve`, explained at `VolumeConfig`."""
 
     margin: float  # metres
-    margin_growth: float  # metres per square metre of range
-    thinnest: float  # metres
+    margin_growth: float  # metres per square metre of depth
+    thinnest: float  # metres, width of the thinnest structure that rays must not miss
     max_miss_chance: float
     truncation: float  # metres
     max_weight: float
@@ -91,12 +93,12 @@ def mark_hits(
     lens: Lens,
     world_from_camera: np.ndarray,  # [4, 4]
     voxels: VoxelFields,
-    max_range: float,
-    image_number: int,
-    gain: int,
-    ceiling: int,
+    max_range: float,  # metres; larger depths are ignored
+    image_number: int,  # number of this image
+    gain: int,  # increase of the hit counter by a hit
+    ceiling: int,  # largest value of the hit counter
 ) -> None:
-    """Mark the voxel in which each returning ray ends as occupied (once per image)."""
+    """Mark each voxel in which a returning ray ends as occupied, at most once per image."""
     fx, fy, cx, cy = lens
     origin, voxel_size, state, solidity, miss_chance, parts, last_hit, _, _ = voxels
     for v in range(depth.shape[0]):
@@ -126,7 +128,10 @@ def mark_hits(
 def _nearest_in_footprint(
     pyramid: np.ndarray, levels: np.ndarray, u0: int, u1: int, v0: int, v1: int, enough: float
 ) -> np.floating:
-    """Return the smallest depth over pixels [v0..v1] x [u0..u1] (or slightly more); stop below ``enough``."""
+    """Return the smallest free distance of the pixels in columns u0..u1 and rows v0..v1, or of slightly more pixels.
+
+    The search ends at a distance of at most ``enough``. ``pyramid`` and ``levels`` are from `minimum_pyramid`.
+    """
     level = 0
     while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > READS_PER_SIDE:
         level += 1
@@ -144,17 +149,17 @@ def _nearest_in_footprint(
 def frustum_planes(
     camera: PinholeCamera,
     camera_from_world: np.ndarray,  # [4, 4]
-    voxel_size: float,
-    max_range: float,
+    voxel_size: float,  # metres
+    max_range: float,  # metres
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the frustum of the outermost rays over camera points, and the extents of a voxel along its normals.
+    """Return the view frustum of the outermost rays, and the extents of a voxel along the normals of its planes.
 
-    Returns four arrays:
+    Returns four arrays, in the camera frame:
 
     - the inequalities a . p >= b as rows [6, 4]: left, right, top, bottom, near, far;
-    - half a voxel's extent across each [6];
-    - for each of the 64 parts of a voxel, the minimum of the first four relative to the voxel's centre [64, 4];
-    - half a voxel's extents along the camera's axes [3].
+    - half the extent of a voxel along each normal [6];
+    - for each of the 64 parts of a voxel, the minimum of the first four a . p relative to the voxel's centre [64, 4];
+    - half the extents of a voxel along the camera's axes [3].
     """
     c = camera
     planes = np.array([
@@ -171,7 +176,7 @@ def frustum_planes(
 
 @cache
 def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
-    """Return the centre of each part of a voxel relative to the voxel's centre, in bit order."""
+    """Return the centre of each of the 64 parts of a voxel relative to the voxel's centre, in the order of the bits."""
     steps = (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
     centers = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     centers.setflags(write=False)
@@ -180,7 +185,7 @@ def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
 
 @kernel
 def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -> None:
-    """Update TSDF and state of every voxel that touches the view frustum."""
+    """Update the TSDF and the state of every voxel that touches the view frustum of one depth image."""
     image_number, fresh, depth, pyramid, levels, lens, camera_from_world = look
     planes, reach, sides, extents, lower, upper = frustum
     origin, voxel_size, state, solidity, miss_chance, parts, last_hit, tsdf, weight = voxels
@@ -203,7 +208,8 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
             bz = rotation[2, 0] * wx + rotation[2, 1] * wy + rotation[2, 2] * wz + camera_from_world[2, 3]
             first, last = float(lower[2]), float(upper[2] - 1)
             for p in range(6):
-                # A column of voxels intersects the frustum in one interval (first four planes: any part of a voxel).
+                # A column of voxels intersects the frustum in one interval. For the four sides, any part of a voxel
+                # counts.
                 offset = planes[p, 0] * bx + planes[p, 1] * by + planes[p, 2] * bz - planes[p, 3]
                 if p < 4:
                     offset += reach[p]
@@ -220,7 +226,8 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                 v = min(max(int(fy * y / z + cy), 0), height - 1)
                 distance = depth[v, u] - z
                 if depth[v, u] > 0.0 and distance > -truncation:
-                    edge = np.inf  # distance of the centre to the outermost rays
+                    # At least 0 if the voxel's centre is within the outermost rays.
+                    edge = np.inf
                     for p in range(4):
                         edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
                     if edge >= 0.0:
@@ -244,7 +251,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                 partly = left < 0.5 or right > width - 0.5 or top < 0.5 or bottom > height - 0.5
                 if partly and (far > sure_range or solidity[i, j, k] > 0):
                     continue
-                # Add one ray on each side: at least 3 x 3.
+                # Include one ray on each side, so at least 3 x 3 rays are tested.
                 u0, u1 = max(int(max(left, 0.0)) - 1, 0), min(int(right) + 1, width - 1)
                 v0, v1 = max(int(max(top, 0.0)) - 1, 0), min(int(bottom) + 1, height - 1)
                 if _nearest_in_footprint(pyramid, levels, u0, u1, v0, v1, enough) <= enough:
@@ -265,9 +272,10 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                         state[i, j, k] = FREE
                     continue
 
-                met = min(1.0, sure_range / far)  # probability that a ray meets a thin structure
+                # Probability that a ray meets a thin structure in the voxel.
+                met = min(1.0, sure_range / far)
                 if not fresh and (met < 1.0 or solidity[i, j, k] > 0):
-                    continue  # the same rays again add no information
+                    continue  # the same rays again give no information
                 missed = miss_chance[i, j, k] * (1.0 - met)
                 miss_chance[i, j, k] = missed if missed > _SURE else 0.0
                 if solidity[i, j, k] > 0 and met >= 1.0:

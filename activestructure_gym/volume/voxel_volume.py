@@ -1,4 +1,4 @@
-"""Map unknown, free and occupied space in a voxel grid, with its distance field and a TSDF for evaluation."""
+"""Map unknown, free and occupied space in a voxel grid, with a distance field for motion and a TSDF for evaluation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 
-# More voxels would need gigabytes; the cause is always wrong units (a mesh in millimetres).
+# A larger grid would need gigabytes. Its usual cause is a wrong unit, such as a mesh in millimetres.
 _MAX_VOXELS = 60_000_000
 _RANGES = {
     "voxel_size": "[0.0001, 100]",
@@ -29,34 +29,37 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class VolumeConfig:
-    """Configure the resolution and safety margins of the voxel grid."""
+    """Configure the resolution and the safety margins of the voxel grid."""
 
     voxel_size: float = 0.1
-    """Metres. (0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door: docs/notebook/groundwork.md)"""
+    """Side length of a voxel, metres. (0.1 m costs 5 to 10 times less than 0.05 m, and 0.8 m doors remain passable.)"""
     max_range: float = 5.0
-    """Metres of depth used. Beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
+    """Largest depth used, metres. Beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
     margin: float = 0.02
-    """Metres by which a ray must end behind a voxel to prove it free."""
+    """Metres by which a ray must end behind a voxel to prove it free, at depth 0."""
     margin_growth: float = 0.006
-    """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
+    """Growth of the margin, metres per square metre of depth: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
     thinnest: float = 0.03
-    """Metres: width of the thinnest structure (lamp pole, chair leg) that must not be missed between two rays."""
+    """Width in metres of the thinnest structure (lamp pole, chair leg) that rays must not miss."""
     max_miss_chance: float = 0.05
-    """Miss probability of such a structure over all views, at or below which a voxel is free; 0 = near views only."""
-    hit_gain: int = 5
-    """Certain observations of a voxel as free that cancel one hit (noise); fewer would erase very thin structures."""
-    hit_ceiling: int = 50
-    """Upper limit of the hit counter, in observations, so that every wrong hit can be cleared."""
-    unknown_slack: float = 0.05
-    """Metres that unknown space may be closer than an occupied voxel.
+    """A voxel is free if the probability that all views missed such a structure is at most this.
 
-    Without it a camera with a 60 degree view hardly leaves its start, since the observed cone is too narrow there.
-    Measured in 100 frames of random exploration: 1.6 m of path against 6.6 m.
+    0 = near views only.
+    """
+    hit_gain: int = 5
+    """Number of observations of a voxel as free that cancel one hit (noise). Fewer would erase very thin structures."""
+    hit_ceiling: int = 50
+    """Largest value of the hit counter of a voxel, in observations as free, so that wrong hits can be cleared."""
+    unknown_slack: float = 0.05
+    """Metres by which unknown space may be closer to the agent than an occupied voxel.
+
+    Without it, a camera with a field of view of 60 degrees hardly leaves its start, since the observed cone is too
+    narrow there. Measured in 100 frames of random exploration: 1.6 m of path without it, 6.6 m with it.
     """
     truncation: float = 0.3
-    """Metres: truncation distance of the TSDF, but at least 3 voxels."""
+    """Truncation distance of the TSDF in metres; at least 3 voxels are used."""
     max_weight: float = 64.0
-    """Observations after which the TSDF becomes a moving average."""
+    """Number of observations of a voxel after which its TSDF value becomes a moving average."""
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -65,7 +68,7 @@ class VolumeConfig:
 
 
 def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
-    """Return the number of voxels along x, y, z over bounds [2, 3] in metres.
+    """Return the number of voxels along each axis of a grid over ``bounds`` [2, 3] in metres, with a border of one.
 
     Raises `InputError` for too many voxels or a scene too far from the origin.
     """
@@ -86,10 +89,10 @@ def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
 
 
 class VoxelVolume:
-    """Hold a dense axis-aligned grid over the workspace, updated from depth images.
+    """Hold a dense axis-aligned voxel grid over the workspace, updated from depth images.
 
-    Everything not proven free is an obstacle: unknown voxels, and all space outside the grid. Arrays are indexed [x, y,
-    z]; the centre of voxel ``i`` is ``origin + (i + 0.5) * voxel_size``.
+    All space that is not proven free counts as an obstacle: unknown voxels, and space outside the grid. Arrays are
+    indexed [x, y, z]. The centre of voxel ``i`` is ``origin + (i + 0.5) * voxel_size`` in metres.
     """
 
     def __init__(
@@ -105,12 +108,12 @@ class VoxelVolume:
         self.voxel_size = size
         self.truncation = max(self.config.truncation, 3.0 * size)
         self.shape = grid_shape(bounds, size)
-        # The excess of the outer voxels is split evenly between both sides.
+        # The grid is centred on the bounds, so both sides get an equal part of the voxels that exceed them.
         self.origin = bounds.mean(axis=0) - 0.5 * size * np.array(self.shape)
         self.state = np.full(self.shape, UNKNOWN, dtype=np.uint8)
-        # metres / truncation, 1 = far in front; valid where weight > 0
+        # Signed distance / truncation distance; 1 is far in front of a surface. Valid where weight > 0.
         self.tsdf = np.zeros(self.shape, dtype=np.float32)
-        self.weight = np.zeros(self.shape, dtype=np.float32)  # number of observations, capped
+        self.weight = np.zeros(self.shape, dtype=np.float32)  # number of observations, limited to max_weight
         self._solidity = np.zeros(self.shape, dtype=np.int16)
         self._miss_chance = np.ones(self.shape, dtype=np.float32)
         self._parts = np.zeros(self.shape, dtype=np.uint64)
@@ -125,15 +128,15 @@ class VoxelVolume:
         self,
         frame: Frame,
         *,
-        sensor_range: float | None = None,  # metres; None = unknown
+        sensor_range: float | None = None,  # metres up to which the sensor returns every surface; None = unknown
         dropouts: bool = False,  # whether the sensor also loses single returns within its range
     ) -> None:
-        """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image's size).
+        """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image size).
 
-        A pixel without return proves nothing, unless ``sensor_range`` states up to which distance the sensor returns
-        every surface. Then its ray is free up to that range, which an agent needs in halls longer than it. With
-        ``dropouts`` this holds only for blocks of 5 x 5 such pixels. Other lost pixels take their neighbours' depth,
-        and thin structures need views from half the distance.
+        A pixel without return proves nothing, unless ``sensor_range`` is given. Then its ray is free up to that range,
+        which an agent needs in halls longer than the range. With ``dropouts`` this holds only for blocks of 5 x 5 such
+        pixels. Other lost pixels get the smallest depth of their neighbours, and thin structures need views from half
+        the distance.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
@@ -155,7 +158,7 @@ class VoxelVolume:
             depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
-        # With lost returns, the remaining rays count as twice as far apart.
+        # Lost returns leave fewer rays, so rays count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
         camera_from_world = invert_rigid(view)
         planes = integration.frustum_planes(camera, camera_from_world, self.voxel_size, config.max_range)
@@ -174,10 +177,10 @@ class VoxelVolume:
         self._changed()
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
-        """Mark voxels inside a sphere as free, because the agent's body occupies it.
+        """Mark the voxels inside a sphere as free, because the agent's body occupies it.
 
-        Voxels partly inside become free when views prove the rest. Occupied voxels stay. Call it only where the body is
-        known to fit, such as at a checked start pose.
+        ``center`` [3] and ``radius`` are in metres. Voxels partly inside become free when views prove the rest.
+        Occupied voxels remain occupied. Call it only where the body is known to fit, such as at a checked start pose.
         """
         center = np.asarray(center, dtype=np.float64)
         lower = np.clip(self.voxel_of(center - radius), 0, self.shape)
@@ -195,7 +198,10 @@ class VoxelVolume:
         self._changed()
 
     def _frustum_box(self, frame: Frame, farthest: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the voxel box [lower, upper) around the view frustum, without depths that cannot change."""
+        """Return the box [lower, upper) of voxels around the view frustum, up to the largest depth that changes voxels.
+
+        ``farthest`` is the largest free distance of a ray in metres.
+        """
         camera = frame.camera
         deepest = min(farthest + self.truncation, self.config.max_range)
         world = np.array([[0.0, 0.0, 0.0]] + [
@@ -213,20 +219,20 @@ class VoxelVolume:
     # -- the grid -------------------------------------------------------------------------------------------------
 
     def voxel_of(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3] int64, also outside the grid
-        """Return the index of the voxel that contains each point."""
+        """Return the index of the voxel that contains each point, also for points outside the grid."""
         return np.floor((np.asarray(points, dtype=np.float64) - self.origin) / self.voxel_size).astype(np.int64)
 
     def center_of(self, indices: np.ndarray) -> np.ndarray:  # [..., 3] -> [..., 3] metres, world
-        """Return the centre of each voxel."""
+        """Return the centre of each voxel in metres."""
         return self.origin + (np.asarray(indices) + 0.5) * self.voxel_size
 
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
-        """Return whether each point is inside the grid."""
+        """Return whether each point (metres, world) is inside the grid."""
         voxels = self.voxel_of(points)
         return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
-        """Return the state of the voxel that contains each point; UNKNOWN outside the grid."""
+        """Return the state of the voxel that contains each point (metres, world); UNKNOWN outside the grid."""
         voxels, inside = self.voxel_of(points), self.contains(points)
         return np.where(inside, self.state[tuple(np.where(inside[..., None], voxels, 0).T)], UNKNOWN).astype(np.uint8)
 
@@ -236,11 +242,12 @@ class VoxelVolume:
 
     @property
     def unobserved(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Return which voxels are unobserved: neither free nor occupied, and without a ray through the centre.
+        """Return a mask of the unobserved voxels: neither free nor occupied, and without a ray through the centre.
 
-        Use it to select targets for new views; use `state` for motion. In front of every surface is a shell that rays
-        crossed without proving it free: the margin, partial footprints, several views beyond 2.4 m. More views of the
-        surface do not clear it.
+        Use it to select targets for new views; use `state` for motion. In front of every surface is a layer of unknown
+        voxels that rays crossed without proving them free: within the margin, with partial footprints, or beyond 2.4 m,
+        where several views are needed. More views of the surface do not prove the layer free, so it is not in this
+        mask.
         """
         return (self.state == UNKNOWN) & ~((self.weight > 0) & (self.tsdf > 0))
 
@@ -253,11 +260,11 @@ class VoxelVolume:
 
     @property
     def clearance(self) -> np.ndarray:  # [X, Y, Z] float32 metres
-        """Return the distance from each free voxel's centre to the nearest cube of a voxel that is not free.
+        """Return the distance from each free voxel's centre to the nearest cube of a voxel that is not free, in metres.
 
-        Unknown voxels and space outside the grid count as ``unknown_slack`` farther than they are. The true clearance
-        is thus at least the returned one less that slack. 0 in voxels that are not free. Computed on first use after a
-        change, only in the box around the free voxels.
+        Unknown voxels and space outside the grid count as ``unknown_slack`` farther away than they are. So the true
+        clearance is at least the returned one minus this slack. It is 0 in voxels that are not free. It is computed at
+        the first use after a change, and only in the box around the free voxels.
         """
         if self._clearance is None:
             self._clearance = np.zeros(self.shape, dtype=np.float32)
@@ -268,19 +275,19 @@ class VoxelVolume:
 
     def clearance_around(
         self,
-        points: np.ndarray,  # [N, 3] voxels; the centre of voxel (0, 0, 0) is (0, 0, 0)
+        points: np.ndarray,  # [N, 3] voxels; the centre of voxel (0, 0, 0) is at (0, 0, 0)
         *,
-        enough: float,  # metres
+        enough: float,  # metres; larger clearances need not be exact
     ) -> np.ndarray:  # [X, Y, Z] float32 metres
-        """Return `clearance` around the given points, exact only below ``enough``.
+        """Return the `clearance` field around the given points, exact only below ``enough``.
 
-        Interpolated within the points' box, the values equal `clearance` where that is lower and are at least
-        ``enough`` elsewhere. Outside the box they are undefined. After a change of a large volume this costs a fraction
-        of `clearance`.
+        Values interpolated inside the box of the points equal `clearance` if that is below ``enough``, and are at least
+        ``enough`` otherwise. Outside the box they are undefined. After a change of a large volume this is several times
+        faster than `clearance`.
         """
         if self._clearance is not None:
             return self._clearance
-        # If one corner of a cell has this clearance, all eight are free with enough.
+        # If one corner of a cell has this clearance, all eight corners are free with at least ``enough``.
         reach = (enough + self.config.unknown_slack) / self.voxel_size + np.sqrt(3.0)
         border = int(np.ceil(reach)) + 1
         lower = np.maximum(np.floor(points.min(axis=0)).astype(np.int64), 0)
@@ -292,15 +299,16 @@ class VoxelVolume:
 
     def _measure_clearance(
         self,
-        field: np.ndarray,  # [X, Y, Z] float32 metres, written inside the box
+        field: np.ndarray,  # [X, Y, Z] float32 metres, output inside the box
         lower: np.ndarray,  # [3] int64 indices of the box
         upper: np.ndarray,  # [3] int64, exclusive
         *,
-        border: int = 0,  # voxels around the box in which the nearest obstacle may lie; increased if the slack needs it
-        at_most: float = np.inf,  # voxels
+        border: int = 0,  # voxels around the box in which the nearest obstacle may be; increased if the slack needs it
+        at_most: float = np.inf,  # voxels; larger distances need not be exact
     ) -> None:
         slack = self.config.unknown_slack / self.voxel_size
-        # Obstacles farther outside the free space than the slack cannot be nearer than the shell around it.
+        # Obstacles that are farther outside the free space than the slack cannot be nearer than the unknown layer
+        # around it.
         border = max(border, int(np.ceil(slack)) + 1)
         state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
         inner = (slice(border, -border),) * 3
@@ -312,21 +320,21 @@ class VoxelVolume:
         distance_field.join_distances(any_kind[inner], occupied[inner], *scale, field[box])
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
-        """Return the clearance interpolated between voxel centres; 0 outside the grid.
+        """Return the clearance at points, interpolated between voxel centres; 0 outside the grid.
 
-        Next to a wall it is within an eighth of a voxel of the exact distance.
+        Next to a wall it differs from the exact distance by at most an eighth of a voxel.
         """
         return distance_field.sample_points(self.clearance, self._grid_coordinates(points).reshape(-1, 3))
 
     def segments_free(
         self,
         starts: np.ndarray,  # [N, 3] metres, or [3] for all
-        ends: np.ndarray,  # [N, 3], or [3]
+        ends: np.ndarray,  # [N, 3] metres, or [3] for all
         *,
         min_clearance: float,  # metres
-        step: float | None = None,  # metres between samples; half a voxel if None
+        step: float | None = None,  # metres between samples; None = half a voxel
     ) -> np.ndarray:  # [N] bool
-        """Return whether each segment keeps the clearance along its whole length."""
+        """Return whether the clearance is at least ``min_clearance`` along each whole segment."""
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
         step_voxels = 0.5 if step is None else step / self.voxel_size
         return distance_field.segments_above(
@@ -336,11 +344,11 @@ class VoxelVolume:
     def line_of_sight_free(
         self,
         starts: np.ndarray,  # [N, 3] metres, or [3] for all
-        ends: np.ndarray,  # [N, 3], or [3]
+        ends: np.ndarray,  # [N, 3] metres, or [3] for all
     ) -> np.ndarray:  # [N] bool
         """Return whether each line of sight crosses no occupied voxel.
 
-        The last two voxels may be occupied: they contain the target surface.
+        The last two voxels before each end may be occupied, since they contain the target surface.
         """
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
         return distance_field.sight_lines(
@@ -349,9 +357,9 @@ class VoxelVolume:
 
     @property
     def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Return the occupied voxels, in the form that `distance_field.sight_line` takes."""
+        """Return a mask of the occupied voxels, the form that `distance_field.sight_line` needs."""
         return self.state == OCCUPIED
 
-    def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3]
+    def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3] voxels
         """Return points in voxel units; the lower corner of voxel (0, 0, 0) is at 0."""
         return self._grid_coordinates(points) + 0.5

@@ -104,9 +104,9 @@ class _WeightedRows(torch.autograd.Function):
 
 
 def one_blob(points: torch.Tensor) -> torch.Tensor:  # [n, 3] 0..1 -> [n, 3 * 16]
-    """Return the one-blob encoding of points: each coordinate as a Gaussian, sampled at 16 bins ([muller2019], Sec.
+    """Return the one-blob encoding of points: each coordinate as a Gaussian, sampled at 16 bins.
 
-    4.3). The standard deviation of the Gaussian is one bin width.
+    The standard deviation of the Gaussian is one bin width. Source: [muller2019], Sec. 4.3.
     """
     middles = (torch.arange(BINS, dtype=points.dtype) + 0.5) / BINS
     return torch.exp(-0.5 * ((points[..., None] - middles) * BINS) ** 2).flatten(1)

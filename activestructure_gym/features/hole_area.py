@@ -12,14 +12,14 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
-# Pixels between traced rays, in both directions: neighbouring rays cross the same hole.
+# Pixels from one traced ray to the next, in both directions. Rays of neighbouring pixels cross the same holes.
 _STRIDE = 2
 
-# Metres. Measured (docs/notebook/method.md) with a map that was too sparse on surfaces seen from farther away; not
-# measured again with the present map, which is dense there too (docs/notebook/map.md).
+# Metres, the distance beyond which a surface counts no more. Measured (docs/notebook/method.md) with a map that was too
+# sparse on surfaces seen from farther away; the present map is dense there too (docs/notebook/map.md).
 REACH = 4.0
 
-# Metres and radians: two poses within these limits can be one view with pose noise (own choice).
+# Metres and radians. Two poses that differ by less count as one view, since recorded poses have noise (own choice).
 _SAME_PLACE, _SAME_DIRECTION = 0.05, np.radians(5.0)
 
 
@@ -27,13 +27,14 @@ _SAME_PLACE, _SAME_DIRECTION = 0.05, np.radians(5.0)
 def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Return the sum over pixels of T_final x solid angle x min(d_exit, reach)^2, as a share of the largest such sum.
 
-    T_final = 1 - alpha is the final transmittance of the pixel. d_exit is the largest possible depth of a surface on
-    its ray: the distance to the first occupied voxel or to the border of the workspace, at most the sensor's range. An
-    area is used instead of a number of pixels, so that a hole has the same value from near and from afar.
+    T_final = 1 - alpha is the final transmittance of the pixel. d_exit is the largest possible distance of a surface
+    along its ray: the distance to the first occupied voxel or to the border of the workspace, at most the sensor's
+    range. reach is 4 m. An area is used instead of a number of pixels, so that a hole has the same value from near and
+    from afar.
 
     A pixel counts 0 if all voxels on its ray are free. An open window or the missing ceiling of a scan is always
-    transparent; once observed, its voxels are free, and the view leaves the pool ("coupling pool dynamics to
-    reconstruction state", Sec. 3.4). A view close to a keyframe pose counts 0: its surfaces are mapped, and its
+    transparent. Once it has been observed, its voxels are free, and the view leaves the pool ("coupling pool dynamics
+    to reconstruction state", Sec. 3.4). A view close to a keyframe pose counts 0: its surfaces are mapped, and its
     remaining holes have no depth return. The gain is derived from the unobserved volume of GS-Planner.
     """
     camera = context.camera
@@ -67,7 +68,7 @@ def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian, read
 
 
 def largest_area(camera: PinholeCamera) -> float:  # m^2
-    """Return the area of a view in which all pixels are transparent up to `REACH`."""
+    """Return the largest possible sum of `hole_area`: that of a view in which all pixels are transparent up to 4 m."""
     return float(solid_angles(camera).sum()) * REACH**2
 
 
@@ -81,7 +82,10 @@ def hidden_distances(
     stride: int,  # pixels between neighbours in ``wanted``
     enough: float = np.inf,  # metres; a result above it is only a lower bound
 ) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted, and where all voxels are free
-    """Return the largest distance at which each pixel's ray can meet a surface that the map lacks; 0 if none."""
+    """Return the largest distance at which each pixel's ray can meet a surface that the map lacks.
+
+    This is the distance to the first occupied voxel, or to the end of the ray if unknown voxels are on it.
+    """
     return _march(
         volume.state,
         *grid_rays(volume, camera, world_from_camera, stride),
@@ -95,18 +99,18 @@ def hidden_distances(
 def _march(
     state: np.ndarray,  # [X, Y, Z] uint8
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
-    voxel_size: float,
+    voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     max_range: float,  # metres of depth
-    enough: float,  # metres
+    enough: float,  # metres; a ray ends there once its result is known to be larger
     wanted: np.ndarray,  # [K, h, w] bool: pixels to trace
 ) -> np.ndarray:  # [K, h, w] metres along the ray
-    """Return the distance to the first occupied voxel, to the end of the ray if it crosses unknown space, else 0.
+    """Return the distance to the first occupied voxel, else to the end of the ray if it crosses unknown space, else 0.
 
-    The ray ends at the border of the volume or at the range. Its steps are half a voxel. Two consecutive steps must be
-    unknown: a single one can be the corner of a voxel that no earlier ray crossed. An occupied corner shorter than a
-    step can be missed, which makes the estimate slightly less precise.
+    The ray ends at the border of the volume or at the range. Its steps are half a voxel. Unknown space means that two
+    consecutive steps are unknown: a single one can be the corner of a voxel that no earlier ray crossed. An occupied
+    corner shorter than a step can be missed, which makes the estimate slightly less precise.
     """
     count, height, width = wanted.shape
     result = np.zeros((count, height, width))

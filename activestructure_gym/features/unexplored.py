@@ -18,20 +18,23 @@ def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Return the share of all voxels that are unexplored and visible from the view ([active_gs, code]).
 
     A voxel is visible if its centre projects into the image, within the integration range of the volume and in front of
-    the rendered surface. It is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored voxels is
-    tested once, at its centre.
+    the rendered surface. A voxel is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored
+    voxels is tested once, at its centre.
     """
     return context.once(_shares)
 
 
-def _shares(context: FeatureContext) -> np.ndarray:  # [K]
+def _shares(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     centres, unknown, total = unknown_cells(context.volume)
     seen = sums_in_front(centres, unknown, surface_within(context), context)
     return seen[:, 0] / total
 
 
 def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 metres of depth
-    """Return the rendered depth where the map is opaque, else the integration range; at most that range."""
+    """Return the rendered depth of covered pixels and the integration range of other pixels; at most that range.
+
+    The integration range is the largest depth that the volume integrates, at most the sensor's range.
+    """
     reach = np.float32(min(context.max_range, context.volume.config.max_range))
     with np.errstate(divide="ignore", invalid="ignore"):
         surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, reach)
@@ -39,10 +42,11 @@ def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 
 
 
 def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
-    """Return the centres of unobserved cells and single voxels, the voxels in each, and the number of all voxels.
+    """Return the unobserved space as M cells or single voxels: centres, voxels per cell, and the number of all voxels.
 
-    The outermost layer of the volume is outside the workspace and not counted. Only completely unobserved cells are
-    combined. In a cell at a wall, the centre can be in the known part, with the unknown part behind the wall.
+    A cell of 2 x 2 x 2 voxels is used where all eight are unobserved, and single voxels elsewhere. In a partly observed
+    cell at a wall, the centre could be in front of the wall, and the unobserved part behind it. The outermost layer of
+    the volume is outside the workspace and not counted.
     """
     inner = volume.unobserved[1:-1, 1:-1, 1:-1]
     x, y, z = (size // _SIDE for size in inner.shape)
@@ -63,7 +67,10 @@ def sums_in_front(
     context: FeatureContext,
     group: np.ndarray | None = None,  # [M] group index of each point; None: one group
 ) -> np.ndarray:  # [K, groups]
-    """Return the sum of the weights of the points in front of ``surface``, per view and group."""
+    """Return, per candidate and group, the sum of ``weights`` of the points that the candidate sees.
+
+    A point is visible if it projects into the image and its depth is less than ``surface`` at its pixel.
+    """
     groups = np.zeros(len(points), np.int64) if group is None else group
     number = 1 if group is None else int(groups.max(initial=-1)) + 1
     poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
@@ -77,7 +84,7 @@ def _sums(
     groups: np.ndarray,  # [M] int64
     number: int,  # number of groups
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    lens: Lens,
+    lens: Lens,  # fx, fy, cx, cy in pixels
     surface: np.ndarray,  # [K, h, w] float32 metres of depth
 ) -> np.ndarray:  # [K, number]
     count, height, width = surface.shape

@@ -1,4 +1,4 @@
-"""Compute the unknown volume visible from a view, and from all keyframes of the path to it."""
+"""Compute the expected unknown volume visible from a view, and from all keyframes of the path to it."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import OCCUPIED, UNKNOWN
 
 MEAN_DEPTH = 1.0  # metres, mean free path of a ray in unknown space
-REACH = 6.0  # metres along a ray
-SHORTLIST = 24  # views whose paths are evaluated
-_COLUMNS = 40  # approximate number of ray columns per view
-_SHELL = 2  # voxels around occupied ones whose unknown voxels are not counted: more views would not make them free
+REACH = 6.0  # metres, length of a ray
+SHORTLIST = 24  # number of views whose paths are evaluated
+_COLUMNS = 40  # approximate number of rays per image row
+_SHELL = 2  # voxels; unknown voxels this near to an occupied one are not counted, since views do not make them free
 _MIN_CHANCE = 0.02  # probability of visibility below which a ray ends
-_HALF_TIME = 5.0  # frames after which a view counts half in the shortlist, as in the shared travel term
+_HALF_TIME = 5.0  # frames of travel at which a view's score for the shortlist is halved, as in the shared travel term
 
 
 @FEATURES.register("unknown_volume", columns=("", "way"), unit="m^3", low=0.0)
 def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
     """Return the expected unknown volume visible from a view, and from all keyframes of the path to it.
 
-    The volume is the sum, over the voxels of `target_voxels`, of voxel volume times probability of visibility. On a
-    ray that crossed l metres of target voxels before, this probability is exp(-l / 1 m); behind an occupied voxel it is
-    0. A voxel that several rays cross counts once, with the largest probability. This is the occlusion-aware
-    information of [delmerico2018] with a probability per metre. Counting views along the path follows [bircher2016].
+    Target voxels are the unknown voxels that views can make known (`target_voxels`). The result sums their volumes
+    times the probability of visibility. On a ray that crossed l metres of target voxels before, this probability is
+    exp(-l / 1 m); behind an occupied voxel it is 0. A voxel that several rays cross counts once, with the largest
+    probability. This is the occlusion-aware information of [delmerico2018] with a probability per metre. Counting views
+    along the path follows [bircher2016].
 
     The path goes through known free space; its views are the keyframes that the episode would take. The second column
     is computed for 24 views without revisits: those with the largest first column times 1 / (1 + frames / 5). It is 0
@@ -60,7 +61,10 @@ def opened_volume(
     world_from_camera: np.ndarray,  # [V, 4, 4]
     starts: np.ndarray,  # [G + 1], index of the first view of each group
 ) -> np.ndarray:  # [G] m^3
-    """Return the expected unknown volume visible from each group of views together."""
+    """Return the expected unknown volume visible from each group of views, for example the keyframes of a path.
+
+    The poses of a group are consecutive. A voxel that several views of a group see counts once.
+    """
     volume = context.volume
     stride = max(1, round(context.camera.width / _COLUMNS))
     origin, voxel_size, poses, rays = grid_rays(volume, context.camera, world_from_camera, stride)
@@ -74,7 +78,7 @@ def opened_volume(
 
 
 class _Space(NamedTuple):
-    """Hold the voxel grid."""
+    """Hold the voxel grid for the kernel `_open`."""
 
     state: np.ndarray  # [X, Y, Z] uint8
     wanted: np.ndarray  # [X, Y, Z] bool, see `target_voxels`
@@ -83,7 +87,7 @@ class _Space(NamedTuple):
 
 
 class _Views(NamedTuple):
-    """Hold groups of views, and the rays of a view."""
+    """Hold G groups of V views, and the rays of a view."""
 
     poses: np.ndarray  # [V, 4, 4] world_from_camera
     starts: np.ndarray  # [G + 1] int64, index of the first view of each group
@@ -92,17 +96,18 @@ class _Views(NamedTuple):
 
 
 class _Notes(NamedTuple):
-    """Hold the voxel probabilities of the group that each of T threads works on."""
+    """Hold the largest probability of every voxel in the group of views that each of T threads works on."""
 
-    best: np.ndarray  # [T, X, Y, Z] float32, largest probability so far; valid where the stamp is that of the group
-    stamps: np.ndarray  # [T, X, Y, Z] int32: 1 + group
+    best: np.ndarray  # [T, X, Y, Z] float32, largest probability so far; valid where ``stamps`` is 1 + group
+    stamps: np.ndarray  # [T, X, Y, Z] int32: 1 + index of the group that has last set ``best``
 
 
 def target_voxels(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
-    """Return the unobserved voxels, and the observed ones of unknown state away from occupied voxels.
+    """Return which voxels are targets: all unobserved ones, and those of unknown state far from occupied voxels.
 
-    The latter are more than two voxels from any occupied one. They block a passage that was seen only at grazing
-    angles: no voxel behind them is unobserved, but the agent cannot pass until better views make them free.
+    Voxels of the second kind have been observed, but too poorly to be free, and are more than two voxels from any
+    occupied one. They block a passage that was seen only at grazing angles. No voxel behind them is unobserved, but the
+    agent cannot pass until better views make them free.
     """
     volume = context.volume
     near_occupied = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
@@ -114,13 +119,13 @@ def _open(
     tickets: np.ndarray,  # [2] int64, counters: groups started, threads started
     space: _Space,
     views: _Views,
-    mean_depth: float,  # metres
+    mean_depth: float,  # metres, mean free path of a ray in target voxels
     notes: _Notes,
     result: np.ndarray,  # [G] voxels, set
 ) -> None:
-    """Trace the rays of each group in steps of half a voxel, and sum the largest probability of each voxel.
+    """Set ``result`` to the sum over voxels of the largest probability of visibility, for each group of views.
 
-    If a ray raises the probability of a voxel, only the increase is added.
+    Rays have steps of half a voxel. If a ray raises the probability of a voxel, only the increase is added.
     """
     state, wanted, origin, voxel_size = space
     poses, starts, rays, reach = views

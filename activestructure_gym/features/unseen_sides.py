@@ -15,20 +15,20 @@ from activestructure_gym.mapping.density import bucket
 from activestructure_gym.mapping.map_passes import faces_away
 from activestructure_gym.splatting.counters import take_ticket
 
-NEAR = 0.06  # metres, radius around a surface point that contains its disks; their spacing is at most 4.5 cm
-_STRIDE = 2  # pixels between tested ones, in both directions
+NEAR = 0.06  # metres, radius around a surface point in which its disks are searched; they are at most 4.5 cm apart
+_STRIDE = 2  # pixels from one tested pixel to the next, in both directions
 _SOLID = 0.5  # alpha above which a pixel has a depth
 
 
 @FEATURES.register("unseen_sides", unit="m^2", low=0.0)
 def unseen_sides(context: FeatureContext) -> np.ndarray:  # [K]
-    """Return the area across the rays of the pixels that show the back of the map.
+    """Return the area, perpendicular to the rays, of the pixels that show the back of a mapped surface.
 
-    It is the sum of alpha x solid angle x min(d, 4 m)^2. The normal of a disk points towards the camera that seeded it.
-    A pixel shows the back of the map if there are disks around its rendered surface point, and all of them face away
-    from the view. No keyframe has seen this surface from that side: it is the far side of a thin object, or the inside
-    of an object seen from outside. The map is opaque there, so `hole_area` finds no hole. A view close to a keyframe
-    pose counts 0. Balls have no back.
+    It is the sum of alpha x solid angle x min(d, 4 m)^2, where d is the distance of the rendered surface. The normal of
+    a disk-shaped Gaussian points towards the camera that created it. A pixel shows a back if there are disks within
+    6 cm of its rendered surface point, and all of them face away from the view. No keyframe has seen this surface from
+    that side: it is the far side of a thin object, or the inside of an object seen from outside. The map is opaque
+    there, so `hole_area` finds no hole. A view close to a keyframe pose counts 0. Isotropic Gaussians have no back.
 
     The feature is our own; [gavis] also distinguishes the sides of a cell. Its measured effect is in
     docs/notebook/exploration.md, "The other side of things".
@@ -72,7 +72,7 @@ class _Table(NamedTuple):
 
 @kernel
 def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
-    """Return heads and links of the lists of Gaussians per bucket."""
+    """Return ``heads`` and ``following`` of a `_Table` for cells of side ``cell`` in metres."""
     size = 16
     while size < 2 * count:
         size *= 2
@@ -92,7 +92,10 @@ def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
 
 @kernel
 def _find_backs(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped-def]
-    """Set ``backs`` for one view per ticket."""
+    """Set ``backs`` [K, h, w] where all opaque Gaussians near a pixel's surface point face away; one view per ticket.
+
+    The arguments are those of `shown_from_behind`; a ticket is a view that a thread has taken from the common counter.
+    """
     parameters, heads, following, cell = table
     square = cell * cell
     while True:

@@ -1,4 +1,4 @@
-"""Compute from which directions the keyframes have seen each Gaussian, by their depth images.
+"""Compute from which directions the keyframes have seen each Gaussian, with their depth images as occlusion test.
 
 Nothing is stored: the result depends on the current map and keyframes only. The cost is proportional to the number of
 keyframes times the number of Gaussians in view: a few milliseconds for 100 keyframes and 30,000 Gaussians.
@@ -21,30 +21,36 @@ from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.frustum_culling import may_be_seen
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 
-DIRECTIONS = 128  # bins of the sphere, 2 x 64 bits per Gaussian (as in COVER)
-REACH = 5.0  # metres; a view from farther away adds no nearness (ActiveGS)
-_SLACK_M = 0.05  # a Gaussian is seen if it is at most this far behind the measured surface ...
-_SLACK_SHARE = 0.05  # ... plus this share of the depth
-_CELLS = 64  # cells per side of the table that maps a direction to its bin
+DIRECTIONS = 128  # number of direction bins of the sphere, stored in 2 x 64 bits per Gaussian (as in COVER)
+REACH = 5.0  # metres; a keyframe from farther away adds nothing to `ViewDirections.nearness` (ActiveGS)
+# A Gaussian is seen if it is at most _SLACK_M (metres) plus _SLACK_SHARE of the depth behind the measured surface.
+_SLACK_M = 0.05
+_SLACK_SHARE = 0.05
+_CELLS = 64  # number of cells per side of the table that maps a direction to its bin
 
 
 @dataclass(frozen=True)
 class ViewDirections:
-    """Hold statistics of the keyframes that see each of N Gaussians; v is the unit vector from Gaussian to camera."""
+    """Hold statistics of the keyframes that see each of N Gaussians.
+
+    v is the unit vector from the Gaussian to the camera of such a keyframe, in the world frame.
+    """
 
     count: np.ndarray  # [N] int32, number of keyframes that see it
-    nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n the normal of the side seen more
+    # [N] float64, sum of max(0, 1 - distance / 5 m) max(0, n v). n is the normal of the side with the larger sum.
+    nearness: np.ndarray
     concentration: np.ndarray  # [N] float64 0..1, length of the mean v; 1 if all directions are equal
-    bins: np.ndarray  # [N, 2] uint64, bit set of the bins of `fibonacci_directions(DIRECTIONS)` that contain a v
+    bins: np.ndarray  # [N, 2] uint64, bit set: bit b is 1 if a v is nearest to `fibonacci_directions(DIRECTIONS)[b]`
     sum: np.ndarray  # [N, 3] sum of v
     products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
     keyframes: int  # number of all keyframes
 
 
 def view_directions(mapper: KeyframeMapper) -> ViewDirections:
-    """Return the `ViewDirections` of all Gaussians and keyframes. For balls, which have no normal, n v is 1.
+    """Return the `ViewDirections` of all Gaussians and keyframes.
 
     A keyframe sees a Gaussian if its mean projects into the image and is not behind the surface measured there.
+    Isotropic Gaussians have no normal; n v is 1 for them.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
@@ -64,7 +70,7 @@ def view_directions(mapper: KeyframeMapper) -> ViewDirections:
 
 
 def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
-    """Return the axis with the smallest scale of each Gaussian; its sign is arbitrary."""
+    """Return the direction in which each Gaussian has its smallest scale; the sign of the vector is arbitrary."""
     used = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     w, x, y, z = used[QUATERNION] / np.maximum(np.linalg.norm(used[QUATERNION], axis=0), 1e-30)
     rotations = np.array(matrix_rows(w, x, y, z))  # [world, axis, N]
@@ -73,7 +79,10 @@ def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
 
 @lru_cache(1)
 def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
-    """Return the bin of every cell of the octahedral map of the sphere; exact at the centre of a cell."""
+    """Return the nearest of the 128 Fibonacci directions for every cell of the octahedral map of the sphere.
+
+    The octahedral map unfolds the sphere to a square of 64 x 64 cells. The result is exact at the centre of a cell.
+    """
     middle = (np.arange(_CELLS) + 0.5) / _CELLS * 2.0 - 1.0
     x, y = np.meshgrid(middle, middle, indexing="ij")
     z = 1.0 - np.abs(x) - np.abs(y)
@@ -86,13 +95,13 @@ def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
 class _Gaussians(NamedTuple):
     parameters: np.ndarray  # [14, capacity] float32
     count: int  # type: ignore[assignment]  # columns in use
-    normals: np.ndarray  # [N, 3]
+    normals: np.ndarray  # [N, 3] unit, world
     isotropic: bool
 
 
 class _View(NamedTuple):
     pose: np.ndarray  # [4, 4] camera_from_world
-    eye: np.ndarray  # [3] metres
+    eye: np.ndarray  # [3] metres, world: camera position
     lens: Lens
     depth: np.ndarray  # [h, w] float32 metres, 0 = no return
 
@@ -100,10 +109,10 @@ class _View(NamedTuple):
 @kernel
 def _add_view(
     gaussians: _Gaussians,
-    seen: np.ndarray,  # [blocks] bool
+    seen: np.ndarray,  # [blocks] bool: blocks of Gaussians that can be in the image
     view: _View,
-    table: np.ndarray,  # [cells, cells] int64
-    sums: np.ndarray,  # [N, 12] in place: number, nearness in front, nearness behind, v, products of v
+    table: np.ndarray,  # [cells, cells] int64, see `bin_table`
+    sums: np.ndarray,  # [N, 12] in place: count, nearness on the side of n, on the other side, sum of v, of products
     bins: np.ndarray,  # [N, 2] uint64, in place
 ) -> None:
     """Add one keyframe to the statistics of the Gaussians that it sees."""

@@ -1,4 +1,4 @@
-"""Render by ray casting: exact depth, no system libraries, almost the same cost for small and large meshes."""
+"""Render by ray casting, with exact depth, no system libraries, and a cost that hardly depends on the mesh size."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.shading import shade_pixels, shading_tables_of
 
-# Rays of one band of rows. Small enough for the cache and to be cast by the calling thread (the ray caster splits
-# larger batches over its own pool); large enough to make Python's overhead small.
+# Approximate number of rays of one band of image rows. Such a band fits into the cache, and one thread casts it, since
+# the ray caster splits larger batches over its own pool. Smaller bands would increase Python's overhead.
 _RAYS_PER_BAND = 16_000
 
 
 @kernel
 def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directions):
-    """Write world directions of the rays of some rows, pixel by pixel; camera z = 1, so the ray parameter is the depth.
+    """Write the world directions [N, 3] of the rays of the rows ``first_row`` to ``last_row``, pixel by pixel.
 
-    Each pixel has supersample x supersample rays through its subpixel centres. If supersample is even, none of them
-    passes through the pixel's centre; one more ray through the centre follows.
+    ``rotation`` [3, 3] is world from camera, ``lens`` is fx, fy, cx, cy. A direction has length 1 along the optical
+    axis, so that the ray parameter of a hit is its depth. Each pixel has supersample x supersample rays through its
+    subpixel centres. If supersample is even, none of them passes through the pixel's centre; one more ray through the
+    centre follows.
     """
     fx, fy, cx, cy = lens
     rays = supersample * supersample + 1 - supersample % 2
@@ -50,7 +52,7 @@ def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directi
 def default_threads() -> int:
     """Return the default number of rendering threads: 2, or 1 if OMP_NUM_THREADS is 1.
 
-    If every core already runs a job, a second thread slows down rendering by 10 to 30 %.
+    Set the variable to 1 if every core already runs a job: a second thread then slows down rendering by 10 to 30 %.
     """
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
@@ -119,7 +121,7 @@ class RaycastRenderer:
         return rgb, depth
 
     def close(self) -> None:
-        """Stop the worker threads."""
+        """Stop the rendering threads; a later call of `render` starts new ones."""
         if self._pool is not None and self._pool_process == os.getpid():
             self._pool.shutdown()
         self._pool = None

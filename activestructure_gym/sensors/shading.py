@@ -1,4 +1,4 @@
-"""Compute pixel colours: texture times vertex colour, averaged over the rays of a pixel."""
+"""Compute the colours of pixels: texture times vertex colour, averaged over the rays of each pixel."""
 
 from __future__ import annotations
 
@@ -13,30 +13,33 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, Scene
 
 
 class Appearance(NamedTuple):
-    """Hold a mesh's appearance in the form the kernel reads."""
+    """Hold colours and textures of a mesh as the arrays that the kernel `shade_pixels` reads.
+
+    The mesh has F faces, V vertices and K textures with T texels in all.
+    """
 
     faces: np.ndarray  # [F, 3] int32
-    colors: np.ndarray  # [V, 3] float32
-    uv: np.ndarray  # [V, 2] float32, v down
-    face_texture: np.ndarray  # [F] int32, -1 = none
+    colors: np.ndarray  # [V, 3] float32, vertex colours; 1 is white, baked light can exceed it
+    uv: np.ndarray  # [V, 2] float32, texture coordinates in widths and heights, v down
+    face_texture: np.ndarray  # [F] int32, index of the texture, -1 = none
     texels: np.ndarray  # [T, 3] uint8: texels of all textures, concatenated, row by row
     texture_start: np.ndarray  # [K] int64: first texel of each texture
     texture_size: np.ndarray  # [K, 2] int64: height, width
     texture_wrap: np.ndarray  # [K, 2] int64: wrap mode of each texture across and down
-    linear_colors: bool  # whether vertex colours are linear light
+    linear_colors: bool  # whether vertex colours are linear light instead of sRGB
 
 
 @dataclass(frozen=True)
 class ShadingTables:
-    """Hold tables shared by all sensors of a scene; all but the texels are the mesh's own arrays."""
+    """Hold the appearance that all sensors of a scene share; only texels are copied, other arrays are the mesh's."""
 
     appearance: Appearance
 
 
 def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
-    """Convert a mesh to the kernel's form.
+    """Return the arrays of a mesh in the form that `shade_pixels` reads.
 
-    Raises ValueError for an invalid mesh, since the kernel checks no bounds.
+    Raises `ValueError` for an invalid mesh, since the kernel does not check indices.
     """
     wrong = mesh.wrong()
     if wrong:
@@ -62,7 +65,7 @@ _tables_of_scene: dict[int, ShadingTables] = {}
 
 
 def shading_tables_of(scene: Scene) -> ShadingTables:
-    """Return the tables of a scene, made once per scene object and shared by all its sensors."""
+    """Return the shading tables of a scene, made once per scene object and shared by all its sensors."""
     key = id(scene)
     if key not in _tables_of_scene:
         _tables_of_scene[key] = make_shading_tables(scene.mesh)
@@ -72,7 +75,11 @@ def shading_tables_of(scene: Scene) -> ShadingTables:
 
 @kernel
 def _wrapped_texel(coordinate, size, wrap):
-    """Return lower texel, upper texel and the upper one's weight along one axis; texel i is centred at i + 0.5."""
+    """Return the two texels nearest to a texture coordinate along one axis, and the weight of the upper one.
+
+    ``coordinate`` is in units of the texture's size, which has ``size`` texels. ``wrap`` is the mode outside 0..1.
+    Texel i is centred at i + 0.5.
+    """
     if wrap == CLAMP:
         coordinate = min(coordinate, np.float32(1.0))
     elif wrap == MIRROR:
@@ -99,7 +106,7 @@ def _wrapped_texel(coordinate, size, wrap):
 
 @kernel
 def _displayed(linear):
-    """Return the display-referred value of a linear one (IEC 61966-2-1)."""
+    """Return the sRGB value of a linear colour value, both in 0..1 (IEC 61966-2-1)."""
     linear = min(max(linear, np.float32(0.0)), np.float32(1.0))
     if linear <= np.float32(0.0031308):
         return np.float32(12.92) * linear
@@ -109,8 +116,8 @@ def _displayed(linear):
 @kernel
 def shade_pixels(
     face,  # [P * stride] int32, -1 = nothing hit
-    bary_u,  # [P * stride] float32
-    bary_v,  # [P * stride] float32
+    bary_u,  # [P * stride] float32, barycentric coordinate of the hit, weight of the second vertex
+    bary_v,  # [P * stride] float32, weight of the third vertex
     stride,  # rays per pixel
     samples,  # number of leading rays of a pixel that carry colour
     appearance,  # `Appearance`

@@ -15,13 +15,13 @@ from activestructure_gym.mapping.frustum_culling import MapParts, may_be_seen
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, ROWS, GaussianMap
 from activestructure_gym.volume import VoxelVolume
 
-KAPPA = 2.0  # concentration: a larger value limits visibility to directions nearer to those seen (own choice)
-VIRTUAL_SHARE = 0.1  # maximum number of virtual Gaussians per Gaussian of the map (own choice)
-MIN_VIRTUAL = 1000  # maximum number of virtual Gaussians in a small map (own choice)
-VIRTUAL_OPACITY_LOGIT = 0.0  # opacity 0.5 (own choice)
-VIRTUAL_SIGMA = 0.35  # standard deviation over the distance between virtual Gaussians (own choice)
+KAPPA = 2.0  # concentration kappa of `visibility`: a larger value requires nearer directions (own choice)
+VIRTUAL_SHARE = 0.1  # maximum number of virtual Gaussians, as a share of the Gaussians of the map (own choice)
+MIN_VIRTUAL = 1000  # maximum number of virtual Gaussians in a map of less than 10,000 Gaussians (own choice)
+VIRTUAL_OPACITY_LOGIT = 0.0  # logit of the opacity 0.5 of virtual Gaussians (own choice)
+VIRTUAL_SIGMA = 0.35  # standard deviation of a virtual Gaussian, divided by their distance (own choice)
 KNOWN_VARIANCE = 0.05**2  # variance of a known brightness (own choice)
-UNSEEN_MEAN, UNSEEN_VARIANCE = 0.5, 1.0 / 12.0  # of an unknown brightness, uniform in 0..1
+UNSEEN_MEAN, UNSEEN_VARIANCE = 0.5, 1.0 / 12.0  # mean and variance of an unknown brightness, uniform in 0..1
 
 
 @FEATURES.register("gavis", unit="nats, mean over pixels", low=0.0)
@@ -29,7 +29,8 @@ def gavis(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute the mean over pixels of the entropy of sum w_i v_i N(c_i, q) + N(mu_0, q_0) sum w_i (1 - v_i) in nats.
 
     w_i is the weight of Gaussian i in the pixel, c_i its brightness, and v_i its visibility from the pixel's direction
-    (`visibility`). Virtual Gaussians with v = 0 fill unobserved space (`virtual_gaussians`), so that it does not count
+    (`visibility`). q = 0.05^2 is the variance of a known brightness. mu_0 = 0.5 and q_0 = 1/12 are mean and variance of
+    an unknown one. Virtual Gaussians with v = 0 fill unobserved space (`virtual_gaussians`), so that it does not count
     as free. The entropy is that of a normal distribution with the mixture's mean and variance, minus that of a fully
     visible pixel: 1/2 log(variance / q). It is an upper bound for the mixture, weighted by the opacity of the pixel.
     Source: [gavis], the mixture and the arg max of its entropy.
@@ -57,7 +58,11 @@ def excess_entropy(
     moments: np.ndarray,  # [h, w, 3] sums of w v, w v c and w v c^2
     alpha: np.ndarray,  # [h, w] sum of w
 ) -> np.ndarray:  # [h, w] >= 0 nats
-    """Return alpha / 2 log(variance / q), where the variance is that of the mixture over alpha."""
+    """Return alpha / 2 log(variance / q) of each pixel, the entropy above that of a fully visible pixel.
+
+    The variance is that of the mixture in `gavis` divided by alpha. v is the visibility of a Gaussian, c its
+    brightness, w its weight in the pixel, and q the variance of a known brightness.
+    """
     known, first, second = (moments[..., i] for i in range(3))
     unseen, whole = np.maximum(alpha - known, 0.0), np.maximum(alpha, 1e-9)
     mean = (first + unseen * UNSEEN_MEAN) / whole
@@ -67,7 +72,7 @@ def excess_entropy(
 
 
 def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianMap, int]:
-    """Return a copy of the map with virtual Gaussians appended, and the number of its own Gaussians."""
+    """Return a copy of the map with virtual Gaussians appended, and the number of Gaussians before these."""
     real = gaussians.count
     added = virtual_gaussians(volume, max(MIN_VIRTUAL, int(VIRTUAL_SHARE * real)))
     everything = GaussianMap(real + added.shape[1] + 1)
@@ -77,10 +82,10 @@ def with_virtual(gaussians: GaussianMap, volume: VoxelVolume) -> tuple[GaussianM
 
 
 def virtual_gaussians(volume: VoxelVolume, most: int) -> np.ndarray:  # [14, V] float32
-    """Return spherical Gaussians in unobserved space, on the finest lattice with at most ``most`` of them.
+    """Return the parameters of V spherical Gaussians in unobserved space, on the finest lattice with V <= ``most``.
 
-    A Gaussian represents a cube of the lattice whose voxels are all unobserved, that is, no ray passed their centres.
-    Its visibility 1 - prod(1 - Phi T) is therefore 0.
+    A Gaussian represents a cube of the lattice whose voxels are all unobserved. No ray of a keyframe passed the centres
+    of the voxels, so the visibility 1 - prod(1 - Phi T) of [gavis] is 0.
     """
     inner = volume.unobserved[1:-1, 1:-1, 1:-1]  # the outermost layer is outside the workspace
     side = 1
@@ -101,13 +106,13 @@ def virtual_gaussians(volume: VoxelVolume, most: int) -> np.ndarray:  # [14, V] 
 
 
 class ViewMoments(NamedTuple):
-    """Hold sums over the keyframes that saw each Gaussian; a series to degree 2 in the direction needs no others."""
+    """Hold sums over the keyframes that saw each Gaussian, from which `visibility` computes its series to degree 2."""
 
     number: np.ndarray  # [N] float64, number of these keyframes
     sum: np.ndarray  # [N, 3] sum of the unit directions v to the cameras
     products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
     keyframes: int  # number of all keyframes
-    factors: np.ndarray  # [3] factors of degree 0, 1 and 2, including zeta
+    factors: np.ndarray  # [3] coefficients of degree 0, 1 and 2, see `degree_factors`
 
 
 def _view_moments(seen: ViewDirections) -> ViewMoments:
@@ -129,15 +134,16 @@ def degree_factors(kappa: float) -> np.ndarray:  # [3]
 @kernel
 def visibility(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     seen: np.ndarray,  # [blocks] bool; Gaussians of other blocks keep their value
-    eye: np.ndarray,  # [3] metres
+    eye: np.ndarray,  # [3] metres, world: camera position
     moments: ViewMoments,
     result: np.ndarray,  # [N] float32 0..1, written
 ) -> None:
     """Write V = 1 - (1 - V~ / P)^P, the bound of [gavis] on the probability that one of P keyframes saw this side.
 
-    V~ = sum over the keyframes that saw the Gaussian of zeta exp(kappa d d_p), to degree 2 of spherical harmonics.
+    V~ = sum over the keyframes that saw the Gaussian of exp(kappa (d d_p - 1)), to degree 2 of spherical harmonics. d
+    and d_p are the unit directions from the Gaussian to ``eye`` and to the keyframe.
     """
     number, total, products, keyframes, factors = moments
     if keyframes == 0:

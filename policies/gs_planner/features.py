@@ -1,4 +1,4 @@
-"""Compute GS-Planner's two gains: unobserved volume behind transmittance, and the rendering loss of known surface."""
+"""Compute GS-Planner's two gains: unobserved volume that the map lets through, and rendering loss of known surface."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voxel_errors import LOSS_KEYFRAMES, spread
 from activestructure_gym.sensors import Frame
 
-STRIDE = 2  # pixels between rays
+STRIDE = 2  # pixels from one ray to the next
 COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error per unit of colour error (0..1)
 
 
@@ -22,7 +22,7 @@ COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error per unit of colour error 
     high=(1.0, np.inf),
 )
 def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
-    """Compute the unobserved volume that light would reach (share of the frustum), and the mean rendering loss (m).
+    """Compute the transmitted unobserved volume (share of the frustum), and the mean rendering loss (m).
 
     The volume is the sum over pixels and over the unobserved intervals i on their rays of V_i T_i ([gs_planner]).
     V_i = (d_out - d_in) (S_in + sqrt(S_in S_out) + S_out) / 3 with S = d^2 / f^2 is the volume of the pixel's frustum
@@ -30,8 +30,9 @@ def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
     depth range of the volume. T is 1 up to the rendered depth and 1 - alpha behind it; the original multiplies from
     splat to splat.
 
-    The loss is the mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray. L is measured
-    by rendering keyframes with the current map. The original stores it in the voxels when an image arrives.
+    The loss is the mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray. L1(D) is the
+    absolute depth error in metres, and L1(C) the absolute colour error in 0..1. L is measured by rendering keyframes
+    with the current map. The original stores it in the voxels when an image arrives.
     """
     volume = context.volume
     alpha = context.alpha[:, ::STRIDE, ::STRIDE]
@@ -49,7 +50,10 @@ def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
 
 
 def voxel_losses(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] float32 metres
-    """Return the mean L of the pixels of some keyframes whose surface is in each voxel; 0 without such pixels."""
+    """Return the mean loss L (see `gs_planner`) of the pixels whose measured surface point is in each voxel.
+
+    The pixels are those of 16 keyframes. Voxels without pixels have 0.
+    """
     mapper, volume = context.mapper, context.volume
     points, losses = [np.zeros((0, 3))], [np.zeros(0)]
     for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
@@ -73,7 +77,7 @@ def pixel_losses(
     color: np.ndarray,  # [H, W, 3] rendered, 0..1
     depth: np.ndarray,  # [H, W] metres, rendered, of the surface: the accumulated depth over alpha
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] metres, world; [N] metres
-    """Return the surface points and the losses L of all pixels with measured depth."""
+    """Return the surface points and the losses L (see `gs_planner`) of all N pixels with measured depth."""
     measured = frame.depth > 0
     loss = np.abs(depth - frame.depth) + COLOUR_WEIGHT * np.abs(color - frame.rgb / 255.0).mean(axis=-1)
     points = frame.camera.backproject(frame.depth)[measured].astype(np.float64)
@@ -85,16 +89,17 @@ def pixel_losses(
 def _walk(
     fields: tuple[np.ndarray, np.ndarray, np.ndarray],  # [X, Y, Z] bool unobserved, bool occupied, float32 losses
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
-    voxel_size: float,
+    voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     farthest: float,  # metres of depth
-    shown: np.ndarray,  # [K, h, w] metres: depth of the map
+    shown: np.ndarray,  # [K, h, w] metres: rendered depth of the map
     alpha: np.ndarray,  # [K, h, w] 0..1
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] sum of T (d_out^3 - d_in^3), [K] sum of the losses met
-    """Walk along the rays in steps of half a voxel, and sum volumes and losses.
+    """Return, per candidate, the transmitted unobserved volume and the sum of the losses of the first surface voxels.
 
-    Three times the volume of a pixel's frustum between two depths is the difference of their cubes, times 1 / f^2.
+    Rays have steps of half a voxel. Three times the volume of a pixel's frustum between two depths is the difference of
+    their cubes, times 1 / f^2. The factor 1 / (3 f^2) is left out.
     """
     unobserved, occupied, losses = fields
     size = unobserved.shape

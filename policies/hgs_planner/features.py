@@ -1,4 +1,4 @@
-"""Compute HGS-Planner's gain: unseen space behind the map's transmittance, and Fisher information in known space.
+"""Compute HGS-Planner's gain: unseen space that the map lets through, and Fisher information in known space.
 
 Source: [hgs_planner], by its text.
 """
@@ -13,15 +13,16 @@ from activestructure_gym.features.fisherrf import fisherrf
 from activestructure_gym.features.information import ADAPTIVE, adaptive, observed_share
 from activestructure_gym.features.registry import FEATURES
 
-RANGE = 5.0  # metres of depth (HGS-Planner's sensor)
-_STRIDE = 2  # pixels between rays; rays of neighbouring pixels meet the same voxels
+RANGE = 5.0  # metres of depth, largest range of a ray (HGS-Planner's sensor)
+_STRIDE = 2  # pixels from one ray to the next; rays of neighbouring pixels meet the same voxels
 
 
 @FEATURES.register("hgs_planner", unit=ADAPTIVE, low=0.0)
 def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
-    """Compute G = G_cov + lambda_o G_Q, with the share of the best `hgs_coverage` and the rank of `fisherrf`.
+    """Compute G = G_cov + lambda_o G_Q, where G_cov is `hgs_coverage` and G_Q is `fisherrf`.
 
-    lambda_o is the observed share of the voxels around the agent (`adaptive`).
+    G_cov is divided by its maximum over the candidates, and G_Q is replaced by its rank in 0..1. lambda_o is the
+    observed share of the voxels around the agent (`adaptive`).
     """
     return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
 
@@ -30,8 +31,8 @@ def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
 def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
     """Compute G_cov + lambda_o G_Q as sums without a common unit, as in the paper's text.
 
-    G_cov is the sum of V T over the unobserved voxels (m^3) on the rays of all pixels of the scoring camera. G_Q is the
-    sum of H_c / (H_train + lambda) over all parameters of all Gaussians.
+    G_cov is the sum of volume times transmittance (m^3) over the unobserved voxels on the rays of all pixels of the
+    scoring camera. G_Q is the sum of H_c / (H_train + lambda) over all parameters of all Gaussians (`fisherrf`).
     """
     on_ray = min(RANGE, context.max_range) * context.volume.config.voxel_size**2  # m^3 of the voxels on a ray
     volume = context.once(hgs_coverage) * on_ray * context.camera.width * context.camera.height
@@ -43,8 +44,9 @@ def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
 def hgs_coverage(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Compute G_cov, the transmitted length of rays in unobserved voxels as a share of the range (mean over pixels).
 
-    It is proportional to the paper's sum of V T over unobserved voxels, since all voxels have the same volume. It is 1
-    for a view of only unobserved space. The transmittance is 1 up to the rendered depth and 1 - alpha behind it.
+    A length is multiplied by the transmittance: 1 up to the rendered depth and 1 - alpha behind it. The result is
+    proportional to the paper's sum of volume times transmittance, since all voxels have the same volume. It is 1 for a
+    view of only unobserved space.
     """
     depth, alpha = context.depth[:, ::_STRIDE, ::_STRIDE], context.alpha[:, ::_STRIDE, ::_STRIDE]
     volume, reach = context.volume, min(RANGE, context.max_range)
@@ -61,14 +63,17 @@ def hgs_coverage(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 def _transmitted_unknown(
     unobserved: np.ndarray,  # [X, Y, Z] bool
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
-    voxel_size: float,
+    voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     depth: np.ndarray,  # [K, h, w] metres, rendered
     alpha: np.ndarray,  # [K, h, w] opacity
     reach: float,  # metres of depth
 ) -> np.ndarray:  # [K]
-    """Return the mean over pixels of the transmittance in unobserved voxels along the ray; 1 if all is unobserved."""
+    """Return the mean over pixels of the transmittance along the ray, counted in unobserved voxels only.
+
+    It is 1 if all voxels are unobserved and the map is empty.
+    """
     count, height, width = depth.shape
     size = unobserved.shape
     shares = np.zeros(count)

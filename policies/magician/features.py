@@ -16,11 +16,11 @@ from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
 
-BEAMS = 10  # N_b of the paper
-STEPS = 10  # N_d of the paper: views of a plan
-FRAMES_PER_STEP = 5  # maximum frames of a plan per step (own choice: the keyframe interval)
+BEAMS = 10  # N_b of the paper: number of plans kept in each step of the beam search
+STEPS = 10  # N_d of the paper: maximum number of views of a plan
+FRAMES_PER_STEP = 5  # maximum mean number of frames per view of a plan (own choice: the keyframe interval)
 CAP = 1.0  # metres by which planes are extended beyond their observed part (own choice)
-_COLUMNS = 40  # approximate number of columns of rays in a view
+_COLUMNS = 40  # approximate number of rays per image row
 
 
 @FEATURES.register("magician", columns=("plan", "view"), unit="m^2", low=0.0)
@@ -34,7 +34,7 @@ def magician(context: FeatureContext) -> np.ndarray:  # [K, 2]
     is better (`search`).
 
     Imagined surface extends every plane of the Plane Scene Graph through unseen space by up to 1 m (`imagined`). The
-    original uses a trained network. Source: [magician], by its abstract and a digest.
+    original uses a trained network. Source: [magician], by its abstract and a summary.
     """
     poses, agent = context.world_from_camera, context.agent
     surface = imagined(context)
@@ -48,7 +48,7 @@ def magician(context: FeatureContext) -> np.ndarray:  # [K, 2]
 
 
 def imagined(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
-    """Return the voxels of imagined surface: extensions of planes in unseen space."""
+    """Return which voxels contain imagined surface: extensions of the planes of the scene graph into unseen space."""
     wanted = target_voxels(context)
     found = np.zeros_like(wanted)
     for node in context.planes.nodes:
@@ -60,9 +60,12 @@ def imagined(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
 def continuation(
     node: PlaneNode,
     volume: VoxelVolume,
-    wanted: np.ndarray,  # [X, Y, Z] bool
-) -> np.ndarray:  # [n, 3] metres, on the plane
-    """Return the centres of the cells that extend the plane: within `CAP`, connected to seen cells by wanted voxels."""
+    wanted: np.ndarray,  # [X, Y, Z] bool: unseen voxels, see `target_voxels`
+) -> np.ndarray:  # [n, 3] metres, world, on the plane
+    """Return the centres of the grid cells of a plane that extend its observed cells through unseen space.
+
+    They are at most 1 m from an observed cell, and connected to one by cells in ``wanted`` voxels.
+    """
     grid = node.surface
     margin = int(np.ceil(CAP / grid.cell))
     seen = np.pad(grid.seen.astype(bool), margin)
@@ -78,7 +81,7 @@ def continuation(
 
 
 def visible_cells(context: FeatureContext, surface: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [K, M] bool
-    """Return which of the M imagined voxels each candidate sees; rays end at the first occupied or imagined voxel."""
+    """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels."""
     number = np.full(surface.shape, -1, np.int32)
     number[surface] = np.arange(surface.sum())
     stride = max(1, round(context.camera.width / _COLUMNS))
@@ -94,13 +97,13 @@ def _mark_visible(
     occupied: np.ndarray,  # [X, Y, Z] bool
     number: np.ndarray,  # [X, Y, Z] int32, index of an imagined voxel; -1 for others
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
-    voxel_size: float,
+    voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     reach: float,  # metres of depth
     visible: np.ndarray,  # [K, M] bool, set
 ) -> None:
-    """Mark the imagined voxels that each candidate sees."""
+    """Set ``visible`` to True for the imagined voxels that each candidate sees, with rays in steps of half a voxel."""
     size = occupied.shape
     for k in range(len(poses)):
         pose = poses[k]
@@ -126,29 +129,32 @@ def _mark_visible(
 
 
 class Costs(NamedTuple):
-    """Hold the frames that the steps of plans cost."""
+    """Hold the number of frames of the motions between views."""
 
-    first: np.ndarray  # [K] from the agent to each candidate; inf without a path
-    between: np.ndarray  # [K, K] between candidates
+    first: np.ndarray  # [K] frames from the agent to each candidate; inf without a path
+    between: np.ndarray  # [K, K] frames between candidates, along straight lines
 
 
 def frames_between(poses: np.ndarray, agent: Agent) -> np.ndarray:  # [K, 4, 4] -> [K, K]
-    """Return the frames of straight motions between candidates: the larger number of steps and turns, at least 1."""
+    """Return the number of frames of straight motions between candidates, at least 1.
+
+    It is the larger of the number of steps and the number of turns that the agent's motion limits require.
+    """
     steps = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2) / agent.motion.max_step_m
     turns = np.stack([np.degrees(rotation_angle(poses, pose)) for pose in poses]) / agent.motion.max_turn_deg
     return np.maximum(np.ceil(np.maximum(steps, turns) - 1e-6), 1.0)
 
 
 def search(
-    visible: np.ndarray,  # [K, M] bool
+    visible: np.ndarray,  # [K, M] bool: voxels that each candidate sees
     costs: Costs,
-    beams: int,
-    steps: int,
+    beams: int,  # number of plans kept in each step
+    steps: int,  # maximum number of views of a plan
     frames: float,  # maximum cost of a plan
 ) -> np.ndarray:  # [K]
-    """Return the number of cells seen by the best plan that begins with each candidate; 0 if no plan does.
+    """Return the number of voxels seen by the best plan that begins with each candidate; 0 without such a plan.
 
-    Half of the share of ``frames`` that the plan costs is subtracted, which only orders plans with equally many cells.
+    0.5 x cost / ``frames`` is subtracted from the number. It only orders plans with equally many voxels.
     """
     best = np.zeros(len(visible))
     numbers = visible.astype(np.float32)
@@ -180,6 +186,10 @@ def _value(score: np.ndarray, spent: np.ndarray, frames: float) -> np.ndarray:
 def _start(
     numbers: np.ndarray, costs: Costs, frames: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the plans of one view: cells not seen yet, last candidate, cost in frames, score, first candidate."""
+    """Return the plans of one view that cost at most ``frames``, as five arrays with one entry per plan.
+
+    They are the voxels not seen yet, the last candidate, the cost in frames, the score, and the first candidate.
+    ``numbers`` [K, M] is 1 where a candidate sees a voxel.
+    """
     rows = np.flatnonzero(costs.first <= frames)
     return 1.0 - numbers[rows], rows, costs.first[rows], numbers[rows].sum(axis=1).astype(np.float64), rows

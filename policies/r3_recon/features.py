@@ -12,10 +12,10 @@ from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.policies.r3_recon.surface_views import DIRECTIONS, SurfaceViews
 
-EXPLORATION = 1000.0  # weight of an unexplored voxel against a surface voxel without renderability
-UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels
+EXPLORATION = 1000.0  # weight of an unexplored voxel; a surface voxel without renderability has weight 1
+UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels in the original
 COLOUR_SCALE = 1.154  # 2 / sqrt(3): the renderability is 0 if half of the colours are black and half white
-FINE = 0.01 / 5.0  # metres per pixel; a nearer view than a keyframe with this resolution brings nothing
+FINE = 0.01 / 5.0  # metres per pixel; nearer views than a keyframe with this resolution improve nothing
 # A voxel is visible if it is at most SLACK_M (metres) plus SLACK_SHARE of the depth behind the rendered surface.
 SLACK_M, SLACK_SHARE = 0.05, 0.05
 
@@ -26,9 +26,11 @@ def r3_recon(context: FeatureContext) -> np.ndarray:  # [K]
 
     R = h^(1 - a) a (1 - s)^(1 - a h) is the renderability of a voxel from a side ([r3_recon, code]):
 
-    - a = max(0, cos) of the angle to the nearest direction from which keyframes saw it (64 bins);
+    - a = max(0, cos) of the angle between the view and the nearest direction from which keyframes saw the voxel
+      (64 bins);
     - h = 1 - 1.154 sqrt(trace of the covariance of the colours they saw), in 0..1, and 1 if all saw the same colour;
-    - s = max(0, 1 - d / d_min), how much nearer the view is than any keyframe; 0 if 1 cm covered 5 pixels in one.
+    - s = max(0, 1 - d / d_min), where d is the distance of the view and d_min that of the nearest keyframe; s is 0 if
+      1 cm covered 5 pixels in a keyframe.
 
     A surface voxel of 5 cm is visible if its centre projects into the image and is not behind the rendered surface.
     Unexplored voxels are those of `unexplored`, in units of 0.2 m. The original does not divide by #voxels.
@@ -66,7 +68,10 @@ def lost_renderability(
     directions: np.ndarray,  # [64, 3] unit, one for each bit
     farthest: float,  # metres of depth
 ) -> np.ndarray:  # [K]
-    """Return the sum of 1 - R over the visible surface voxels of each candidate."""
+    """Return the sum of 1 - R over the surface voxels that each candidate sees; R is the renderability (`r3_recon`).
+
+    ``voxels`` are centres, direction bits, h and d_min of the surface voxels.
+    """
     centres, bits, certainty, nearest = voxels
     count, height, width = surface.shape
     result = np.zeros(count)

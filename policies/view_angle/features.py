@@ -1,4 +1,4 @@
-"""Compute COVER's gain: the distance of a view's directions from those from which the map was seen."""
+"""Compute COVER's gain: how much the directions of a view differ from the directions of the keyframes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from activestructure_gym.mapping.frustum_culling import may_be_seen
 def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Compute 1 - the mean over pixels of the coverage of the view direction (COVER, Chen et al. 2026).
 
-    A Gaussian covers a direction by (cos theta + 1) / 2, where theta is the angle to the nearest of 128 bins from which
-    a keyframe saw it. Coverage is blended like a colour over 0, so a pixel without a map has coverage 0.
+    The coverage of a Gaussian in a direction is (cos theta + 1) / 2. theta is the angle to the nearest of 128 bins of
+    directions from which a keyframe saw the Gaussian. Coverage is blended like a colour over 0, so a pixel that the map
+    does not cover has coverage 0.
     Source: [cover, code].
     """
     gaussians, camera, bins = context.mapper.map, context.camera, view_directions(context.mapper).bins
@@ -36,14 +37,17 @@ def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 @kernel
 def cover(
     parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
+    count: int,  # number of Gaussians
     seen: np.ndarray,  # [blocks] bool; Gaussians of other blocks keep their value
-    eye: np.ndarray,  # [3] metres
-    bins: np.ndarray,  # [N, 2] uint64
+    eye: np.ndarray,  # [3] metres, world: camera position
+    bins: np.ndarray,  # [N, 2] uint64, see `ViewDirections.bins`
     directions: np.ndarray,  # [128, 3] unit
     coverage: np.ndarray,  # [N] float32, written
 ) -> None:
-    """Write (max over the seen bins of cos + 1) / 2 for the direction from each Gaussian to the eye; 0 without bins."""
+    """Write the coverage of each Gaussian for the direction to the eye; 0 if no keyframe saw it.
+
+    It is (c + 1) / 2, where c is the largest cosine between this direction and the bins from which keyframes saw it.
+    """
     for block in range(len(seen)):
         if not seen[block]:
             continue

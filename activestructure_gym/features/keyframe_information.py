@@ -30,7 +30,7 @@ from activestructure_gym.splatting.fisher import depth_information, view_informa
 # The first 24 columns of `ViewInformation.numbers` are summed. They are the 21 entries of the upper triangle of the
 # 6 x 6 block of mean and log-scale, then opacity logit, colour (sum of squared weights) and sum of weights.
 COLUMNS = 24
-RENDERS = 16  # keyframes rendered per decision
+RENDERS = 16  # number of keyframes rendered per decision
 BUDGET_MB = 256.0  # megabytes, maximum memory of the stored contributions
 
 

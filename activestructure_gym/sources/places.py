@@ -36,7 +36,7 @@ class Lattice(Source):
 
     def _layout(
         self,
-        shared: ViewConfig,  # gives the limits of visited views
+        shared: ViewConfig,  # has the distance and angle within which a view counts as visited
         camera_m: float,  # metres, height of the start camera above the origin of ``heights_m``
     ) -> ViewConfig:
         return replace(

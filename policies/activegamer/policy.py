@@ -27,7 +27,7 @@ SOURCES = (
 # Limits that the original does not have: a stage ends early, and a view is not chosen again and again.
 PATIENCE = 3  # successive decisions without a view above POOL_SHARE that end a stage; tables are random parts of a pool
 MAX_VISITS = 2  # maximum number of choices of one view in one stage
-STAGNATION = 30  # decisions without a decrease of the pool's largest share of uncovered pixels that end a stage
+STAGNATION = 30  # a stage ends if the pool's largest share of uncovered pixels has not decreased for so many decisions
 
 
 def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 RICH = 250.0  # rad^2 m deg^2, minimum I of a node that keeps the agent in its subregion
-DEFERRED_M = 13.0  # metres of path (200 steps); farther nodes wait for nearer ones
+DEFERRED_M = 13.0  # metres of path (200 steps); farther nodes are chosen only if there are no nearer ones
 
 # Weights of the node score in `node_scores`.
 UNARRIVED, HORIZON, INFORMATION, VOLUME, FAILED = 20, 10, 2, 1, -60

@@ -56,10 +56,10 @@ def pixel_share(
     pixels: np.ndarray,  # [K, D] >= 0, of the candidates
     spent: np.ndarray,  # [D] >= 0, of all keyframes
 ) -> np.ndarray:  # [K, D] in 0..1
-    """Return the candidate's share of the pixels on a patch of all views: pixels / (pixels + spent).
+    """Return pixels / (pixels + spent), a candidate's share of the pixels in which all views see a surface patch.
 
-    It is 0 if the candidate does not see the patch, and 1 if only the candidate sees it. Both arguments have the unit
-    of `pixels_per_area`.
+    The share is 0 if the candidate does not see the patch, and 1 if only the candidate sees it. Both arguments have the
+    unit of `pixels_per_area`.
     """
     total = pixels + spent
     return np.divide(pixels, total, out=np.zeros(total.shape), where=pixels > 0)

@@ -126,10 +126,10 @@ def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, c
 
 
 def suppression(planes: PlaneView, strength: float) -> np.ndarray:  # [K] factor in [1 - strength, 1]
-    """Return a factor on the gain: 1 - strength x the share of well-reconstructed structural planes in the plane area.
+    """Return a factor on the gain of each candidate, 1 - strength x s.
 
-    The share is over the area of the planes that a candidate sees. The factor applies the polarity reversal of phase II
-    to whole views (Sec. 3.4).
+    s is the share of well-reconstructed structural planes in the area of all planes that the candidate sees. The factor
+    applies the polarity reversal of phase II to whole views (Sec. 3.4).
     """
     if not strength:
         return np.ones(len(planes.visible))

@@ -35,7 +35,7 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s", **_COLUMNS)
 def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
+    """Compute, at the candidate's Voronoi node, the numbers of uncertain clusters and of views of them, and a cosine.
 
     A cluster is a connected part of the most uncertain 20 % of the surface. The first column counts the clusters whose
     nearest node is the candidate's. The second is the number of views that see these clusters and the ends of the cut
@@ -47,7 +47,7 @@ def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
 
 @FEATURES.register("anm_s_proxy", **_COLUMNS)
 def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
-    """Compute the number of uncertain clusters at the candidate's Voronoi node, of views they need, and a cosine.
+    """Compute, at the candidate's Voronoi node, the numbers of uncertain clusters and of views of them, and a cosine.
 
     The columns are those of ``anm_s``, which explains them. The uncertainty is a first-order approximation that needs
     no rendering.

@@ -21,7 +21,7 @@ from activestructure_gym.policies.native_settings import NativeSettings
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the path travelled (15 steps of 6.5 cm); a node farther away is unarrived
-DEFERRED_M = 200 * 0.065  # metres of path (200 steps); farther targets wait for nearer nodes
+DEFERRED_M = 200 * 0.065  # metres of path (200 steps); a farther node is visited after the nodes nearest to it
 AT_NODE = 0.5  # metres in the plane; a candidate or the agent within this distance is at a node
 FORGET_AFTER = 3  # successive choices among nodes that are all arrived at or failed; then failures are forgotten
 FACING = float(np.cos(np.radians(30.0)))  # minimum cosine between the view direction and the direction to a target

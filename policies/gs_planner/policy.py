@@ -11,7 +11,7 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 
 # The paper has no values for these constants. Gains are shares of the frustum's volume, plus the weighted loss.
-QUALITY_WEIGHT = 0.1  # weight of the mean loss in metres against the share of unobserved volume
+QUALITY_WEIGHT = 0.1  # weight of the mean loss (metres); the share of unobserved volume has weight 1
 MIN_GAIN = 0.02  # g_lb: views with a lower gain are dropped
 STORED_GAIN = 0.05  # g_thres: views with a higher gain that are not chosen are stored in the library
 MIN_OVERLAP = 0.5  # epsilon: views with at least this `overlap` count as the same view in the library

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SOLID_FROM = 0.5  # minimum opacity of a solid point, for formats without their own cutoff
-MAX_PICTURE_SIDE = 1024  # pixels; larger images are shrunk. Not an option, since an image's size must not move walls
+# Pixels; larger images are shrunk. It does not depend on the option max_texture, which must not change the geometry.
+MAX_PICTURE_SIDE = 1024
 _ROUNDING = 1e-6  # tolerance of the cutoff, since 0.7 in float32 is less than 0.7
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue (ITU-R BT.709)
 

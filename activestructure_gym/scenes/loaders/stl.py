@@ -54,9 +54,9 @@ def _colors(header: bytes, attributes: np.ndarray, textures: TextureStore) -> np
     whole: np.ndarray = np.full(3, PLAIN_GREY)
     if place >= 0 and place + len(_MAGICS) + 4 <= len(header):
         whole = np.frombuffer(header, np.uint8, 3, place + len(_MAGICS)) / 255.0
-        own = ~marked if attributes.any() else marked  # red in the lowest bits; top bit set: the object's colour
+        own = ~marked if attributes.any() else marked  # Magics: red in the lowest bits; top bit: colour of the object
     else:
-        shares, own = shares[:, ::-1], marked  # blue in the lowest bits; top bit set: a colour of its own
+        shares, own = shares[:, ::-1], marked  # VisCAM: blue in the lowest bits; top bit: colour of the triangle
         if attributes.any() and not marked[attributes > 0].all():
             textures.notes.append("the colours of its triangles follow no known convention and were not read")
             return whole

@@ -11,7 +11,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.shading import shade_pixels, shading_tables_of
+from activestructure_gym.sensors.shading import appearance_of, shade_pixels
 
 # Approximate number of rays of one band of image rows. Such a band fits into the cache, and one thread casts it, since
 # the ray caster splits larger batches over its own pool. Smaller bands would increase Python's overhead.
@@ -98,7 +98,7 @@ class RaycastRenderer:
         """Render one view; see `Renderer.render`."""
         if supersample < 1:
             raise ValueError(f"supersample must be at least 1, got {supersample}")
-        appearance, raycaster = shading_tables_of(self._scene).appearance, self._scene.raycaster
+        appearance, raycaster = appearance_of(self._scene), self._scene.raycaster
         rotation = np.array(world_from_camera[:3, :3], np.float64)
         origin = np.array(world_from_camera[:3, 3], np.float32)
         samples = supersample * supersample

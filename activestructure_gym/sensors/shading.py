@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,15 +28,8 @@ class Appearance(NamedTuple):
     linear_colors: bool  # whether vertex colours are linear light instead of sRGB
 
 
-@dataclass(frozen=True)
-class ShadingTables:
-    """Hold the appearance that all sensors of a scene share; only texels are copied, other arrays are the mesh's."""
-
-    appearance: Appearance
-
-
-def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
-    """Return the arrays of a mesh in the form that `shade_pixels` reads.
+def make_appearance(mesh: SceneMesh) -> Appearance:
+    """Return the appearance of a mesh; only the texels are copied, the other arrays are the mesh's own if possible.
 
     Raises `ValueError` for an invalid mesh, since the kernel does not check indices.
     """
@@ -47,7 +39,7 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
     textures = mesh.textures
     sizes = np.array([texture.shape[:2] for texture in textures], np.int64).reshape(-1, 2)
     counts = sizes.prod(axis=1)
-    appearance = Appearance(
+    return Appearance(
         faces=np.ascontiguousarray(mesh.faces, np.int32),
         colors=np.ascontiguousarray(mesh.colors, np.float32),
         uv=np.ascontiguousarray(mesh.uv, np.float32),
@@ -58,19 +50,18 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
         texture_wrap=np.array(mesh.texture_wrap or [(REPEAT, REPEAT)] * len(textures), np.int64).reshape(-1, 2),
         linear_colors=bool(mesh.linear_colors),
     )
-    return ShadingTables(appearance)
 
 
-_tables_of_scene: dict[int, ShadingTables] = {}
+_appearances: dict[int, Appearance] = {}  # by the id of the scene object
 
 
-def shading_tables_of(scene: Scene) -> ShadingTables:
-    """Return the shading tables of a scene, made once per scene object and shared by all its sensors."""
+def appearance_of(scene: Scene) -> Appearance:
+    """Return the appearance of a scene, made once per scene object and shared by all its sensors."""
     key = id(scene)
-    if key not in _tables_of_scene:
-        _tables_of_scene[key] = make_shading_tables(scene.mesh)
-        weakref.finalize(scene, _tables_of_scene.pop, key, None)
-    return _tables_of_scene[key]
+    if key not in _appearances:
+        _appearances[key] = make_appearance(scene.mesh)
+        weakref.finalize(scene, _appearances.pop, key, None)
+    return _appearances[key]
 
 
 @kernel

@@ -11,7 +11,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors import raycast
 from activestructure_gym.sensors.raycast import RaycastRenderer, default_threads
-from activestructure_gym.sensors.shading import shading_tables_of
+from activestructure_gym.sensors.shading import appearance_of
 
 CAMERA = PinholeCamera.from_size(64, 37)
 
@@ -122,12 +122,12 @@ def test_works_in_a_forked_child(cluttered_room, room_poses):
 
 def test_scene_data_are_shared_and_let_go(box_room):
     scene = Scene("copy", box_room.mesh, "tests")
-    tables = shading_tables_of(scene)
-    assert shading_tables_of(scene) is tables
+    appearance = appearance_of(scene)
+    assert appearance_of(scene) is appearance
     for name in ("faces", "colors", "uv", "face_texture"):
-        assert np.shares_memory(getattr(tables.appearance, name), getattr(scene.mesh, name)), name
-    gone = weakref.ref(tables)
-    del scene, tables
+        assert np.shares_memory(getattr(appearance, name), getattr(scene.mesh, name)), name
+    gone = weakref.ref(appearance.texels)
+    del scene, appearance
     gc.collect()
     assert gone() is None
 

@@ -6,7 +6,7 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera, transform_points
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene
 from activestructure_gym.sensors.raycast import RaycastRenderer
-from activestructure_gym.sensors.shading import make_shading_tables
+from activestructure_gym.sensors.shading import make_appearance
 
 
 def oracle(mesh, face, u, v):
@@ -118,4 +118,4 @@ def test_unusable_uv_stays_inside_the_texture(make_quad, merge, wrong, wrap):
 )
 def test_a_mesh_the_kernel_could_not_index_is_refused(box_room, change, message):
     with pytest.raises(ValueError, match=message):
-        make_shading_tables(replace(box_room.mesh, **change))
+        make_appearance(replace(box_room.mesh, **change))

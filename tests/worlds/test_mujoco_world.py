@@ -15,6 +15,7 @@ from activestructure_gym.geometry import look_along
 from activestructure_gym.policies import make_env_and_policy
 from activestructure_gym.sensors.raycast import RaycastRenderer
 from activestructure_gym.worlds import load_world
+from tests.examples.test_examples import load
 from tests.worlds.rooms import room
 
 DOZEN = [
@@ -116,20 +117,66 @@ def test_what_is_above_the_walls_has_no_depth(tmp_path: Path, mujoco_room: Path)
     world.close()
 
 
-@pytest.mark.parametrize("policy", ["activestructure", "unknown_volume"])
-def test_policies_explore_the_room(mujoco_room: Path, policy: str) -> None:
-    env, player = make_env_and_policy(
-        policy, f"world:mujoco?model={mujoco_room}&width=64&height=36", preset="fast", frame_budget=90
-    )
+def explored(name: str, policy: str, frames: int) -> dict[str, Any]:
+    env, player = make_env_and_policy(policy, name, preset="fast", frame_budget=frames)
     player.reset(0)
     observation, info = env.reset(seed=0)
     ended = False
     while not ended:
         observation, _, terminated, truncated, info = env.step(player.act(observation))
         ended = terminated or truncated
-    assert info["metres"] > 1.0 and info["ground_truth"] is False
     assert np.median(env.unwrapped.reconstruction.mapper.keyframe_psnr()) > 18.0
     env.close()
+    return info
+
+
+@pytest.mark.parametrize("policy", ["activestructure", "unknown_volume"])
+def test_policies_explore_the_room(mujoco_room: Path, policy: str) -> None:
+    info = explored(f"world:mujoco?model={mujoco_room}&width=64&height=36", policy, 90)
+    assert info["metres"] > 1.0 and info["ground_truth"] is False
+
+
+@pytest.fixture(scope="module")
+def kitchen(mujoco_room: Path) -> str:
+    """The name of the Franka kitchen; skips without it, EGL or GL."""
+    pytest.importorskip("gymnasium_robotics", exc_type=ImportError)
+    return str(load("worlds/mujoco_kitchen").kitchen())
+
+
+def test_the_kitchen_is_drawn(kitchen: str) -> None:
+    world: Any = load_world(f"{kitchen}&width=64&height=36")
+    frame = world.capture(world.start.pose)
+    assert world.start.free_radius > 0.6
+    assert 0.3 < (frame.depth > 0).mean() < 0.9  # no ceiling
+    assert 1.0 < np.median(frame.depth[frame.depth > 0]) < 4.0 and frame.rgb.std() > 30
+    # MuJoCo's rays meet the surfaces that are drawn.
+    rays, hit = world.camera.rays() @ frame.world_from_camera[:3, :3].T, np.zeros(1, np.int32)
+    mujoco, place = world._mujoco, frame.world_from_camera[:3, 3].copy()
+    shown = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+    cast = [
+        mujoco.mj_ray(world.model, world.data, place, rays[y, x].astype(float), shown, 1, -1, hit)
+        for y in range(0, 36, 3)
+        for x in range(0, 64, 3)
+    ]
+    seen, expected = frame.depth[::3, ::3].ravel(), np.maximum(np.array(cast), 0.0)
+    assert (
+        np.abs(seen - expected) < 0.01
+    ).mean() > 0.97  # no silhouette is anti-aliased, but rays and pixels may differ
+    world.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["activestructure", "unknown_volume"])
+def test_policies_explore_the_kitchen(kitchen: str, policy: str) -> None:
+    info = explored(f"{kitchen}&width=64&height=36", policy, 90)
+    assert info["metres"] > 3.0 and info["gaussians"] > 1000
+
+
+@pytest.mark.slow
+def test_the_example_of_the_kitchen(kitchen: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example = load("worlds/mujoco_kitchen")
+    example.main(example.Args(preset="fast", frames=15, picture=tmp_path / "last.png"))
+    assert "Gaussians" in capsys.readouterr().out and (tmp_path / "last.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import os
 
 from activestructure_gym.errors import InputError
 
-_REPAIR = (
+REPAIR = (
     "on Debian 'apt-get install -y --no-install-recommends libegl1 libgl1' brings EGL; "
     "with 'libosmesa6' and MUJOCO_GL=osmesa MuJoCo draws without it"
 )
@@ -42,7 +42,7 @@ class EGLContext:
         try:
             self._egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
-            raise InputError(f"MuJoCo draws through the system library EGL, which is missing; {_REPAIR}") from error
+            raise InputError(f"MuJoCo draws through the system library EGL, which is missing; {REPAIR}") from error
         for name in ("eglGetProcAddress", "eglCreateContext"):
             getattr(self._egl, name).restype = ctypes.c_void_p
         self._display = ctypes.c_void_p(self._first_display())
@@ -55,7 +55,7 @@ class EGLContext:
         if found.value and self._egl.eglBindAPI(_OPENGL_API):
             self._context = self._egl.eglCreateContext(self._display, config, None, None)
         if not self._context:
-            raise InputError(f"EGL could not create an OpenGL context on this machine; {_REPAIR}")
+            raise InputError(f"EGL could not create an OpenGL context on this machine; {REPAIR}")
 
     def _first_display(self) -> int | None:
         """Return the display of the chosen device: it needs no window system."""

@@ -14,7 +14,7 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.directions import fibonacci_directions
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.worlds.base import Start, checked_bounds, checked_pose
-from activestructure_gym.worlds.egl import EGLContext
+from activestructure_gym.worlds.egl import REPAIR, EGLContext
 from activestructure_gym.worlds.registry import WORLDS
 
 if TYPE_CHECKING:
@@ -188,11 +188,13 @@ class _Drawing:
         self._scene = mujoco.MjvScene(model, _MAX_GEOMS)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
         self._rect = mujoco.MjrRect(0, 0, *size)
-        own = os.environ.get("MUJOCO_GL", "").lower() in ("osmesa", "glfw", "glx")
-        self._context = _context_of_mujoco(mujoco, size) if own else EGLContext()
+        osmesa = os.environ.get("MUJOCO_GL", "").lower() == "osmesa"
+        self._context = _osmesa_context(mujoco, size) if osmesa else EGLContext()
         self._context.make_current()
-        renderer = self._renderer = _renderer_of(mujoco, model, size)
-        self._leave()
+        try:
+            renderer = self._renderer = _renderer_of(mujoco, model, size)
+        finally:
+            self._leave()
         self._process = os.getpid()
         self.close = weakref.finalize(self, _free, self._context, renderer, self._process)
 
@@ -238,13 +240,22 @@ class _Drawing:
 
 
 def _package() -> Any:
-    """Import and return the package mujoco; raise `InputError` without it."""
+    """Import and return the package mujoco; raise `InputError` without it.
+
+    With ``MUJOCO_GL=egl`` its import fails for the PyOpenGL that pyrender needs; `EGLContext` needs no PyOpenGL.
+    """
+    wanted = os.environ.get("MUJOCO_GL")
+    if wanted is not None and wanted.lower() == "egl":
+        del os.environ["MUJOCO_GL"]
     try:
         import mujoco
     except ImportError as error:
         raise InputError(
             f"the world 'mujoco' needs the package mujoco ({error}): pip install 'activestructure-gym[mujoco]'"
         ) from error
+    finally:
+        if wanted is not None:
+            os.environ["MUJOCO_GL"] = wanted
     return mujoco
 
 
@@ -270,15 +281,15 @@ def _alphas(model: mujoco.MjModel) -> np.ndarray:  # [geoms]
     return alphas
 
 
-def _context_of_mujoco(mujoco: Any, size: tuple[int, int]) -> Any:
-    """Return the context that MUJOCO_GL names; raise `InputError` if it cannot be made."""
+def _osmesa_context(mujoco: Any, size: tuple[int, int]) -> Any:
+    """Return MuJoCo's context of OSMesa; raise `InputError` if it cannot be made."""
     try:
         return mujoco.GLContext(*size)
     except Exception as error:
-        # PyOpenGL and glfw raise many types of errors.
+        # PyOpenGL raises many types of errors.
         raise InputError(
-            f"MuJoCo could not start OpenGL with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}): unset it to draw "
-            "through EGL; 'osmesa' needs Debian's libosmesa6"
+            f"MuJoCo could not start OpenGL with MUJOCO_GL=osmesa ({error}): install Debian's libosmesa6, or unset "
+            "MUJOCO_GL to draw through EGL"
         ) from error
 
 
@@ -290,6 +301,8 @@ def _renderer_of(mujoco: Any, model: mujoco.MjModel, size: tuple[int, int]) -> A
         screen.offwidth, screen.offheight = size
         quality.offsamples, quality.shadowsize = 0, min(quality.shadowsize, _SHADOW_SIZE)
         renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+    except mujoco.FatalError as error:
+        raise InputError(f"MuJoCo cannot draw with the OpenGL of this machine: {error}; {REPAIR}") from error
     finally:
         screen.offwidth, screen.offheight, quality.offsamples, quality.shadowsize = before
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, renderer)

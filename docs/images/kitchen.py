@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "world
 from mujoco_kitchen import kitchen
 
 OUT = Path(__file__).with_name("kitchen.webp")
-POLICY, FRAMES, MS, WIDTH = "activestructure", 400, 350, 760
+POLICY, FRAMES, MS, WIDTH = "activestructure", 300, 350, 760
 
 
 def main() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -238,6 +240,35 @@ def test_without_opengl_the_message_names_the_remedy(mujoco_room: Path, monkeypa
     monkeypatch.setattr(mujoco, "GLContext", missing)
     with pytest.raises(InputError, match="MUJOCO_GL=osmesa.*libosmesa6"):
         load_world(name)
+
+
+@pytest.mark.parametrize("platform", ["osmesa", "egl"])
+def test_platforms_that_the_environment_names(mujoco_room: Path, platform: str) -> None:
+    from ctypes.util import find_library
+
+    if platform == "osmesa" and find_library("OSMesa") is None:
+        pytest.skip("libosmesa6 is not installed")
+    code = (
+        "import sys; from activestructure_gym.worlds import load_world; world = load_world(sys.argv[1]);"
+        "print(world.capture(world.start.pose).depth[20, 30])"
+    )
+    name = f"mujoco?model={mujoco_room}&start=1,2,1.2,0&width=60&height=40"
+    environment = {**os.environ, "MUJOCO_GL": platform, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment.pop("PYOPENGL_PLATFORM", None)
+    ran = subprocess.run([sys.executable, "-c", code, name], capture_output=True, text=True, env=environment)
+    assert ran.returncode == 0, ran.stderr
+    assert float(ran.stdout) == pytest.approx(4.0, abs=0.01)  # to the wall
+
+
+def test_opengl_that_cannot_draw_is_reported(mujoco_room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import mujoco
+
+    def broken(*_: Any) -> None:
+        raise mujoco.FatalError("no platform library")
+
+    monkeypatch.setattr(mujoco, "MjrContext", broken)
+    with pytest.raises(InputError, match="cannot draw with the OpenGL of this machine: no platform.*libgl1"):
+        load_world(f"mujoco?model={mujoco_room}&start=1,2,1.2,0")
 
 
 def test_worlds_draw_in_turn_and_in_threads(mujoco_room: Path) -> None:

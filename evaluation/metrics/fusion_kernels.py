@@ -1,4 +1,8 @@
-"""Compiled loops of `fusion`: truncated signed distances on blocks of 8 x 8 x 8 voxels, and marching tetrahedra."""
+"""Fuse truncated signed distances on blocks of 8 x 8 x 8 voxels, and extract triangles, in compiled loops.
+
+In all functions ``depth`` [K, H, W] is float32 metres along the optical axis, 0 = no surface. ``intrinsics`` [4] are
+fx, fy, cx and cy in pixels. ``voxel`` is the side of a voxel and ``truncation`` the truncation distance, in metres.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ SIDE = 8  # voxels along a side of a block
 
 @kernel
 def areas_of(triangles: np.ndarray, areas: np.ndarray) -> None:
-    """Write the areas [T] of the triangles [T, 3, 3], computed in float64."""
+    """Write the areas [T] in m^2 of the triangles [T, 3, 3] in metres, computed in float64."""
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
@@ -25,7 +29,11 @@ def areas_of(triangles: np.ndarray, areas: np.ndarray) -> None:
 
 @kernel
 def span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncation: float, bounds: np.ndarray) -> None:
-    """Extend ``bounds`` [K, 2, 3] of each image by the truncation band along the ray of each of its depth pixels."""
+    """Extend the bounding box of each image by its measured points.
+
+    Along the ray of a pixel the box includes ``truncation`` metres before and behind the point. ``poses`` [K, 4, 4] are
+    world_from_camera, and ``bounds`` [K, 2, 3] the lower and upper corners in metres, changed.
+    """
     fx, fy, cx, cy = intrinsics
     for image in range(len(depth)):
         for v in range(depth.shape[1]):
@@ -46,16 +54,16 @@ def span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncatio
 def mark_blocks(
     depth: np.ndarray,
     intrinsics: np.ndarray,
-    poses: np.ndarray,
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
     truncation: float,
-    first: np.ndarray,
-    block: float,
-    marked: np.ndarray,
+    first: np.ndarray,  # [3] block index of the first element of ``marked``
+    block: float,  # side of a block in metres
+    marked: np.ndarray,  # [X, Y, Z] bool, changed
 ) -> None:
-    """Mark the blocks that meet the truncation band along the ray of each depth pixel."""
+    """Mark the blocks within the truncation distance of each measured point, along its ray."""
     fx, fy, cx, cy = intrinsics
     where = np.empty(3, np.int64)
-    steps = int(np.ceil(4.0 * truncation / block))  # steps of at most half a block along the optical axis
+    steps = int(np.ceil(4.0 * truncation / block))  # each step is at most half a block along the optical axis
     for image in range(len(depth)):
         for v in range(depth.shape[1]):
             for u in range(depth.shape[2]):
@@ -76,7 +84,7 @@ class Blocks(NamedTuple):
     """Hold the fused distances of some blocks of voxels."""
 
     places: np.ndarray  # [B, 3] block indices
-    distance: np.ndarray  # [B, 8, 8, 8] mean of the measured distances in metres, each cut at +truncation
+    distance: np.ndarray  # [B, 8, 8, 8] mean of the measured signed distances in metres, each at most the truncation
     weight: np.ndarray  # [B, 8, 8, 8] number of measured distances
 
 
@@ -101,22 +109,22 @@ def range_of_tiles(depth: np.ndarray) -> np.ndarray:  # [K, H / 8, W / 8, 2] met
 
 @kernel
 def integrate(
-    depth: np.ndarray,  # [K, H, W]
-    tiles: np.ndarray,  # [K, H / 8, W / 8, 2] least and largest depth
+    depth: np.ndarray,  # [K, H, W] metres
+    tiles: np.ndarray,  # [K, H / 8, W / 8, 2] minimum and maximum depth in metres, see `range_of_tiles`
     intrinsics: np.ndarray,
     camera_from_world: np.ndarray,  # [K, 3, 4]
-    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
+    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0), metres, world
     voxel: float,
     truncation: float,
     own: Blocks,  # changed
 ) -> None:
-    """Add depth images to the fused distances of blocks; skip images that cannot change a block."""
+    """Add the measurements of depth images to the mean distances of blocks; skip images that cannot change a block."""
     blocks, distance, weight = own
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape[1], depth.shape[2]
     block = 8 * voxel
     radius = 0.5 * np.sqrt(3.0) * block
-    # Lateral distance from the frustum at which a sphere just touches it, per metre of the sphere's radius.
+    # A sphere outside just touches a side of the frustum if its centre is (slack x radius) away, along camera x or y.
     slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
     slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
     away, across, down = np.empty(8), np.empty(8), np.empty(8)
@@ -136,7 +144,7 @@ def integrate(
                 continue
             if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
                 continue
-            if z > 2.0 * radius:  # a nearer block may enclose the camera
+            if z > 2.0 * radius:  # a nearer block may contain the camera
                 reach = radius / (z - radius)
                 spread_x, spread_y = reach * (fx + abs(x) / z * fx), reach * (fy + abs(y) / z * fy)
                 low_u, high_u = fx * x / z + cx - spread_x, fx * x / z + cx + spread_x
@@ -158,7 +166,7 @@ def integrate(
                     x = pose[0, 0] * px + pose[0, 1] * py
                     y = pose[1, 0] * px + pose[1, 1] * py
                     z = pose[2, 0] * px + pose[2, 1] * py
-                    for k in range(8):  # a separate loop, so that the compiler vectorises it
+                    for k in range(8):  # a loop of its own, which the compiler vectorises
                         pz = corner_z + (k + 0.5) * voxel
                         away[k] = z + pose[2, 2] * pz + pose[2, 3]
                         across[k] = fx * (x + pose[0, 2] * pz + pose[0, 3]) / away[k] + cx
@@ -168,15 +176,15 @@ def integrate(
 
 @kernel
 def _add_row(
-    away: np.ndarray,  # [8] metres, along the optical axis
-    across: np.ndarray,  # [8] pixels
-    down: np.ndarray,  # [8] pixels
-    depth: np.ndarray,  # [H, W]
+    away: np.ndarray,  # [8] depths of the voxel centres along the optical axis, metres
+    across: np.ndarray,  # [8] their x coordinates in the image, pixels
+    down: np.ndarray,  # [8] their y coordinates in the image, pixels
+    depth: np.ndarray,  # [H, W] metres
     truncation: float,
-    distance: np.ndarray,  # [8] changed
+    distance: np.ndarray,  # [8] metres, changed
     weight: np.ndarray,  # [8] changed
 ) -> None:
-    """Add the measurements of one image to a row of 8 voxels, given by their depths and pixel coordinates."""
+    """Add the measurements of one depth image to the mean distances of 8 voxels in a row."""
     height, width = depth.shape
     for k in range(8):
         z, u, v = away[k], across[k], down[k]
@@ -193,7 +201,7 @@ def _add_row(
 
 @kernel
 def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float) -> None:
-    """Add a measurement of free space to every voxel of a block."""
+    """Add one measurement of free space, with the distance ``truncation``, to all voxels [8, 8, 8] of a block."""
     for i in range(8):
         for j in range(8):
             for k in range(8):
@@ -202,8 +210,9 @@ def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float)
                 weight[i, j, k] = count + 1.0
 
 
-# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell. Bits 0, 1, 2 of a corner's number are its
-# x, y, z. All cells are divided equally, so neighbours share the diagonals of their faces, without cracks.
+# The corner numbers of the six tetrahedra around the diagonal from corner 0 to corner 7 of a cell. Bits 0, 1 and 2 of a
+# corner's number are its x, y and z. All cells are divided equally, so adjacent cells share the diagonals of their
+# common face, and there are no cracks.
 _TETRAHEDRA = np.array(
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
 )
@@ -211,15 +220,18 @@ _TETRAHEDRA = np.array(
 
 @kernel
 def triangles(
-    distance: np.ndarray,  # [L, 8, 8, 8]
+    distance: np.ndarray,  # [L, 8, 8, 8] metres, see `Blocks`
     weight: np.ndarray,  # [L, 8, 8, 8]
-    neighbours: np.ndarray,  # [B, 8] rows of a block and its following neighbours, bits (x, y, z); -1 = none
-    blocks: np.ndarray,  # [B, 3] blocks whose cells are processed
-    origin: np.ndarray,
+    neighbours: np.ndarray,  # [B, 8] rows of a block and its 7 neighbours in positive x, y and z; -1 = no such block
+    blocks: np.ndarray,  # [B, 3] block indices; their cells are processed
+    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0), metres, world
     voxel: float,
-    corners: np.ndarray,  # [T, 3, 3] out: the first T triangles
+    corners: np.ndarray,  # [T, 3, 3] out: the first T triangles, metres, world
 ) -> int:
-    """Extract the zero level by marching tetrahedra over the cells between voxel centres; return the triangle count."""
+    """Extract the zero level by marching tetrahedra over the cells between voxel centres; return the triangle count.
+
+    The count can exceed T; then the caller repeats the call with a larger array.
+    """
     value, place = np.empty(8), np.empty((8, 3))
     crossing = np.empty((4, 3))
     near, unseen = np.empty((9, 9, 9), np.float32), np.empty((9, 9, 9), np.bool_)
@@ -252,7 +264,8 @@ def triangles(
                     behind += value[tetrahedron[a]] < 0.0
                 if behind == 0 or behind == 4:
                     continue
-                # List the cut edges in cyclic order, each from a corner on the smaller side to one on the other side.
+                # Order the cut edges around the polygon. Each edge leads from a corner on the side with fewer corners
+                # to a corner on the other side.
                 if behind == 2:
                     low, other_low, high, other_high = -1, -1, -1, -1
                     for a in range(4):
@@ -290,11 +303,11 @@ def triangles(
 def _with_neighbours(
     distance: np.ndarray,
     weight: np.ndarray,
-    rows: np.ndarray,  # [8]
-    near: np.ndarray,  # [9, 9, 9] out
-    unseen: np.ndarray,  # [9, 9, 9] out
+    rows: np.ndarray,  # [8] rows of the block and its neighbours, see `triangles`
+    near: np.ndarray,  # [9, 9, 9] out: distances in metres
+    unseen: np.ndarray,  # [9, 9, 9] out: whether a voxel has no measurement
 ) -> bool:
-    """Copy a block and the first voxels of its following neighbours; return whether they contain both signs."""
+    """Copy the distances of a block and of the adjacent voxels in its neighbours; return whether both signs occur."""
     before, behind = False, False
     for gi in range(9):
         for gj in range(9):
@@ -311,7 +324,10 @@ def _with_neighbours(
 
 @kernel
 def _cut(value: np.ndarray, place: np.ndarray, a: int, b: int, out: np.ndarray) -> None:
-    """Write the zero crossing on the edge between corners ``a`` and ``b``, interpolated linearly."""
+    """Write the zero crossing on the edge between corners ``a`` and ``b`` of a cell to ``out`` [3], metres.
+
+    It is interpolated linearly between the distances ``value`` [8] at the corner positions ``place`` [8, 3].
+    """
     share = value[a] / (value[a] - value[b])
     for axis in range(3):
         out[axis] = place[a, axis] + share * (place[b, axis] - place[a, axis])

@@ -1,4 +1,4 @@
-"""Compute PSNR, SSIM, MS-SSIM and depth error between a rendered and a true view."""
+"""Compute image metrics between a rendered and a true view: PSNR, SSIM, MS-SSIM, and the depth error."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.evaluation.metrics.windows import window_means
 
-# Limits the PSNR of equal images to 100 dB, far above the rounding error of 8-bit images.
+# Minimum mean squared error: it limits the PSNR of equal images to 100 dB, far above the PSNR of 8-bit rounding.
 _MIN_MSE = 1e-10
 
 # Exponents of the five scales: [ms_ssim], section 3.2.
@@ -40,9 +40,10 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 
 
 def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
-    """Compute the mean of the channels' PSNR of images [H, W, C] in dB, as [activegamer, code] does.
+    """Compute the PSNR of each channel of two images [H, W, C], and return their mean.
 
-    Each channel has at most 100 dB. The mean is never below `psnr`, and far above it if the channels' errors differ.
+    Source: [activegamer, code]. The PSNR of a channel is at most 100 dB. The mean is never below `psnr`, and far above
+    it if one channel has a much smaller error than another.
     """
     x, y = np.ascontiguousarray(rendered, np.float64), np.ascontiguousarray(true, np.float64)
     sums = np.zeros(x.shape[2])
@@ -110,7 +111,7 @@ def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
 
 
 def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float | None]:
-    """Compute `ssim` and `ms_ssim` together, because they share the finest scale."""
+    """Return `ssim` and `ms_ssim` of two images [H, W, C] in [0, 1]; the finest scale of both is computed once."""
     x, y = _pair(rendered, true)
     full, contrast = window_means(x, y)  # [C] each
     single = float(full.mean())
@@ -126,7 +127,10 @@ def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float |
 
 
 def halved(image: np.ndarray) -> np.ndarray:  # [ceil(H / 2), ceil(W / 2), C]
-    """Return the means of 2 x 2 pixels; an odd side is padded with zeros on both ends, as in pytorch_msssim."""
+    """Return the image [H, W, C] at half the size, by the means of 2 x 2 pixels.
+
+    An odd side is first padded with a zero at both ends, as in pytorch_msssim.
+    """
     height, width, channels = image.shape
     if height % 2 or width % 2:
         image = np.pad(image, ((height % 2,) * 2, (width % 2,) * 2, (0, 0)))
@@ -137,6 +141,7 @@ def halved(image: np.ndarray) -> np.ndarray:  # [ceil(H / 2), ceil(W / 2), C]
 
 @kernel
 def _halve(image: np.ndarray, half: np.ndarray) -> None:
+    """Write the means of 2 x 2 pixels of ``image`` [2 H, 2 W, C] to ``half`` [H, W, C]."""
     for i in range(half.shape[0]):
         for j in range(half.shape[1]):
             for c in range(half.shape[2]):
@@ -145,7 +150,8 @@ def _halve(image: np.ndarray, half: np.ndarray) -> None:
 
 
 @kernel
-def _squared_errors(x: np.ndarray, y: np.ndarray, sums: np.ndarray) -> None:  # [N, C], [N, C], [C] added to
+def _squared_errors(x: np.ndarray, y: np.ndarray, sums: np.ndarray) -> None:
+    """Add the squared differences of ``x`` and ``y`` [N, C] to ``sums`` [C]."""
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
             error = x[i, c] - y[i, c]
@@ -158,8 +164,8 @@ def depth_l1(
 ) -> float | None:  # metres
     """Compute the mean absolute depth error over the pixels with a true surface.
 
-    A hole of the map counts with the full true depth, as in the evaluations of SplaTAM and ActiveGAMER. So missing
-    regions are never an advantage.
+    A pixel without Gaussians counts with its full true depth, as in the evaluations of SplaTAM and ActiveGAMER. So
+    missing regions of the map are never an advantage.
 
     Parameters
     ----------
@@ -185,7 +191,7 @@ def depth_l1(
 
 
 def _pair(rendered: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return both images as contiguous float64; raise ValueError if their shapes differ or are too small."""
+    """Return both images [H, W, C] as contiguous float64; raise ValueError if shapes differ or are below 11 x 11."""
     x = np.ascontiguousarray(rendered, np.float64)
     y = np.ascontiguousarray(true, np.float64)
     if x.shape != y.shape or x.ndim != 3:

@@ -1,4 +1,4 @@
-"""Compute the Gaussian windows of SSIM in one compiled pass over two images."""
+"""Compute SSIM over all Gaussian windows of two images in one compiled pass."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _SIGMA = 1.5
 _OFFSETS = np.arange(11) - 5
 _WINDOW = np.exp(-0.5 * (_OFFSETS / _SIGMA) ** 2)
 _WINDOW /= _WINDOW.sum()
-_C1, _C2 = 0.01**2, 0.03**2  # for values in 0..1
+_C1, _C2 = 0.01**2, 0.03**2  # stabilising constants of [ssim] for values in [0, 1]
 
 
 def window_means(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [C], [C]
-    """Return the mean similarity per channel over all complete windows, and that of its contrast-structure term.
+    """Return two means per channel over all complete windows: SSIM, and its contrast-structure term alone.
 
     ``x`` and ``y`` are contiguous [H, W, C] float64 in [0, 1] with at least 11 x 11 pixels.
     """
@@ -29,20 +29,19 @@ def window_means(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def _window_sums(
-    x: np.ndarray,  # [H, W * C]
-    y: np.ndarray,
+    x: np.ndarray,  # [H, W * C] in [0, 1]
+    y: np.ndarray,  # [H, W * C] in [0, 1]
     channels: int,
-    taps: np.ndarray,  # [11]
-    sums: np.ndarray,  # [2, C], increased
+    taps: np.ndarray,  # [11] weights of the window in one axis
+    sums: np.ndarray,  # [2, C] increased
 ) -> None:
-    """Add the two terms of all windows to ``sums``.
+    """Add SSIM (row 0) and the contrast-structure term (row 1) of all windows to ``sums``.
 
-    The window is applied down the columns, then along the rows. Every inner loop runs over adjacent numbers, so that
-    it vectorises.
+    The window is applied down the columns, then along the rows. Inner loops run over adjacent numbers and vectorise.
     """
     height, width = x.shape
     inside = width - 10 * channels
-    # x^2 + y^2 and x y of the 11 rows under the window, with row r at index r % 11.
+    # x^2 + y^2 and x y of the 11 rows under the window; row r of the image is stored at index r % 11.
     squares, crossed = np.empty((11, width)), np.empty((11, width))
     down = np.empty((4, width))
     window = np.empty((4, inside))
@@ -68,6 +67,7 @@ def _window_sums(
 
 @kernel
 def _products(x: np.ndarray, y: np.ndarray, squares: np.ndarray, crossed: np.ndarray) -> None:
+    """Write x^2 + y^2 and x y of one row; all arrays are [W * C]."""
     for j in range(len(x)):
         squares[j] = x[j] * x[j] + y[j] * y[j]
         crossed[j] = x[j] * y[j]
@@ -75,7 +75,10 @@ def _products(x: np.ndarray, y: np.ndarray, squares: np.ndarray, crossed: np.nda
 
 @kernel
 def _down(rows: np.ndarray, i: int, count: int, taps: np.ndarray, out: np.ndarray) -> None:
-    """Apply the window to rows i to i + 10; row r is at index r % ``count``."""
+    """Write the sum of the image rows i to i + 10, weighted by ``taps`` [11], to ``out`` [W * C].
+
+    Row r of the image is stored in ``rows`` [count, W * C] at index r % ``count``.
+    """
     _first(out, taps, rows[i % count], rows[(i + 1) % count], rows[(i + 2) % count])
     for k in (3, 7):
         r = i + k
@@ -85,6 +88,7 @@ def _down(rows: np.ndarray, i: int, count: int, taps: np.ndarray, out: np.ndarra
 # Several taps per pass keep the partial sums in registers. The taps are always added in the order of the window.
 @kernel
 def _first(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    """Write the sum of three arrays, weighted by the first three ``taps``."""
     ta, tb, tc = taps[0], taps[1], taps[2]
     for j in range(len(out)):
         out[j] = ta * a[j] + tb * b[j] + tc * c[j]
@@ -92,6 +96,7 @@ def _first(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: n
 
 @kernel
 def _next(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
+    """Add the sum of four arrays, weighted by the first four ``taps``, to ``out``."""
     ta, tb, tc, td = taps[0], taps[1], taps[2], taps[3]
     for j in range(len(out)):
         out[j] = out[j] + ta * a[j] + tb * b[j] + tc * c[j] + td * d[j]
@@ -106,7 +111,10 @@ def _compare(
     full: np.ndarray,
     contrast: np.ndarray,
 ) -> None:
-    """Write the similarity of every window, and its contrast-structure term."""
+    """Write SSIM and its contrast-structure term of every window, from the window's weighted means.
+
+    The arrays are [N]: means of x, y, x^2 + y^2 (``squares``) and x y (``crossed``), and the two results.
+    """
     for j in range(len(full)):
         means = mean_x[j] * mean_x[j] + mean_y[j] * mean_y[j]
         product = mean_x[j] * mean_y[j]

@@ -47,16 +47,16 @@ CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
     "YmJkqBEsHnH": ((0.0, -2.0, 1.75), 1.0),
 }
 _GENERATED = 180  # generated poses on the circle
-_EVERY = 5  # every fifth one is evaluated; frame 0 of the sequence, the start pose, is not
-_TOO_NEAR, _MAX_TOO_NEAR = 0.2, 0.1  # metres, largest share of nearer pixels; beyond it the original program stops
+_EVERY = 5  # every fifth frame of the sequence is evaluated, from frame 4 on; frame 0 is the start pose
+_TOO_NEAR, _MAX_TOO_NEAR = 0.2, 0.1  # metres; the original program stops if more than 10 % of the pixels are nearer
 _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 
 @dataclass(frozen=True)
 class MatchedTruth:
-    """Hold the thinned surface and the true views of one scene, with which a map is compared."""
+    """Hold the reference data of one scene: points on the true surface, one per voxel, and true views."""
 
-    points: np.ndarray  # [G, 3] metres: one sample of the whole surface per voxel
+    points: np.ndarray  # [G, 3] metres: in each voxel the sample of the surface nearest to its centre
     centres: np.ndarray  # [G, 3] metres: centres of these voxels
     views: HeldOutViews
 
@@ -134,7 +134,10 @@ class ActiveGamerProtocol:
         return CIRCLES.get(name) or CIRCLES.get(name.replace("_", "")) or roomiest_circle(known.free_space)
 
     def truth(self, known: GroundTruth) -> MatchedTruth:
-        """Return the thinned surface and the views of a scene, both cached by its content."""
+        """Return the reference data of a scene with the ground truth ``known``, cached by the scene's content.
+
+        Raise `InputError` if the scene has no free space, or if more than 10 % of the pixels are nearer than 0.2 m.
+        """
         from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
         scene = known.scene
@@ -152,9 +155,10 @@ class ActiveGamerProtocol:
         return MatchedTruth(samples[chosen], centres, views)
 
     def evaluate(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None = None) -> dict[str, Any]:
-        """Return all metrics of a finished map.
+        """Return all metrics of a finished map by name.
 
-        The map's voxel grid is aligned with the first pose of the ``path``, without a path with the world.
+        The voxel grid for the map is aligned with the first pose of the ``path``; without a path it is aligned with the
+        world.
         """
         notes: dict[str, str] = {}
         with lpips.measuring(notes) as distance:
@@ -170,7 +174,7 @@ class ActiveGamerProtocol:
         }
 
     def geometry(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None) -> dict[str, float | None]:
-        """Return accuracy, completion and completion ratio; the first two are None for an empty map."""
+        """Return accuracy (cm), completion (cm) and completion ratio (%); the first two are None for an empty map."""
         start = np.eye(4) if path is None else path.start
         means = np.asarray(gaussians.means, dtype=np.float64)
         chosen, _ = nearest_per_voxel(transform_points(invert_rigid(start), means), self.voxel_m)
@@ -209,7 +213,10 @@ def masked(
     depth: np.ndarray,  # [H, W] float32 metres
     true_depth: np.ndarray,  # [H, W] float32 metres, 0 = no surface
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [H, W, 3] both, [N] metres
-    """Return both images, black at pixels without a true surface, and the absolute depth errors at the others."""
+    """Return the rendered and the true image, and the absolute depth errors at the N pixels with a true surface.
+
+    Both images are black at pixels without a true surface. The true image has values in [0, 1].
+    """
     shown, true, error = np.empty(color.shape), np.empty(color.shape), np.empty(depth.size)
     return shown, true, error[: _mask(color, rgb, depth, true_depth, shown, true, error)]
 
@@ -241,7 +248,10 @@ def _mask(
 
 
 def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] metres
-    """Sample evenly spaced points on the whole surface with trimesh, as the original does; the result is cached."""
+    """Sample evenly spaced points on the whole surface of a scene with trimesh, as the original does.
+
+    The result is cached by the scene's content.
+    """
     from activestructure_gym.scenes.cache import cached_arrays
 
     def compute() -> dict[str, np.ndarray]:

@@ -1,18 +1,17 @@
-"""Measure the speed of the CPU rasteriser on seeded maps of a room, after a warm-up.
+"""Measure the speed of the CPU rasteriser on maps of a room.
 
-Every workload (sizes of docs/notebook/groundwork.md) has Gaussians seeded as disks from the RGB-D pixels of six views
-of a furnished box room, and one of these views as the target. W1 (160x120, 20k Gaussians), W2 (320x240, 80k) and W3
-(640x480, 300k) time one fused mapping iteration. W4 times candidate scoring: alpha and depth of 64 cameras at 80x60
-over 50k Gaussians.
+A workload is a map and one or more cameras (sizes: docs/notebook/groundwork.md). The Gaussians are disks at the RGB-D
+pixels of six views of a furnished box room; the first view is the target image. W1 (160 x 120 pixels, 20,000
+Gaussians), W2 (320 x 240, 80,000) and W3 (640 x 480, 300,000) time one mapping iteration: rendering, losses, backward
+pass and Adam. W4 times candidate scoring: alpha and depth of 64 cameras at 80 x 60 pixels with 50,000 Gaussians.
 
-Ratios from the same run compare machines and versions:
+Ratios of times from the same run compare machines and versions:
 
-- ``floor_share``: ideal time of the needed arithmetic at the measured multiply-add peak, divided by the time. For an
-  iteration the ideal time is of forward and backward pass, without losses and Adam.
-- ``vs_torch``: time of the plain-torch renderer, divided by the time
-- ``vs_one``: time on the first thread count, divided by the time
-- ``second_pass``: additional time of the information of a view (`fisher`) over a forward rendering, divided by the
-  time of the forward rendering
+- ``floor_share``: ideal time divided by the measured time. The ideal time is that of the needed arithmetic at the
+  measured peak of multiply-adds. For an iteration it includes the forward and backward pass, not losses and Adam.
+- ``vs_torch``: time of the plain-torch renderer divided by the measured time
+- ``vs_one``: time on the first thread count divided by the measured time
+- ``second_pass``: time of the information of a view (`fisher`) minus time of a forward rendering, divided by the latter
 """
 
 from __future__ import annotations
@@ -35,13 +34,15 @@ from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import PooledWorkspace, aligned_zeros, inverse_of_pose
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
+# Width and height in pixels, and number of Gaussians, by workload.
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
-# Operations per needed pair, a multiply-add counted as two. Forward: offsets 2, exponent 8, exp2 13, limits 2,
-# transmittance 3, sums 8. Backward: the first 25 again, and 40 more.
+# Floating-point operations per needed (pixel, Gaussian) pair; a multiply-add counts as two. Forward: offsets 2,
+# exponent 8, exp2 13, limits 2, transmittance 3, sums 8. Backward: the first 25 of these again, and 40 more.
 _FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
-_INFORMATION = "information"  # forward rendering and second pass
-_IN_A_ROW = 5  # timed runs per repetition, as a mapping event has several iterations; one run before is not timed
-_RATES = np.zeros(14, np.float32)  # learning rates of 0: equal arithmetic, and the map does not change
+_INFORMATION = "information"  # task: forward rendering, then a second pass for the information of the view
+_IN_A_ROW = 5  # consecutive timed runs per repetition, since a mapping event has several iterations
+_RATES = np.zeros(14, np.float32)  # learning rates of 0, with which the map does not change
+# Lower and upper corners of the room, and of the boxes in it, in metres.
 _ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
 _BOXES = np.array([
     [[0.5, 0.4, 0.0], [1.5, 1.9, 0.7]], [[4.6, 0.3, 0.0], [5.6, 1.1, 1.9]], [[2.4, 4.2, 0.0], [4.0, 4.9, 0.9]],
@@ -51,28 +52,28 @@ _BOXES = np.array([
 
 @dataclass(frozen=True)
 class Workload:
-    """Hold a Gaussian map, the cameras that render it, and the target images."""
+    """Hold a Gaussian map, the cameras that render it, and the target image."""
 
     parameters: np.ndarray  # [14, capacity] float32
-    count: int
+    count: int  # number of Gaussians, at most the capacity
     camera: PinholeCamera
     poses: np.ndarray  # [C, 4, 4] world_from_camera
-    target_rgb: np.ndarray  # [H, W, 3] float32
-    target_depth: np.ndarray  # [H, W] float32
+    target_rgb: np.ndarray  # [H, W, 3] float32, colour of the first view
+    target_depth: np.ndarray  # [H, W] float32 metres, depth of the first view
 
 
 def make_workload(name: str, seed: int = 0) -> Workload:
-    """Build one of W1 to W4; equal seeds give equal workloads."""
+    """Build the workload ``name``, one of W1 to W4; equal seeds give equal workloads."""
     if name not in _SIZES:
         raise unknown_name("splatting workload", name, _SIZES)
     width, height, count = _SIZES[name]
     rng = np.random.default_rng(seed)
     camera = PinholeCamera.from_size(width, height)
-    # The views of W1 to W3 overlap with neighbouring seeded views; those of W4 look all around.
+    # Neighbouring views of W1 to W3 overlap, since their headings differ by 50 degrees. W4 has 64 headings all around.
     poses = _poses(np.radians([0, 50, -50, 100, -100, 150]) if name != "W4" else np.arange(64) / 32 * np.pi, rng)
     sources = poses if name != "W4" else poses[::11]
     per_view = -(-count // 6)
-    # W4 is seeded from larger images than its own, since those have too few pixels for its Gaussians.
+    # The Gaussians of W4 come from larger images, since 80 x 60 pixels are too few for them.
     seeding = camera if name != "W4" else PinholeCamera.from_size(224, 168)
     blocks = [_seed(seeding, pose, per_view, rng) for pose in sources]
     live = np.concatenate(blocks, axis=1)[:, :count]
@@ -101,12 +102,12 @@ def run_splatting_benchmark(
     - ``floor_share``, ``vs_torch``, ``vs_one``: ratios of medians, NaN if not defined
     - ``second_pass``: quartiles by processor time, for the task "information", else None
 
-    A repetition is the mean of five consecutive runs after one that is not timed. So the caches hold the map, as in a
-    mapping event. For plain torch it is one run. All tasks and thread counts alternate, so that the machine's load
-    affects all of them. ``baseline`` adds the plain-torch renderer (tasks ending in ", torch"), repeated at most 5
-    times since it is a hundred times slower, and the kernels behind torch's autograd.
+    A repetition is the mean of five consecutive runs after a run that is not timed, so the caches hold the map, as in a
+    mapping event. For plain torch, a repetition is one run. All tasks and thread counts alternate, so the load of the
+    machine affects all of them alike. ``baseline`` adds two kinds of tasks: the plain-torch renderer (names with ",
+    torch", at most 5 repetitions, since it is a hundred times slower), and this rasteriser in torch's autograd.
 
-    Raises `InputError` for an unknown workload.
+    Raise `InputError` for an unknown workload.
     """
     names, counts = tuple(workloads), tuple(threads) if threads is not None else (1, 2)
     for name in names:
@@ -144,18 +145,28 @@ def run_splatting_benchmark(
 
 
 def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> float:
-    """Return the median over repetitions, each with the peak measured just before it, since clock rates change."""
+    """Return ``floor_share``: the median over repetitions of the ideal time divided by the measured time.
+
+    ``flops`` is the number of operations of a run. ``peaks`` are flops per second, measured just before each repetition
+    since clock rates change.
+    """
     return statistics.median(1e3 * flops / peak / time_ms for peak, time_ms in zip(peaks, times_ms))
 
 
 def _second_pass(whole: list[float], forward: list[float]) -> tuple[float, ...]:
-    """Return quartiles over repetitions, each relative to the forward rendering of the same round."""
+    """Return ``second_pass``: quartiles over repetitions of (``whole`` - ``forward``) / ``forward`` of the same round.
+
+    ``whole`` and ``forward`` are times of the task "information" and of the task "forward".
+    """
     shares = [(own - first) / first for own, first in zip(whole, forward)]
     return tuple(statistics.quantiles(shares, n=4)) if len(shares) > 1 else tuple(shares) * 3
 
 
 def _measure(tasks, counts, few, repeats):
-    """Return per (task, thread count) wall ms and processor ms of each repetition, and the peak before it."""
+    """Time all tasks: return wall ms, processor ms and peak flops per second of each repetition, by (task, threads).
+
+    ``few`` is the number of repetitions of each task, at most ``repeats``. A first round is not timed.
+    """
     keys = [(task, count) for task in tasks for count in counts]
     wall: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
     busy: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
@@ -168,21 +179,21 @@ def _measure(tasks, counts, few, repeats):
                 runs = 1
                 peak = multiply_add_peak(count, tries=2) if _flops(task) else float("nan")
                 if not task.endswith(", torch"):
-                    action(count)  # fills the caches with the map
+                    action(count)  # not timed: it brings the map into the caches
                     runs = _IN_A_ROW
                 start, busy_start = time.perf_counter(), time.process_time()
                 for _ in range(runs):
                     action(count)
-                if repeat >= 0:  # the first round warms up
+                if repeat >= 0:  # the first round is a warm-up
                     wall[task, count].append(1e3 / runs * (time.perf_counter() - start))
                     busy[task, count].append(1e3 / runs * (time.process_time() - busy_start))
                     peaks[task, count].append(peak)
             if task.endswith((", torch", "autograd")):
-                time.sleep(0.02)  # torch's threads spin after their work and would slow the next task
+                time.sleep(0.02)  # torch's idle threads spin for a while, which would slow the next task
     return wall, busy, peaks
 
 
-# The plain-torch task that a task is compared with; both compute the same.
+# The plain-torch task with which each task is compared in ``vs_torch``; its name there ends with ", torch".
 _BASELINES = {
     "iteration, L1": "iteration, L1", "iteration, L1 + SSIM": "iteration, L1",
     "iteration, L1, through autograd": "iteration, L1", "score 64 views": "score 64 views",
@@ -197,7 +208,7 @@ def _flops(task: str) -> int:
 
 
 def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
-    """Return the flops per second of 16-lane multiply-adds on ``threads`` threads, the best of a few tries."""
+    """Measure the peak flops per second of 16-lane multiply-adds on ``threads`` threads, as the best of ``tries``."""
     pieces, rounds = 8 * threads, 20_000
     values = aligned_zeros(LANES * (2 + pieces))
     values[: 2 * LANES] = 0.5
@@ -211,9 +222,10 @@ def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
 
 
 def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]:
-    """Return the number of visible Gaussians and of needed (pixel, Gaussian) pairs.
+    """Return the numbers of visible Gaussians and of needed (pixel, Gaussian) pairs for one camera pose.
 
-    A pair is needed if its alpha is at least 1/255 and the pixel's transmittance is not used up.
+    A pair is needed if the Gaussian's alpha at the pixel is at least 1/255, and the Gaussians in front leave more
+    transmittance than `layout.MIN_TRANSMITTANCE`.
     """
     pooled = PooledWorkspace()
     workspace = pooled.workspace
@@ -267,7 +279,7 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
     images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
 
     def there_and_back(threads: int) -> None:
-        _ = pooled  # holds the workspace
+        _ = pooled  # this reference keeps the workspace alive
         workspace.render(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
         workspace.set_gradient_images(*images)
         workspace.backward(np.zeros(layout.RATES, np.float32), gradient, gradient, gradient)
@@ -284,12 +296,15 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
 
 
 def _aligned(shape: tuple[int, int]) -> np.ndarray:
-    """Return zeros whose rows start on cache lines, as the rows of the mapper's map do."""
+    """Return zeros whose rows begin at cache lines, as in the mapper's map."""
     return aligned_zeros(shape[0] * shape[1]).reshape(shape)
 
 
 def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
-    """Return the tasks of plain torch, and of the kernels in torch's graph with torch's loss and optimiser."""
+    """Return the tasks that use torch: the plain-torch renderer, and this rasteriser in torch's autograd.
+
+    Both use the loss and the optimiser of torch.
+    """
     import torch
 
     from activestructure_gym.evaluation.benchmarks.torch_tiles import rasterize_torch_tiles
@@ -299,7 +314,7 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
     columns = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
     means, quaternions, log_scales, logits, colors = (group.contiguous().requires_grad_() for group in columns)
     optimizer = torch.optim.Adam([means, quaternions, log_scales, logits, colors], lr=0.0, fused=True)
-    # Both have their fastest layout: plain torch a row per Gaussian, the kernels a row per parameter.
+    # Both renderers get their fastest layout: plain torch a row per Gaussian, this rasteriser a row per parameter.
     rows = [group.requires_grad_() for group in parameter_rows(torch.from_numpy(work.parameters.copy()))]
     of_rows = torch.optim.Adam(rows, lr=0.0, fused=True)
     poses = torch.from_numpy(invert_rigid(work.poses).astype(np.float32))
@@ -348,7 +363,7 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
 
 
 def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] radians -> [C, 4, 4]
-    """Draw cameras around the middle of the room."""
+    """Draw camera poses (world_from_camera) near the middle of the room, one per heading in ``yaws``."""
     poses = []
     for yaw in yaws:
         position = np.array([3.0, 2.5, 1.4]) + rng.uniform(-0.6, 0.6, 3) * [1.0, 1.0, 0.4]
@@ -357,7 +372,7 @@ def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] rad
 
 
 def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Render colour [H, W, 3], depth [H, W] and normals [H, W, 3] of the box room by slab intersection."""
+    """Render the box room by slab intersection: colour [H, W, 3], depth [H, W] in metres, and normals [H, W, 3]."""
     directions = camera.rays().astype(np.float64) @ pose[:3, :3].T
     origin = pose[:3, 3]
     walls = np.where(directions > 0, _ROOM[1] - origin, _ROOM[0] - origin) / directions
@@ -375,14 +390,17 @@ def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
-    """Seed disks on the surface at ``count`` pixels in raster order, of footprint sigma 1.0 to 1.5 px with blur."""
+    """Return ``count`` Gaussians as disks on the surfaces at random pixels of a view, in raster order.
+
+    Their sigma in the image, including the rasteriser's blur, is 1.0 to 1.5 pixels.
+    """
     rgb, depth, normals = _see(camera, pose)
     pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
     z = depth.reshape(-1)[pixels]
     points = pose[:3, 3] + (camera.rays().reshape(-1, 3)[pixels] @ pose[:3, :3].T) * z[:, None]
     normal = normals.reshape(-1, 3)[pixels]
     quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
-    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # the quaternion of a normal that points down is a half turn
+    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # a half turn, since the formula fails for (0, 0, -1)
     sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - layout.BLUR_VARIANCE) * z / camera.fx
     opacity = rng.uniform(0.5, 0.95, count)
     return np.concatenate([

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from activestructure_gym.envs import ENV_IDS, ReconstructionEnv, register_envs
     from activestructure_gym.errors import InputError, InputWarning
     from activestructure_gym.evaluation import compare, open_comparison, read_run
+    from activestructure_gym.explorer import Explorer
     from activestructure_gym.features import FEATURES, FeatureContext
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.geometry.frame import Frame
@@ -42,6 +43,7 @@ _PLACES = {
     "envs": ("ENV_IDS", "ReconstructionEnv", "register_envs"),
     "errors": ("InputError", "InputWarning"),
     "evaluation": ("compare", "open_comparison", "read_run"),
+    "explorer": ("Explorer",),
     "features": ("FEATURES", "FeatureContext"),
     "geometry": ("PinholeCamera",),
     "geometry.frame": ("Frame",),
@@ -64,6 +66,7 @@ __all__ = [
     "SCENES",
     "SOURCES",
     "WORLDS",
+    "Explorer",
     "FeatureContext",
     "Frame",
     "GaussianMap",

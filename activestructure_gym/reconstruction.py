@@ -191,6 +191,7 @@ class Reconstruction:
         self.frames = 0
         self.metres = 0.0
         self.decisions = 0
+        self.chosen: int | None = None  # row of the candidate table that is executed
         self._failures = 0  # captures in a row that have failed
         # wall-clock time by stage; never part of an observation
         self.seconds: defaultdict[str, float] = defaultdict(float)
@@ -243,7 +244,7 @@ class Reconstruction:
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
         reached, keyframes = False, list[Frame]()
-        table = self.candidates
+        table, self.chosen = self.candidates, index
         if not 0 <= index < len(table):
             self._let_pass()
         elif table.ask[index] >= 0:

@@ -72,6 +72,11 @@ class StoredCaptures:
         return self.world is None and not self._is_stored(self._next)
 
     @property
+    def is_over(self) -> bool:
+        """Return whether the episode ends here: no capture is left, or the world was stopped."""
+        return self.exhausted or bool(getattr(self.world, "stopped", False))
+
+    @property
     def stored(self) -> int:
         """Return the number of stored captures."""
         count = 0

@@ -26,6 +26,7 @@ from activestructure_gym.evaluation.metrics.planning import planning_scores
 from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.reproduction.remeasure import differing, measure_again, protocols_of, without_lpips
 from activestructure_gym.evaluation.running.episode import Progress, run_job
+from activestructure_gym.worlds import StoredCaptures
 
 # Files that depend only on the job. Times are not compared. Images and pages are not compared either, because they are
 # drawn from these files.
@@ -72,7 +73,8 @@ def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None)
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         captures = run.directory / store.CAPTURES
-        again = run_job(run.job, Path(folder) / "again", notify, captures=captures if captures.is_dir() else None)
+        world = StoredCaptures(captures) if captures.is_dir() else None
+        again = run_job(run.job, Path(folder) / "again", notify, world=world)
         evaluations, missing = remeasured_evaluations(run, again)
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
-    from activestructure_gym.worlds import World
+    from activestructure_gym.worlds import StoredCaptures, World
 
 CHECKPOINTS = 20  # points of the convergence curve after the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
@@ -78,26 +78,38 @@ def run_job(
     directory: Path,
     progress: Callable[[Progress], None] | None = None,
     *,
-    captures: Path | None = None,
+    world: StoredCaptures | None = None,
+    begun: Callable[[ReconstructionEnv], None] = lambda env: None,
 ) -> store.Run:
     """Run ``job``, write ``directory`` completely or not at all, and return the run.
 
     The played episode is stored before it is measured. If it is already stored, it is not played again.
 
-    The result depends only on the job. Only ``timing.json`` contains times. With ``captures``, the stored frames of a
-    world replace the world. Raise `InputError` if the job cannot be run.
+    The result depends only on the job. Only ``timing.json`` contains times. Raise `InputError` if the job cannot be
+    run.
+
+    Parameters
+    ----------
+    job, directory
+        The job and the directory of its run.
+    progress
+        Called with the progress.
+    world
+        Explore this world in place of the one that the job names.
+    begun
+        Called with the environment before its first reset.
     """
     notify = progress or (lambda _: None)
     notify(Progress("loading"))
     own = plugin_code_of(job, first_checksum_of)  # before the import: the files may be edited during the episode
     began = time.perf_counter()
     place = played.played_episode(directory, job, first_checksum_of)
-    where = surroundings_of(job, directory, captures) if place is None else stored_surroundings(job, place)
+    where = surroundings_of(job, directory, world) if place is None else stored_surroundings(job, place)
     truth = where.truth(job.conditions.protocol)
     for name in job.conditions.also:
         where.truth(get_protocol(name))
     if place is None:
-        _play(job, directory, where, truth, own, time.perf_counter() - began, notify)
+        _play(job, directory, where, truth, own, time.perf_counter() - began, notify, begun)
         if completion.is_done(directory, job):  # another process was faster
             return store.read_run(directory)
         place = directory
@@ -117,13 +129,15 @@ def _play(
     own: dict[str, str],
     loading: float,  # seconds spent on loading so far
     notify: Callable[[Progress], None],
+    begun: Callable[[ReconstructionEnv], None],
 ) -> None:
     """Play the episode of ``job`` and store it in ``directory``, completely or not at all."""
     began = time.perf_counter()
     policy, env = build(job, where.explored)
     loading += time.perf_counter() - began
     try:
-        episode = _Episode(job, env, policy, truth, notify)
+        begun(env)
+        episode = _Episode(job, env, policy, truth, notify, where.is_over)
         episode.run()
         began = time.perf_counter()
         with played.written_episode(directory, job) as part:
@@ -134,7 +148,7 @@ def _play(
     finally:
         env.close()
     if where.world is not None:  # the run holds the captures now
-        shutil.rmtree(captures_in_progress(directory), ignore_errors=True)
+        shutil.rmtree(captures_in_progress(directory), ignore_errors=True)  # those of a replay stay
 
 
 def build(job: Job, explored: GroundTruth | World) -> tuple[Actor, ReconstructionEnv]:
@@ -202,9 +216,16 @@ class _Episode:
     """Play an episode, and record its decisions, convergence curve and times."""
 
     def __init__(
-        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth | None, notify: Callable[[Progress], None]
+        self,
+        job: Job,
+        env: ReconstructionEnv,
+        policy: Actor,
+        truth: Truth | None,
+        notify: Callable[[Progress], None],
+        is_over: Callable[[], bool],
     ) -> None:
         self.job, self.env, self.policy, self.truth, self.notify = job, env, policy, truth, notify
+        self._is_over = is_over
         self.steps: list[dict[str, Any]] = []
         self.curve: list[dict[str, float | None]] = []
         self.ended = ""
@@ -225,13 +246,15 @@ class _Episode:
         self._checkpoint()
         given = self.job.policy.kind == "trajectory"
         ended = not given and not np.any(observation["action_mask"])
-        truncated = False
+        truncated = stopped = False
         while not (ended or truncated):
             began = time.perf_counter()
             action = self._chosen(policy.act(observation))
             self._policy_seconds += time.perf_counter() - began
             step = self._describe(observation, action)
             observation, _, ended, truncated, info = env.step(action)
+            stopped = self._is_over()
+            ended |= stopped
             step |= {"frames": info["frames"], "metres": info["metres"]}
             step |= {name: value for name, value in info.items() if _is_logged(name, value)}
             step["graph"] = graph_summary(env.reconstruction.planes)
@@ -242,6 +265,7 @@ class _Episode:
             self.notify(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
         by_choice = "ended by the policy" if env.reconstruction.finished else "no candidate left"
         by_choice = "the trajectory has ended" if given else by_choice
+        by_choice = "stopped" if stopped else by_choice
         self.ended = "frame budget used up" if truncated else by_choice
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
 

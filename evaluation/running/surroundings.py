@@ -48,26 +48,27 @@ class Surroundings:
         """Return the reference data of a protocol; None without ground truth."""
         return None if self.known is None else protocol.truth(self.known)
 
+    def is_over(self) -> bool:
+        """Return whether the world takes no further captures: it was stopped, or all stored ones have been replayed."""
+        return self.world is not None and self.world.is_over
+
     def close(self) -> None:
         """Release the world; a scene needs no release."""
         if self.world is not None:
             self.world.close()
 
 
-def surroundings_of(job: Job, directory: Path, captures: Path | None = None) -> Surroundings:
+def surroundings_of(job: Job, directory: Path, world: StoredCaptures | None = None) -> Surroundings:
     """Return what a job explores, before its episode is played.
 
     The captures of a world are stored next to the run ``directory``, so that a stopped episode is continued. With
-    ``captures``, the frames in that folder replace the world. Raise `InputError` if the scene is missing or has
-    changed, if the world cannot be made, or if the job needs ground truth that the world does not have.
+    ``world``, that world is explored in place of the one that the job names. Raise `InputError` if the scene is missing
+    or has changed, if the world cannot be made, or if the job needs ground truth that the world does not have.
     """
     if not names_world(job.scene):
         return scene_surroundings(job)
     refuse_without_truth(job)
-    if captures is not None:
-        return _of_world(job, StoredCaptures(captures))
-    world = StoredCaptures(captures_in_progress(directory), load_world(job.scene))
-    return _of_world(job, world)
+    return _of_world(job, world or StoredCaptures(captures_in_progress(directory), load_world(job.scene)))
 
 
 def scene_surroundings(job: Job) -> Surroundings:
@@ -108,8 +109,9 @@ def _of_world(job: Job, world: StoredCaptures) -> Surroundings:
 
 def captures_in_progress(directory: Path) -> Path:
     """Return the folder for the captures of a run ``directory`` while its episode is played."""
-    parent = directory.parent.parent if directory.parent.name == JOBS else directory.parent
-    return parent / CAPTURES / directory.name
+    if directory.parent.name == JOBS:
+        return directory.parent.parent / CAPTURES / directory.name
+    return directory.with_name(f"{directory.name}.{CAPTURES}")
 
 
 def world_hash(spec: str) -> str:

@@ -111,6 +111,9 @@ METRICS: Check = table(
     },
     {"protocol": PROTOCOL, "scene": text, "own_metrics": each(_OWN_METRIC)},
 )  # fmt: skip
+_TRUTH = table({
+    "completion_ratio": number(), "psnr": number(), "collisions": _count, "true_area_m2": _size, "true_samples": _count,
+})  # fmt: skip
 EVALUATION: Check = table(
     {
         "protocol": PROTOCOL,
@@ -270,8 +273,15 @@ def check_config(content: Any, place: str) -> None:
 
 
 def check_metrics(content: Any, place: str) -> None:
-    """Raise `Mismatch` unless ``metrics.json`` is valid, and every metric that it describes is a number or null."""
+    """Raise `Mismatch` unless ``metrics.json`` is valid, and every metric that it describes is a number or null.
+
+    Only a run without ground truth, which has no ``true_samples``, may lack the numbers that need it.
+    """
     METRICS(content, place)
+    if content["metrics"]["true_samples"] is not None:
+        _TRUTH(content["metrics"], "metrics")
+        for index, point in enumerate(content["curve"]):
+            number()(point["completion_ratio"], f"curve[{index}].completion_ratio")
     for described in content.get("own_metrics", ()):
         metric = Metric.from_dict(described)
         maybe(number())(content["metrics"].get(metric.name), f"metrics.{metric.name}")

@@ -95,7 +95,7 @@ def claimed(run: Run) -> Run:
 def as_made(made: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the play by the true run, so that the comparison alone is tested."""
 
-    def played(job: Any, directory: Path, notify: Any) -> Run:
+    def played(job: Any, directory: Path, notify: Any, world: Any) -> Run:
         return replace(made, directory=Path(shutil.copytree(made.directory, directory)))
 
     monkeypatch.setattr("activestructure_gym.evaluation.reproduction.verifying.run_job", played)
@@ -205,7 +205,7 @@ def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
     later(0.25)
     assert (verify(seal(run)).verdict, verify(run).why) == ("not comparable here", unmeasured)
 
-    def measured_here(job: Any, directory: Path, notify: Any) -> Run:
+    def measured_here(job: Any, directory: Path, notify: Any, world: Any) -> Run:
         shutil.copytree(run.directory, directory)
         return edited(replace(run, directory=directory), "metrics.json", with_lpips(0.25))
 

@@ -26,8 +26,8 @@ class Ground:
     above: np.ndarray  # [R] float64 metres: z of the surface above the run, inf = none
     # [R] float64 m^2: area of level ground below the run, times the share of the camera heights that are in the run
     area: np.ndarray
-    floor_behind: np.ndarray  # [R] bool: the surface below is level, and its back side is towards the run
-    ceiling_behind: np.ndarray  # [R] bool: the surface above is level, and its back side is towards the run
+    floor_behind: np.ndarray  # [R] bool: the surface below is level, and its normal points down, away from the run
+    ceiling_behind: np.ndarray  # [R] bool: the surface above is level, and its normal points up, away from the run
 
     @cached_property
     def level_area(self) -> float:

@@ -283,7 +283,7 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
-    # A factory may have its own option of that name.
+    # ``inside`` is an option of every scene, except where the factory itself has a parameter of that name.
     own = INSIDE in inspect.signature(factory).parameters
     inside = None if own else options.get(INSIDE)
     options = options if own else {key: value for key, value in options.items() if key != INSIDE}

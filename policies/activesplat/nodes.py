@@ -16,7 +16,7 @@ LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME = -1, 10, 10  # late weights, once e
 
 @dataclass(frozen=True)
 class Nodes:
-    """Hold the N Voronoi nodes that have candidates."""
+    """Hold the N nodes of the Voronoi graph at which there is at least one candidate view."""
 
     rows: tuple[np.ndarray, ...]  # [N] rows of the candidate table at each node
     information: np.ndarray  # [N] rad^2 m deg^2: missing information I

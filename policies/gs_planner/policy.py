@@ -73,7 +73,7 @@ class GSPlanner(Planner):
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Begin with an empty library."""
+        """Begin an episode with an empty view library."""
         super().reset(seed)
         self._library = np.zeros((0, 6))  # position in metres and view direction of each view
 

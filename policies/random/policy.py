@@ -9,7 +9,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy
 
 @POLICIES.register("random")
 class Random(Policy):
-    """Choose each of the n valid candidates with the probability 1 / n."""
+    """Choose each of the n valid candidates with probability P = 1 / n."""
 
     criterion = "chance"
     source = "this project"

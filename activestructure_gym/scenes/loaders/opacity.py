@@ -47,7 +47,10 @@ class Opacity:
         return self.picture is not None and self.uv is not None
 
     def at_vertices(self, count: int) -> np.ndarray:  # [V]
-        """Return the factor times the values at the vertices, at least 0; non-finite values count as 1."""
+        """Return the opacity of ``count`` vertices without the image: factor times vertex value, at least 0.
+
+        Values that are missing or not finite count as 1.
+        """
         values = np.ones(count) if self.vertices is None else np.asarray(self.vertices, dtype=np.float64)
         return np.maximum(np.where(np.isfinite(values), values, 1.0) * self.factor, 0.0)
 

@@ -59,7 +59,8 @@ class Verdict:
 class _Side:
     """Hold statistics of the geometry along one axis, with its low end called floor.
 
-    Heights and distances are fractions of the side of the bounding box along the axis. Lines are free lines.
+    Heights and distances are fractions of the side of the bounding box along the axis. A line is a free line: a segment
+    parallel to the axis that meets no surface.
     """
 
     length: float  # metres

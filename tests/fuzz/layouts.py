@@ -1,4 +1,4 @@
-"""Damaged folders: Replica scenes, posed RGB-D sequences, Matterport3D, ScanNet, ScanNet++, HM3D, ProcTHOR, Habitat."""
+"""Damaged folders: scenes of seven data sets and posed RGB-D sequences."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ _ENTRANCES = (
     "hm3d/00001-h1",
     "procthor:house.json",
     "data.scene_dataset_config.json",
+    "redwood",
+    "tum",
 )
 _CAMERA = {"w": 40, "h": 24, "fx": 20.0, "fy": 20.0, "cx": 19.5, "cy": 11.5, "scale": 6553.5}
 
@@ -51,9 +53,13 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
 def _read(folder: Path, entrance: str, sequence: str) -> None:
     from activestructure_gym.evaluation.protocols.held_out_views import recorded_views
     from activestructure_gym.evaluation.trajectories.formats import read_poses
-    from activestructure_gym.scenes import load_scene
+    from activestructure_gym.scenes import load_scene, load_sequence
 
     kind, colon, place = entrance.partition(":")
+    if entrance in ("redwood", "tum"):
+        frame = load_sequence(folder / entrance).frame(0)
+        assert np.isfinite(frame.world_from_camera).all()
+        return
     if (folder / entrance / "pose").exists():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -123,6 +129,19 @@ def layout() -> dict[str, bytes]:
         ).encode(),
         "hab/room.glb": rooms()["glb"]["room.glb"],
     }  # fmt: skip
+    matrix = "\n".join([" ".join(pose.split()[4 * row : 4 * row + 4]) for row in range(4)])
+    camera = {"width": 40, "height": 24, "intrinsic_matrix": [20.0, 0, 0, 0, 20.0, 0, 19.5, 11.5, 1]}
+    files["redwood/trajectory.log"] = "".join(f"{n} {n} {n + 1}\n{matrix}\n" for n in range(2)).encode()
+    files["redwood/camera.json"] = files["tum/camera.json"] = json.dumps(camera).encode()
+    files["tum/groundtruth.txt"] = b"# pose\n0 2 1.5 1.2 0 0 0 1\n1 2 1.5 1.2 0 0 0 1\n"
+    files["tum/rgb.txt"], files["tum/depth.txt"] = (
+        b"0 rgb/0.png\n1 rgb/1.png\n",
+        b"0.01 depth/0.png\n1.01 depth/1.png\n",
+    )
+    for index in range(2):
+        for place, colour in (("redwood", "color"), ("tum", "rgb")):
+            files[f"{place}/{colour}/{index}.png"] = _image("PNG", np.full((24, 40, 3), 80 + index, np.uint8))
+            files[f"{place}/depth/{index}.png"] = _image("PNG", np.full((24, 40), 900 + index, np.uint16))
     for index in range(3):
         files[f"seq/room/results/frame{index:06d}.jpg"] = _image("JPEG", np.full((24, 40, 3), 80 + index, np.uint8))
         files[f"seq/room/results/depth{index:06d}.png"] = _image("PNG", np.full((24, 40), 9000 + index, np.uint16))
@@ -141,7 +160,7 @@ def _damaged(rng: np.random.Generator, name: str, data: bytes) -> bytes:
             return damaged_json(rng, data)
         except ValueError:  # damaged before
             return damaged_bytes(rng, data)
-    if name.endswith((".txt", ".house")):
+    if name.endswith((".txt", ".house", ".log")):
         return damaged_text(rng, data)
     if name.endswith(".ply") and rng.random() < 0.7:
         end = data.find(b"end_header")

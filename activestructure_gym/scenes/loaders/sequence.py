@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
@@ -183,10 +183,19 @@ def _tum(path: Path) -> _Layout:
             f"no colour image of '{path}' has a depth image and a pose within {_MAX_APART_S} s: check the time stamps"
         )
     rgb_files, depth_files = (tuple(colour[1][n] for n in kept), tuple(depth[1][n] for n in depth_at[kept]))
-    missing = [one for one in (*rgb_files, *depth_files) if not one.is_file()]
+    missing = [one for one in (*rgb_files, *depth_files) if not _is_below(one, path)]
     if missing:
-        raise InputError(f"'{path}' lists {len(missing)} images that are not there, the first is '{missing[0]}'")
+        raise InputError(
+            f"'{path}' lists {len(missing)} images that are not in that folder, the first is "
+            f"{short_repr(os.path.relpath(missing[0], path))}"
+        )
     return poses[pose_at[kept]], rgb_files, depth_files, 5000.0
+
+
+def _is_below(file: Path, folder: Path) -> bool:
+    """Return whether an image is a file in the folder or below it; foreign lists must not read elsewhere."""
+    below = os.path.abspath(file).startswith(os.path.join(os.path.abspath(folder), ""))
+    return below and os.path.isfile(file)
 
 
 def _listed(file: Path, column: int) -> tuple[np.ndarray, list[Path]]:

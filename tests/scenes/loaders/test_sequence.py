@@ -194,7 +194,11 @@ def test_tum_s_layout_is_joined_by_time_stamps(tum):
 def test_faults_of_tum_s_layout(tum):
     folder, _ = tum
     (folder / "rgb.txt").write_text("0.0 color/gone.jpg\n")
-    assert "lists 1 images that are not there" in _error(folder)
+    assert "lists 1 images that are not in that folder, the first is 'color/gone.jpg'" in _error(folder)
+    shutil.copy(folder / "color" / "00000.jpg", folder.parent / "elsewhere.jpg")
+    for elsewhere in ("../elsewhere.jpg", folder.parent / "elsewhere.jpg", "color/" + 400 * "0"):
+        (folder / "rgb.txt").write_text(f"0.0 {elsewhere}\n")
+        assert "not in that folder" in _error(folder)
     (folder / "rgb.txt").write_text("77 color/00000.jpg\n")
     assert "no colour image of" in _error(folder)
     (folder / "rgb.txt").write_text("color/00000.jpg\n")

@@ -147,7 +147,7 @@ def test_everything_that_may_be_imported_has_one_entry(site: ModuleType) -> None
     made += [f"{room}.{name}" for name, room in by_hand]
     assert set(reference.entries().values()) <= set(made) and len(made) == len(set(made))
     assert reference.entries()["activestructure_gym.policies.base.Policy"] == "activestructure_gym.policies.Policy"
-    assert "| `seed_spacing` | `float \\| None` | `0.045` | metres " in text
+    assert "| `seed_spacing` | `float \\| None` | `0.045` | " in text
 
 
 def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(

@@ -13,7 +13,8 @@ from activestructure_gym.envs.registration import NAMESPACE, TASKS
 
 ROOT = Path(__file__).parents[2]
 # Scene of the animation by environment. Images of datasets may not be published, so their pages show that of Mesh-v0.
-SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2", "Mesh-v0": "flat.glb?up=y"}
+SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2", "Mesh-v0": "flat.glb?up=y",
+            "World-v0": "simulated?scene=room"}  # fmt: skip
 FLAT = "apartment?rooms=1&seed=5"  # the scene in flat.glb
 POLICY, FRAMES, SEED = "activestructure", 150, 0  # of the episode in an animation
 _WIDTH = 720  # width of an animation in pixels
@@ -31,7 +32,7 @@ def pages(made: Path) -> dict[str, str]:
 def _index() -> str:
     names = "\n".join(task.lower() for task in TASKS)
     return (
-        "# Environments\n\nOne environment in five tasks, which differ in the scenes they begin with.\n\n"
+        "# Environments\n\nOne environment in six tasks, which differ in what they explore.\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
     )
 
@@ -53,7 +54,8 @@ def _page(task: str, kind: type, made: Path) -> str:
         f'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.{notes.get(task, "")}\n```\n\n'
     )
     make = f'import gymnasium as gym\n\nenv = gym.make("activestructure_gym:{NAMESPACE}/{task}"'
-    make += ', scene="...")' if inspect.signature(kind).parameters["scene"].default is None else ")"
+    scene = inspect.signature(kind).parameters.get("scene")
+    make += f', world="{SHOWN_IN[task]}")' if scene is None else ', scene="...")' if scene.default is None else ")"
     # The docstring of an environment begins with a heading of level 2.
     return f"# {task}\n\n{shown}```python\n{make}\n```\n\n{lines}\n"
 
@@ -96,13 +98,14 @@ def _film(task: str, path: Path) -> None:
             name, _, options = SHOWN_IN[task].partition("?")
             write_glb(load_scene(FLAT).mesh, Path(folder) / name)
             scene = load_scene(f"mesh:{folder}/{name}?{options}")
+    given = {"world" if task == "World-v0" else "scene": scene}
     env, policy = make_env_and_policy(
         POLICY,
-        scene,
         env_id=f"activestructure_gym:{NAMESPACE}/{task}",
         preset="fast",
         frame_budget=FRAMES,
         render_mode="rgb_array",
+        **given,
     )
     policy.reset(SEED)
     observation, _ = env.reset(seed=SEED)

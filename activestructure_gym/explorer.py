@@ -77,8 +77,16 @@ class Explorer:
         ``world_from_camera`` [4, 4] of the first picture.
     free_radius
         Radius in metres of a sphere around the start that is known to be free.
-    preset, config, frame_budget, setup, seed
-        As in `ReconstructionEnv` and `Conditions`.
+    preset
+        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``.
+    config
+        Changes of the preset by field: ``{"mapper.iterations": 8}``.
+    frame_budget
+        Frames of the episode, the first one included. Default: the preset's.
+    setup
+        ``"shared"``, or ``"native"`` for the policy's own candidates, keyframes and mapper.
+    seed
+        Determines every random choice of planner and map.
     directory
         Folder for the run. Every picture is stored next to it (``DIRECTORY.captures``), so an explorer with the same
         arguments and directory continues an episode that was interrupted. Default: a temporary folder.

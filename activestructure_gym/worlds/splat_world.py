@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +25,7 @@ from activestructure_gym.worlds.registry import WORLDS
 
 _OPAQUE = 0.5  # smallest opacity of a Gaussian that counts as surface
 _PERCENTILES, _MARGIN_M = (0.5, 99.5), 0.1  # of the means of opaque Gaussians; the rest are often stray
-_SPACING_M = 0.25  # lattice of possible start positions
+_SPACING_M, _MOST_PLACES = 0.25, 50_000  # lattice of possible start positions; wider in large maps
 _START_CLEARANCE_M = 0.3
 _TRIED = 12  # start positions that are rendered
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
@@ -83,7 +84,7 @@ class SplatWorld:
             self.camera = PinholeCamera.from_size(width, height, horizontal_fov_deg)
         except ValueError as error:
             raise InputError(f"this camera cannot be used: {error}") from error
-        gaussians = read_map(file)
+        gaussians = read_map(os.path.expanduser(file))
         self._map = gaussians if up == "z" else turned_map(gaussians, upright(np.eye(3), up).T)
         self._background = np.array(background, dtype=np.float32)
         self._surface = self._map.means[self._map.opacities >= _OPAQUE].astype(np.float64)
@@ -132,7 +133,8 @@ class SplatWorld:
         if self._truth is not None:
             pose = self._truth.free_space.start_poses[0]
             return Start(pose, float(self._truth.free_space.clearance_at(pose[:3, 3])[0]))
-        axes = [np.arange(low + 0.5 * _SPACING_M, high, _SPACING_M) for low, high in self.bounds.T]
+        spacing = max(_SPACING_M, float(np.cbrt((self.bounds[1] - self.bounds[0]).prod() / _MOST_PLACES)))
+        axes = [np.arange(low + 0.5 * spacing, high, spacing) for low, high in self.bounds.T]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         apart = self._tree.query(places)[0]
         # The farthest from all means first; places on the lattice that are near each other are alike.

@@ -57,8 +57,9 @@ class SplatWorld:
         Lowest and highest corner x, y, z, x, y, z in metres, z up. Default: the 0.5 and 99.5 percentiles of the means
         of Gaussians with an opacity of at least 0.5, with a margin of 0.1 m.
     start
-        Start position in metres and yaw in degrees: x, y, z, yaw, z up. Default: a start pose of the collision mesh;
-        without one, the position of a lattice around which the map is most closed, looking the farthest.
+        Start position in metres and yaw in degrees: x, y, z, yaw, z up. Default: a start pose of the collision mesh.
+        Without a mesh, 12 positions of a lattice are tried. The one from which most directions hit a surface is used,
+        with 0.3 m of free space around it and the view direction of the largest median depth.
     background
         Red, green and blue from 0 to 1, where the map is transparent.
     """
@@ -137,7 +138,7 @@ class SplatWorld:
         axes = [np.arange(low + 0.5 * spacing, high, spacing) for low, high in self.bounds.T]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         apart = self._tree.query(places)[0]
-        # The farthest from all means first; places on the lattice that are near each other are alike.
+        # From the farthest to the nearest, so that the 12 positions differ.
         order = np.argsort(-apart, kind="stable")
         order = order[apart[order] >= _START_CLEARANCE_M]
         tried = places[order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _TRIED)).astype(int))]]

@@ -24,7 +24,7 @@ _SAMPLES = 3  # colour samples per pixel and axis; odd, so that one sample is at
 _NEAR = 0.05  # near clipping plane, metres
 _MAX_GEOMS = 20_000
 _SHADOW_SIZE = 1024  # largest shadow map in pixels; a CPU needs 0.5 s for 4096
-_SHOWN_GROUPS = (1, 1, 1, 0, 0, 0)  # geom groups that MuJoCo draws by default
+_SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # geom groups that MuJoCo draws by default
 _DRAWS, _PLACES, _RAYS = 100, 16, 300  # places tried, places kept, rays per place
 _CLEARANCE, _LEAST_CLEARANCE = 0.6, 0.3  # metres wanted and needed around a start
 _BETWEEN = 0.9  # share of the shortest ray that counts as clearance: corners may be between two rays
@@ -109,7 +109,7 @@ class MujocoWorld:
     def _box_of_geoms(self) -> np.ndarray:  # [2, 3]
         """Return the box around the geoms that are drawn; raise `InputError` for a model without them."""
         model, data, planes = self.model, self.data, self._mujoco.mjtGeom.mjGEOM_PLANE
-        shown = np.array(_SHOWN_GROUPS, bool)[np.clip(model.geom_group, 0, 5)] & (_alphas(model) > 0)
+        shown = _drawn(model)
         endless = model.geom_type == planes
         corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         boxes = [
@@ -165,11 +165,12 @@ class MujocoWorld:
         )
         turned = self.data.geom_xmat.reshape(-1, 3, 3)
         local = np.einsum("ni,nij->nj", position - self.data.geom_xpos, turned) - self.model.geom_aabb[:, :3]
+        solid &= _drawn(self.model)
         if (solid & (np.abs(local) <= self.model.geom_aabb[:, 3:]).all(axis=1)).any():
             return 0.0, 0.0
         hit = np.zeros(1, np.int32)
         distances = np.array([
-            self._mujoco.mj_ray(self.model, self.data, position, ray, None, 1, -1, hit)
+            self._mujoco.mj_ray(self.model, self.data, position, ray, _SHOWN_GROUPS, 1, -1, hit)
             for ray in fibonacci_directions(_RAYS)
         ])  # fmt: skip
         met = distances >= 0.0
@@ -273,12 +274,12 @@ def _loaded(mujoco: Any, model: Any) -> mujoco.MjModel:
         raise InputError(f"MuJoCo cannot read '{os.fspath(model)}': {error}") from error
 
 
-def _alphas(model: mujoco.MjModel) -> np.ndarray:  # [geoms]
-    """Return the opacity of each geom, from its material if it has one."""
-    alphas = np.array(model.geom_rgba[:, 3])
+def _drawn(model: mujoco.MjModel) -> np.ndarray:  # [geoms] bool
+    """Return which geoms are drawn; the group, the colour or the material can make a geom invisible."""
     dressed = model.geom_matid >= 0
-    alphas[dressed] = model.mat_rgba[model.geom_matid[dressed], 3]
-    return alphas
+    alphas = np.array(model.geom_rgba[:, 3])
+    alphas[dressed] = np.minimum(alphas[dressed], model.mat_rgba[model.geom_matid[dressed], 3])
+    return (_SHOWN_GROUPS[np.clip(model.geom_group, 0, 5)] > 0) & (alphas > 0)
 
 
 def _osmesa_context(mujoco: Any, size: tuple[int, int]) -> Any:

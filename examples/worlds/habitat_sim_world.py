@@ -1,6 +1,6 @@
 """Explore a scene in Habitat-Sim: a free RGB-D camera without a body.
 
-    PYTHONPATH=examples/worlds python examples/play.py --scene "world:habitat_sim_world:HabitatWorld?scene=FILE.glb"
+    PYTHONPATH=examples/worlds asg explore --world "habitat_sim_world:HabitatWorld?scene=FILE.glb"
 
 The world frame of Habitat has y up, and its cameras look along -z with y up.
 """

@@ -1,7 +1,6 @@
 """Explore with a robot by ROS 2 (Humble or later); the controller of Nav2 drives the robot along each path.
 
-    world="world:ros2_world:Ros2World?bounds=-5,-5,0,5,5,2.5"
-    PYTHONPATH=examples/worlds python examples/play.py --scene "$world"
+    PYTHONPATH=examples/worlds asg explore --world "ros2_world:Ros2World?bounds=-5,-5,0,5,5,2.5"
 
 The robot's driver, its localisation and Nav2 must run. Depth images must be registered to colour images.
 """

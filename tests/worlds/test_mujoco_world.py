@@ -110,11 +110,12 @@ def test_what_is_above_the_walls_has_no_depth(tmp_path: Path, mujoco_room: Path)
     path.write_text(
         '<mujoco><asset><texture type="skybox" builtin="gradient" width="64" height="64" rgb1="1 1 1" rgb2="0 1 0"/>'
         '</asset><worldbody><geom type="plane" size="0 0 1" pos="0 0 -0.5"/><geom type="box" size="1 1 0.2"/>'
-        "</worldbody></mujoco>"
+        '<geom size="9" rgba="1 1 1 0"/><geom size="9" group="3"/></worldbody></mujoco>'
     )
     world = load_world(f"mujoco?model={path}&start=0,0,2,0")
     frame = world.capture(world.start.pose)
-    assert world.bounds[0, 2] == pytest.approx(-0.5)  # the floor
+    # The floor below the box; what is not drawn does not count.
+    np.testing.assert_allclose(world.bounds, [[-1, -1, -0.5], [1, 1, 0.2]], atol=1e-6)
     assert (frame.depth[:40] == 0).all() and (frame.rgb[:40] == 0).all() and (frame.depth[-5:] > 0).all()
     world.close()
 
@@ -269,6 +270,15 @@ def test_opengl_that_cannot_draw_is_reported(mujoco_room: Path, monkeypatch: pyt
     monkeypatch.setattr(mujoco, "MjrContext", broken)
     with pytest.raises(InputError, match="cannot draw with the OpenGL of this machine: no platform.*libgl1"):
         load_world(f"mujoco?model={mujoco_room}&start=1,2,1.2,0")
+
+
+def test_a_fork_does_not_draw(mujoco_room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = load_world(f"mujoco?model={mujoco_room}&start=1,2,1.2,0")
+    monkeypatch.setattr(os, "getpid", lambda: -1)
+    with pytest.raises(InputError, match="'spawn' or 'forkserver'"):
+        world.capture(world.start.pose)
+    monkeypatch.undo()
+    world.close()
 
 
 def test_worlds_draw_in_turn_and_in_threads(mujoco_room: Path) -> None:

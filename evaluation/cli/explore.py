@@ -17,7 +17,7 @@ from activestructure_gym.worlds.registry import PREFIX
 
 @dataclass(frozen=True)
 class Explore:
-    """Explore a world with one planner: a simulator, a recording, a robot.
+    """Explore a simulator, a recording or a robot.
 
     The result is a run with map, path and report, as of `asg compare`. Every captured frame is stored, so that an
     episode that was stopped continues with --resume. `asg watch --world` shows an episode in a browser.

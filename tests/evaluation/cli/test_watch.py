@@ -33,9 +33,16 @@ def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -
         (["--port", "99999"], "port 99999: bind(): port must be 0-65535; 127.0.0.1"),
         (["--scene", "nowhere"], "nowhere"),
         (["--scene", ","], "--scene names a scene to explore, got ','"),
+        (["--world", "nowhere"], "unknown world 'nowhere'"),
     ):
         assert main([*command, *wrong]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_world_is_watched_like_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    world = "simulated?scene=box&width=64&height=36"
+    assert main(["watch", "--world", world, "--policy", "random", "--preset", "fast", "--frames", "20", "--exit"]) == 0
+    assert "m³ known, no ground truth" in capsys.readouterr().out
 
 
 def test_you_are_asked_for_every_view_and_the_agent_goes_there() -> None:

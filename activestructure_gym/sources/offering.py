@@ -65,8 +65,8 @@ def only_views_of_pool(made: dict[str, Source]) -> None:
     others = [name for name, source in made.items() if not isinstance(source, Pool | Stay | Finish)]
     if others:
         raise InputError(
-            f"this world has given views only, and the candidate source '{others[0]}' proposes others: use the sources "
-            "pool, stay and finish in views.stages"
+            f"this world has given views only, and the candidate source '{others[0]}' proposes others: use the shared "
+            "setup, or only the sources pool, stay and finish in views.stages"
         )
 
 

@@ -54,11 +54,14 @@ def run_copies_benchmark(
     rounds: int = 2,
     advance: Callable[[], None] = lambda: None,  # called once per row
 ) -> list[CopiesRow]:
-    """Map an apartment with the empty ``mapper``, and compare mapping events with and without copies of it.
+    """Compare the time of mapping events in a small map with the time in large maps around the same place.
 
-    The small map has the first ``keyframes[0]`` keyframes; the copied apartment has ``keyframes[1]``. A large map has
-    ``counts`` Gaussians. ``size`` is (width, height) of the images in pixels. ``probes`` is the number of timed frames,
-    which are repeated ``rounds`` times. Return one row per count and arrangement of the copies.
+    The empty ``mapper`` maps the apartment ``scene`` from ``keyframes[1]`` keyframes. The small map is its state after
+    the first ``keyframes[0]`` of them. A large map is the small map and shifted copies of the whole apartment, together
+    one of the numbers of Gaussians in ``counts``. ``size`` is (width, height) of the images in pixels. ``probes`` is
+    the number of frames that are timed in both maps, and ``rounds`` is how often this is repeated.
+
+    Return one row per count and arrangement of the copies.
     """
     frames, probe_frames, _ = places(scene, keyframes[1], size, 1, probes, seed)
     place: Mapper | None = None

@@ -25,10 +25,12 @@ _ENLARGED = 2  # factor by which views are enlarged, without smoothing
 
 
 def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
-    """Return a row with the image quality and the depth error of one recipe on the held-out views of one scene.
+    """Return a row with image quality, depth error and cost of one mapper configuration on one scene.
 
-    ``depth_cm`` is the mean depth error over all pixels with a true surface; holes of the map count with their whole
-    depth. ``median_depth_cm`` is the median over the pixels that the map covers, which is robust against wrong edges.
+    ``course`` holds the true held-out views, and ``mapped`` the same views rendered from the map. ``depth_cm`` is the
+    mean over the views of their mean depth error at pixels with a true surface. A pixel without Gaussians has its whole
+    depth as error. ``median_depth_cm`` is the median over the pixels that the map covers, which is robust against wrong
+    edges.
     """
     images = [frame.rgb.astype(np.float64) / 255.0 for frame in course.truth]
     depths = [frame.depth for frame in course.truth]

@@ -28,9 +28,9 @@ _OURS = __name__.partition(".")[0]
 
 @contextmanager
 def told_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call ``listener`` with the name of every kernel that this process compiles inside the block.
+    """Call ``listener`` with the name of every kernel that this process compiles inside the ``with`` block.
 
-    This replaces the report: nothing is written to standard error. Inside the block no helper processes are started.
+    Inside the block, compilation is not reported on standard error, and no helper processes are started.
     """
     before, PROGRESS.listener = PROGRESS.listener, listener
     try:

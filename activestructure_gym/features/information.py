@@ -80,7 +80,7 @@ def units_of_depth(context: FeatureContext) -> np.ndarray:  # [4]
     return median_units(trained_of_depth(context))
 
 
-def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
+def median_units(known: np.ndarray) -> np.ndarray:  # [N Gaussians, 24 columns] -> [4 kinds]
     """Return the unit of each kind of parameter: mean, log-scale, opacity logit and colour.
 
     The entries of a kind are averaged for each Gaussian, since the entry along the thin axis of a disk is almost 0. The
@@ -94,9 +94,10 @@ def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
 def diagonal_units(
     context: FeatureContext, kinds: tuple[int, ...], *, of_depth: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
-    """Return the columns of `ViewInformation.numbers` that hold the diagonal of H for ``kinds``, and their units.
+    """Return the columns of `ViewInformation.numbers` with the diagonal of the Fisher information, and their units.
 
-    ``kinds`` is a selection of `MEAN`, `LOG_SCALE`, `LOGIT` and `COLOR`; P is the number of their columns.
+    ``kinds`` selects the parameters from `MEAN`, `LOG_SCALE`, `LOGIT` and `COLOR`, which have P columns together. The
+    units are those of `median_units`, for the information of the rendered colours or, with ``of_depth``, of the depth.
     """
     of_kind = context.once(units_of_depth if of_depth else units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])

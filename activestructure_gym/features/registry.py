@@ -101,9 +101,9 @@ class FeatureRegistry(Registry[Feature]):
         return tuple(f"{name}_{column}" if column else name for column in self.get(name).columns)
 
     def owner(self, asked: str) -> str:
-        """Return the name of the feature that ``asked`` means, as a feature's name or as the full name of a column.
+        """Return the name of the feature with the name ``asked``, or with a column of this full name.
 
-        Raises `InputError` if there is neither.
+        Raise `InputError` if there is no such feature or column.
         """
         names = [asked, *_beginnings(asked)] if isinstance(asked, str) else []
         loaded = [name for name in names if name in self._entries]

@@ -66,7 +66,7 @@ class MapperConfig(BaseMapperConfig):
     texture_contrast: float = 0.02
     # In-plane sigma / spacing; with SplaTAM's rule, in-plane sigma / (stride z / f) (measured).
     seed_footprint: float = 1.05
-    # Smallest number of sigmas from a mean to the boundary of its surface; None means no limit (measured).
+    # Disks are narrowed until a boundary of the surface is this many sigmas from the mean; None means never (measured).
     border_sigmas: float | None = 1.0
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: no effect in 0.02..0.3)
     # Opacity of a seed, 0..1 (measured: with 0.9, walls transmit 3 %, which adds up in hole features).

@@ -81,7 +81,10 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
 
 
 def seen_cells(arrays: GraphArrays, plane: int) -> np.ndarray:  # [R, C] uint8, 1 = seen
-    """Return the mask of seen cells of the plane with index ``plane``; `graph_arrays` describes its world position."""
+    """Return the mask of seen grid cells of the plane in row ``plane``.
+
+    `graph_arrays` defines the world position of each cell.
+    """
     rows, columns = (int(side) for side in arrays["patch_shapes"][plane])
     start, end = arrays["patch_starts"][plane : plane + 2]
     return np.unpackbits(arrays["patch_bits"][start:end])[: rows * columns].reshape(rows, columns)

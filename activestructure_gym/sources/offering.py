@@ -50,7 +50,7 @@ def make_stages(names: Stages, rows: int) -> dict[str, Source]:
 
 
 def only_views_of_pool(made: dict[str, Source]) -> None:
-    """Check the sources for a world that can capture given poses only.
+    """Check that all sources suit a world with a fixed set of camera poses.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def only_views_of_pool(made: dict[str, Source]) -> None:
     Raises
     ------
     InputError
-        A source proposes poses besides those of the shared pool.
+        A source is not ``pool``, ``stay`` or ``finish``, so it could propose other poses.
     """
     others = [name for name, source in made.items() if not isinstance(source, Pool | Stay | Finish)]
     if others:

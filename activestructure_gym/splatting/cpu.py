@@ -99,8 +99,8 @@ class PoseGradient:
 
     loss: float
     gradient: np.ndarray  # [6] float64 for xi = (rho, phi), metres and radians in the camera frame
-    color: float  # unweighted sum or mean of |C - I|
-    depth: float  # metres, unweighted sum or mean of |D / A - D_measured|
+    color: float  # |C - I| without weight: sum or mean, see `TrackingWeights.mean`
+    depth: float  # metres, |D / A - D_measured| without weight: sum or mean, as above
     pixels: int  # number of pixels compared
 
 

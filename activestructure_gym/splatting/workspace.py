@@ -393,7 +393,7 @@ class Workspace:
     def _step(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
     ) -> Step:
-        """Return the arguments of the step in a backward kernel, described at `arguments.Step`."""
+        """Return the arrays that a backward kernel needs for its Adam step or gradient; omitted rates are 0."""
         if len(rates) < layout.RATES:  # omitted rates are 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
         slots = self._buffer("slots", self.total * LANES)

@@ -308,7 +308,7 @@ class _Server(ThreadingHTTPServer):
             self._strangers.pop(request, None)
 
     def close_request(self, request: Any) -> None:
-        """Close a connection and remove it from the list of connections without the key."""
+        """Close a connection, and remove it from the list of connections that have not sent the key."""
         self.admit(request)
         super().close_request(request)
 

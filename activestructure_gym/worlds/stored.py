@@ -102,7 +102,7 @@ class StoredCaptures:
 
     @property
     def start(self) -> Start:
-        """Return the start of the episode."""
+        """Return the camera pose at which the episode begins, and the radius of the free sphere around it."""
         return self._read_or_ask()[2]
 
     def reset(self, seed: int) -> None:

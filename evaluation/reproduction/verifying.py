@@ -205,7 +205,7 @@ def _same(run: Run, again: Run, name: str) -> bool:
 
 
 def _job_alone(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a ``config.json`` without versions and without the scene's path and name.
+    """Return the content of a ``config.json`` without versions, plug-in code, and the scene's path and name.
 
     The hash of the scene's content is kept.
     """

@@ -23,7 +23,10 @@ from activestructure_gym.evaluation.archive.native_settings_diff import changed_
 
 
 def recorded_jobs(directory: Path) -> list[Job]:
-    """Return the jobs in the record of a comparison, none without a record; raise `InputError` for another version."""
+    """Return the jobs in the record of the comparison in ``directory``; an empty list if it has no record.
+
+    Raise `InputError` if another version of this package wrote the record.
+    """
     record = read_record(directory)
     if record is None:
         return []

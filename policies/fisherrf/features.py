@@ -1,4 +1,4 @@
-"""Compute closed-loop FisherRF: the Fisher information of a view and of the path to it, without counting any twice."""
+"""Score views by their Fisher information and that of the path to them (FisherRF); nothing is counted twice."""
 
 from __future__ import annotations
 

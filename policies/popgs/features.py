@@ -46,10 +46,11 @@ def popgs_cov_trace(context: FeatureContext) -> np.ndarray:  # [K]
 
 @register_both("popgs_info_trace")
 def popgs_info_trace(context: FeatureContext) -> np.ndarray:  # [K]
-    """Compute the sum of d, the information of the candidate about each parameter, per Gaussian of the map.
+    """Compute the sum of d over all parameters, divided by the number of Gaussians: the trace of the information.
 
-    It does not depend on the keyframes, and is large for views near mapped surface. Source: [popgs], where it is called
-    A-optimality; textbooks call it T-optimality.
+    d is the information of the candidate about a parameter. Apart from its unit, the sum does not depend on the
+    keyframes. It is large for views near mapped surface. Source: [popgs], where it is called A-optimality; textbooks
+    call it T-optimality.
     """
     return diagonal_gain(context, lambda known, seen: seen)
 

@@ -107,9 +107,11 @@ class MinEig(Greedy):
 
 @POLICIES.register("popgs_min_eig_cov")
 class MinEigCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = min (h + d) - min h: E-optimality and unseen space.
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q ranks min (h + d) - min h: E-optimality and unseen space.
 
-    G_cov is `hole_area`, h and d are those of `MinEig`, and lambda_o is the share of observed space near the agent.
+    G_cov is `hole_area` divided by its maximum over the candidates. G_Q is the rank of the gain among them, in 0..1.
+    Both minima are over the whole map: h is the information of the keyframes about a parameter plus lambda, and d that
+    of the candidate. lambda_o is the share of observed space near the agent.
     """
 
     criterion = "the least known parameter of the map, and unseen space"

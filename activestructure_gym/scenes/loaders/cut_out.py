@@ -150,7 +150,11 @@ class _View:
         )
 
     def interpolated(self, values: np.ndarray, face: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Return vertex values [V, K] or [V] interpolated at the corners of P pieces: [P, 3, K] or [P, 3]."""
+        """Interpolate vertex values [V, K] or [V] at the corners of P triangles; return [P, 3, K] or [P, 3].
+
+        ``face`` [P] is the face that contains each triangle. ``corners`` [P, 3, 3] holds the barycentric weights of its
+        corners.
+        """
         if values.ndim == 1:
             return np.einsum("pij,pj->pi", corners, values[self.faces[face]])
         return np.einsum("pij,pjk->pik", corners, np.asarray(values[self.faces[face]], dtype=np.float64))

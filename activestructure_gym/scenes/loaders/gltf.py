@@ -249,7 +249,7 @@ class _Document:
 
 
 def _transmission(extension: Any) -> float:
-    """Return the fraction of transmitted light in an extension for glass; 0 without the extension."""
+    """Return the fraction of light that a glTF transmission extension lets through; 0 without the extension."""
     given: dict[str, Any] = extension if isinstance(extension, dict) else {}
     return float(given.get("transmissionFactor", given.get("diffuseTransmissionFactor", 0.0)))
 

@@ -77,7 +77,7 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
         if 4 * (cells[[1, 2, 0]] * cells[[2, 0, 1]]).sum() <= _BOX_TRIANGLES:
             break
         pitch *= 1.05
-    materials = Materials(int(seed), detail=0.5)  # coarser textures, which take most of the time
+    materials = Materials(int(seed), detail=0.5)  # half the texture size, since textures take most of the time
     builder = MeshBuilder()
     sides = {(2, -1): "floor living", (2, 1): "ceiling", (0, -1): "wall paper", (1, 1): "wall accent"}
 

@@ -57,7 +57,7 @@ class Space:
 
 @dataclass(frozen=True)
 class Layout:
-    """Hold a floor plan. The first ``rooms`` spaces are the rooms."""
+    """Hold a floor plan: ``spaces`` lists all rooms first, then doorways and window niches."""
 
     spaces: tuple[Space, ...]
     rooms: int

@@ -86,7 +86,10 @@ PLAIN: dict[str, Color] = {
 
 
 class Materials:
-    """Provide materials by role, such as "light wood"; the first use of a role adds its texture to ``textures``."""
+    """Provide the materials of a scene by name, such as "light wood" or "wall 2".
+
+    ``textures`` holds the textures of the materials that have been used so far.
+    """
 
     def __init__(self, seed: int, *, detail: float = 1.0, painted: bool = True) -> None:
         self._detail = detail  # factor on the size of all textures

@@ -22,7 +22,7 @@ class Shape:
     vertices: np.ndarray  # [V, 3] metres
     normals: np.ndarray  # [V, 3] unit, outward
     faces: np.ndarray  # [F, 3] int
-    uv: np.ndarray  # [V, 2] metres along the surface (0..1 where stated)
+    uv: np.ndarray  # [V, 2] metres along the surface; 0..1 if an image covers a side once
 
 
 def join(shapes: list[Shape]) -> Shape:

@@ -114,7 +114,7 @@ class Rank(_FromExpert):
 
 @dataclass(frozen=True)
 class Ppo(Learning):
-    """Learn from rewards, best from a checkpoint of bc."""
+    """Learn from rewards; a start from a checkpoint of the method bc works best."""
 
     method: ClassVar[Method] = "ppo"
 

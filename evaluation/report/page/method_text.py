@@ -32,7 +32,7 @@ def metric_definitions(results: Results) -> dict[str, str]:
 def missing_value_texts(results: Results) -> list[str]:
     """Return one sentence per metric that is missing in some or all runs, with the reason.
 
-    Runs in worlds without ground truth get one sentence for all metrics that need it.
+    If no run has ground truth, return a single sentence for all metrics that need it.
     """
     if not any(run.has_truth for run in results.runs):
         return truth_absences(results.runs)

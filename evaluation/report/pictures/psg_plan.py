@@ -1,4 +1,4 @@
-"""Draw the Plane Scene Graph from above over the plan of a run: walls as lines, level planes as areas."""
+"""Draw the Plane Scene Graph from above on the floor plan of a run: walls as lines, level planes as areas."""
 
 from __future__ import annotations
 

@@ -39,8 +39,7 @@ def test_depth_agrees_with_our_ray_caster(mujoco_room: Path, width: int, height:
         frame = world.capture(pose)
         errors.append(np.abs(frame.depth - rays.render(world.camera, pose, supersample=1)[1]))
     world.close()
-    assert (np.stack(errors) < 0.01).mean() > 0.995
-    assert np.median(errors) < 1e-4
+    assert (np.stack(errors) < 1e-4).mean() > 0.99
 
 
 def test_colours_are_in_their_places(mujoco_room: Path) -> None:

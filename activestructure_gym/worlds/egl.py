@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Iterator
 
 from activestructure_gym.errors import InputError
 
@@ -30,7 +31,7 @@ _NONE = 0x3038
 
 
 class EGLContext:
-    """Hold an OpenGL context of the device with the number ``EGL_DEVICE_ID``, by default the first one.
+    """Hold an OpenGL context of the device with the number ``EGL_DEVICE_ID``, by default the first one that works.
 
     Raises
     ------
@@ -45,31 +46,38 @@ class EGLContext:
             raise InputError(f"MuJoCo draws through the system library EGL, which is missing; {REPAIR}") from error
         for name in ("eglGetProcAddress", "eglCreateContext"):
             getattr(self._egl, name).restype = ctypes.c_void_p
-        self._display = ctypes.c_void_p(self._first_display())
+        for device in self._devices():
+            self._display = device
+            self._context = self._context_on(device)
+            if self._context:
+                return
+        raise InputError(f"EGL could not create an OpenGL context on this machine; {REPAIR}")
+
+    def _devices(self) -> Iterator[ctypes.c_void_p]:
+        """Yield the displays of devices, which need no window system."""
+        query = self._extension("eglQueryDevicesEXT", ctypes.c_uint)
+        display_of = self._extension("eglGetPlatformDisplayEXT", ctypes.c_void_p)
+        if query is None or display_of is None:
+            return
+        devices, count = (ctypes.c_void_p * 64)(), ctypes.c_int()
+        query(64, devices, ctypes.byref(count))
+        chosen = os.environ.get("EGL_DEVICE_ID")
+        for number in range(count.value):
+            if chosen is None or chosen == str(number):
+                yield ctypes.c_void_p(display_of(_PLATFORM_DEVICE, ctypes.c_void_p(devices[number]), None))
+
+    def _context_on(self, display: ctypes.c_void_p) -> int | None:
+        """Return a new context, or None if the device cannot be used."""
         config, found = ctypes.c_void_p(), ctypes.c_int()
         pairs = [value for pair in _ATTRIBUTES.items() for value in pair]
         wanted = (ctypes.c_int * (len(pairs) + 1))(*pairs, _NONE)
-        self._context = None
-        if self._egl.eglInitialize(self._display, None, None):
-            self._egl.eglChooseConfig(self._display, wanted, ctypes.byref(config), 1, ctypes.byref(found))
-        if found.value and self._egl.eglBindAPI(_OPENGL_API):
-            self._context = self._egl.eglCreateContext(self._display, config, None, None)
-        if not self._context:
-            raise InputError(f"EGL could not create an OpenGL context on this machine; {REPAIR}")
-
-    def _first_display(self) -> int | None:
-        """Return the display of the chosen device: it needs no window system."""
-        query = self._extension("eglQueryDevicesEXT", ctypes.c_uint)
-        of_platform = self._extension("eglGetPlatformDisplayEXT", ctypes.c_void_p)
-        if query is None or of_platform is None:
+        if not display or not self._egl.eglInitialize(display, None, None):
             return None
-        devices, count = (ctypes.c_void_p * 64)(), ctypes.c_int()
-        query(64, devices, ctypes.byref(count))
-        number = int(os.environ.get("EGL_DEVICE_ID", "0"))
-        if not 0 <= number < count.value:
+        self._egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(found))
+        if not found.value or not self._egl.eglBindAPI(_OPENGL_API):
             return None
-        display: int | None = of_platform(_PLATFORM_DEVICE, ctypes.c_void_p(devices[number]), None)
-        return display
+        context: int | None = self._egl.eglCreateContext(display, config, None, None)
+        return context
 
     def _extension(self, name: str, returns: type) -> ctypes._FuncPointer | None:
         address = self._egl.eglGetProcAddress(name.encode())

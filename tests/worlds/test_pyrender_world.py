@@ -28,3 +28,15 @@ def test_a_file_is_needed() -> None:
         load_world("pyrender")
     with pytest.raises(InputError, match="nowhere.glb"):
         load_world("pyrender?file=nowhere.glb")
+
+
+def test_it_draws_in_turn_with_mujoco(mesh_room: Path, mujoco_room: Path) -> None:
+    size = "width=64&height=36"
+    worlds = [load_world(f"pyrender?file={mesh_room}&{size}"), load_world(f"mujoco?model={mujoco_room}&{size}&fovy=60")]
+    pose = worlds[0].start.pose
+    first, again = ([world.capture(pose) for world in worlds] for _ in range(2))
+    for one, other in zip(first, again):
+        np.testing.assert_array_equal(one.rgb, other.rgb)
+        np.testing.assert_array_equal(one.depth, other.depth)
+    for world in worlds:
+        world.close()

@@ -16,6 +16,7 @@ _LISTS = {
     "policy": "asg list policies",
     "feature": "asg list features",
     "scene": "asg list scenes",
+    "world": "asg list worlds",
     "command": "asg --help",
 }
 MAX_CHARACTERS = 1500  # maximum length of a message, characters

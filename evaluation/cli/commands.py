@@ -47,6 +47,7 @@ GROUPS = {
 ALIASES = {
     "policies": "policies:Policies",
     "scenes": "scenes:Scenes",
+    "worlds": "worlds:Worlds",
     "features": "features:Features",
     "config": "config:Config",
 }

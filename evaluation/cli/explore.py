@@ -25,7 +25,7 @@ class Explore:
 
     world: Annotated[str | None, option("WORLD", "")] = None
     (
-        "Explore this world: simulated, another registered name, or package.module:factory, with options behind a "
+        "Explore this world: a name (see `asg list worlds`) or package.module:factory, with options behind a "
         "question mark (simulated?scene=apartment). Its options tries=N and timeout_s=T repeat failed captures and "
         "limit their time."
     )

@@ -1,4 +1,4 @@
-"""Define ``asg list``, which lists the names of policies, scenes, features and configuration fields."""
+"""Define ``asg list``, which lists the names of policies, scenes, worlds, features and fields."""
 
 # The module is not called list.py, since that name would hide the builtin ``list`` in the package.
 from __future__ import annotations
@@ -12,16 +12,18 @@ from activestructure_gym.evaluation.cli.config import Config
 from activestructure_gym.evaluation.cli.features import Features
 from activestructure_gym.evaluation.cli.policies import Policies
 from activestructure_gym.evaluation.cli.scenes import Scenes
+from activestructure_gym.evaluation.cli.worlds import Worlds
 
 
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
 @dataclass(frozen=True)
 class List:
-    """List policies, scenes, features or configuration fields."""
+    """List policies, scenes, worlds, features or configuration fields."""
 
     what: (
         Annotated[Policies, tyro.conf.subcommand("policies")]
         | Annotated[Scenes, tyro.conf.subcommand("scenes")]
+        | Annotated[Worlds, tyro.conf.subcommand("worlds")]
         | Annotated[Features, tyro.conf.subcommand("features")]
         | Annotated[Config, tyro.conf.subcommand("config")]
     )

@@ -26,7 +26,7 @@ def bash_script():
     [
         (["co"], {"compare", "completion"}),
         (["compare", "--pol"], {"--policies"}),
-        (["list", ""], {"policies", "scenes", "features", "config"}),
+        (["list", ""], {"policies", "scenes", "worlds", "features", "config"}),
         (["train", ""], {"bc", "rank", "ppo", "eval"}),
         (["train", "bc", "--reward", ""], {"rate", "auc", "env"}),
         (["bench", "sp"], {"splatting"}),

@@ -11,6 +11,7 @@ from activestructure_gym.evaluation.cli.config import field_notes, leaves, meani
 from activestructure_gym.features import FEATURES
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.policies import POLICIES, Policy, make_policy
+from activestructure_gym.worlds import WORLDS
 
 
 @pytest.fixture(autouse=True)
@@ -216,3 +217,16 @@ def test_every_list_has_a_short_name(capsys):
         ["config", "fast"],
     ):
         assert said(capsys, "list", *words) == said(capsys, *words)
+
+
+def test_worlds_are_listed_with_their_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "worlds"]) == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in WORLDS) and "asg explore --world" in said
+    assert main(["list", "worlds", "simulated", "--json"]) == 0
+    (facts,) = json.loads(capsys.readouterr().out)
+    assert facts["name"] == "simulated" and facts["options"].startswith("scene=room&width=160")
+    assert main(["worlds", "recorded"]) == 0
+    assert capsys.readouterr().out.startswith("recorded?path&")
+    assert main(["list", "worlds", "nowhere"]) == 2
+    assert "unknown world 'nowhere'" in capsys.readouterr().err

@@ -60,8 +60,6 @@ class MujocoWorld:
         Without the package or OpenGL, for a file that is no model, and if no free start is found.
     """
 
-    exact_motion = True  # a frame is taken exactly where it was asked for
-
     def __init__(
         self,
         model: str | Any,

@@ -116,7 +116,12 @@ def test_what_is_above_the_walls_has_no_depth(tmp_path: Path, mujoco_room: Path)
     # The floor below the box; what is not drawn does not count.
     np.testing.assert_allclose(world.bounds, [[-1, -1, -0.5], [1, 1, 0.2]], atol=1e-6)
     assert (frame.depth[:40] == 0).all() and (frame.rgb[:40] == 0).all() and (frame.depth[-5:] > 0).all()
+    assert frame.depth.max() > 10.0  # the plane has no end
     world.close()
+    env = ReconstructionEnv(f"world:mujoco?model={path}&start=0,0,2,0&bounds=-2,-2,-1,2,2,3", preset="fast")
+    seen = env.reset(seed=0)[0]["depth"]
+    assert 5.0 < seen.max() <= env.config.sensor.max_range == 10.0
+    env.close()
 
 
 def explored(name: str, policy: str, frames: int) -> dict[str, Any]:

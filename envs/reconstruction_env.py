@@ -225,7 +225,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         terms = reward_terms(self.reward_config, share_gained=share, metres=0.0, invalid=False)
         if self.render_mode == "human":
             self._show_start()
-        return self._observe(), self._info(terms, reached=True, invalid=False)
+        return self.observation(), self._info(terms, reached=True, invalid=False)
 
     def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
         """Convert to a start pose; raise `InputError` for a pose with roll, since motion keeps the camera level."""
@@ -288,7 +288,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             self._view.show()
             self._view.end() if self._ended else self._view.wait()
         info = self._info(terms, reached=result.reached, invalid=invalid)
-        return self._observe(), float(sum(terms.values())), terminated, truncated, info
+        return self.observation(), float(sum(terms.values())), terminated, truncated, info
 
     def action_masks(self) -> np.ndarray:  # [K] bool
         """Return the action mask in the form that sb3-contrib's MaskablePPO requires."""
@@ -381,8 +381,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             self._loaded = {index: as_truth(self._scenes[index])}
         return self._loaded[index]
 
-    def _observe(self) -> dict[str, np.ndarray]:
-        assert self._frame is not None
+    def observation(self) -> dict[str, np.ndarray]:
+        """Return the current observation again, as new arrays."""
+        if self._frame is None:
+            raise gym.error.ResetNeeded("there is no observation before reset()")
         return encode(self.reconstruction, self._frame, self.max_planes)
 
     def _info(self, terms: dict[str, float], *, reached: bool, invalid: bool) -> dict[str, Any]:

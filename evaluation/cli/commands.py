@@ -25,6 +25,7 @@ GROUPS = {
     "Look": {
         "report": "report:Report",
         "replay": "replay:Replay",
+        "why": "why:Why",
     },
     "Check": {
         "evaluate": "evaluate:Evaluate",

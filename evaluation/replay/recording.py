@@ -77,10 +77,13 @@ def play_again(
 
 
 @contextmanager
-def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
+def replay_env(
+    run: Run, *, trusted: bool = False, features: tuple[str, ...] | None = None
+) -> Iterator[ReconstructionEnv]:
     """Yield the environment of a stored run after its reset; raise the errors of `play_again`.
 
-    ``trusted`` allows code named in the run's files.
+    ``trusted`` allows code named in the run's files. ``features`` are the names of the features to compute. Default:
+    the first one of the run that is known.
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
@@ -101,7 +104,8 @@ def replay_env(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv
     else:
         changes = {**_overrides(run), "views.max_candidates": stored["views"]["max_candidates"]}
         options = job.conditions.env_options(changes) | {"frame_budget": stored["frame_budget"]}
-        features = () if job.policy.kind == "reference" else _first_known_feature(stored["features"])
+        if features is None:
+            features = () if job.policy.kind == "reference" else _first_known_feature(stored["features"])
         env = ReconstructionEnv(scene=where.explored, features=features, **options)
     try:
         env.reset(seed=job.seed)

@@ -311,10 +311,10 @@ def test_ground_truth_stays_behind(box_options: dict[str, Any]) -> None:
     """With the true mesh swapped after the frames are recorded, observation and features stay the same."""
     env = ReconstructionEnv(**{**box_options, "features": tuple(FEATURES)})
     env.reset(seed=0)
-    before = env._observe()
+    before = env.observation()
     env.reconstruction.scene = load_scene("box?seed=3")
     env.reconstruction._refresh()
-    after = env._observe()
+    after = env.observation()
     for name in before:
         np.testing.assert_array_equal(before[name], after[name])
 

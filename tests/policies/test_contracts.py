@@ -92,7 +92,7 @@ def scored_anew(env: ReconstructionEnv) -> Observation:
         if not isinstance(kept, StepFollower):  # what follows steps cannot be measured anew
             del mapper.memory[make]
     env.reconstruction._refresh()
-    return env._observe()
+    return env.observation()
 
 
 @dataclasses.dataclass

@@ -107,6 +107,8 @@ def explain(
     InputError
         If there is no such decision, if the run has no policy of its own, or as in `play_again`.
     """
+    if not run.steps:
+        raise InputError(f"'{run.job.title}' has no decisions")
     if run.job.policy.kind in ("reference", "trajectory"):
         raise InputError(f"'{run.job.title}' has no policy whose decisions can be explained")
     if not 0 <= decision < len(run.steps):

@@ -25,14 +25,15 @@ class TrajectoryOptions:
     """Hold the options for a trajectory, its frame and its mapper."""
 
     trajectory: Annotated[str, tyro.conf.Positional, option("TRAJECTORY")]
-    """Follow a file of poses, a folder with one (traj.txt, trajectory.log, trajectory.npz, pose), or a finished run."""
+    """Follow a file of poses, a folder with one (traj.txt, transforms.json, sparse/0, pose), or a finished run."""
     scene: Annotated[str | None, option("SCENE", "")] = None
     """Explore this scene; by default a run's own, with its seed and configuration."""
     format: Literal[
-        "auto", "tum", "nice_slam", "kitti", "replica", "redwood", "habitat", "scannet", "scannetpp", "npz"
-    ] = "auto"
-    """Read the file in this format; auto uses its ending and the numbers in a line."""
-    axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: opencv; habitat's own)")] = None
+        "auto", "tum", "nice_slam", "kitti", "replica", "redwood", "nerfstudio", "colmap", "euroc", "ros_csv",
+        "habitat", "scannet", "scannetpp", "npz",
+    ] = "auto"  # fmt: skip
+    """Read the file in this format; auto recognises it by its content."""
+    axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: by the format, mostly opencv)")] = None
     """Read poses in these axes; poses in walls are refused, and the error names the axes that fit best."""
     inverted: Switch = False
     """Read poses that map world to camera."""

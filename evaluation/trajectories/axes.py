@@ -19,7 +19,7 @@ from activestructure_gym.geometry import invert_rigid
 
 Axes = Literal["opencv", "opengl", "habitat", "ros"]
 AXES: tuple[str, ...] = get_args(Axes)
-USUAL = {"habitat": "habitat"}  # default convention by format; that of all other formats is "opencv"
+USUAL = {"habitat": "habitat", "nerfstudio": "opengl"}  # default by format; that of all other formats is "opencv"
 
 # Rotations [3, 3] from this project's camera frame to the camera frame of each convention.
 _OPENGL = np.diag([1.0, -1.0, -1.0])

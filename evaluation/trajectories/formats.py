@@ -12,6 +12,10 @@
   .sens). The scan's axisAlignment is applied to the poses, as it is to the mesh.
 - ``scannetpp``: ``iphone/pose_intrinsic_imu.json``, the ``aligned_pose`` of every frame; or the scene's folder
   ([scannetpp], its toolkit).
+- ``nerfstudio``: ``transforms.json``, the ``transform_matrix`` of every frame, camera to world with OpenGL axes
+  ([nerfstudio], data conventions); instant-ngp writes the same file.
+- ``colmap``: ``images.txt`` or ``images.bin``; or the folder of a model (see `colmap`).
+- ``euroc``, ``ros_csv``: csv files with named columns (see `pose_tables`).
 - ``npz``: ``world_from_camera`` [T, 4, 4], as in the ``trajectory.npz`` of a run.
 """
 
@@ -19,51 +23,61 @@ from __future__ import annotations
 
 import os
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, unknown_name
-from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.evaluation.trajectories.colmap import colmap_poses
+from activestructure_gym.evaluation.trajectories.json_poses import habitat_poses, nerfstudio_poses, scannetpp_poses
+from activestructure_gym.evaluation.trajectories.pose_tables import table_rows
+from activestructure_gym.evaluation.trajectories.recognise import recognised
 from activestructure_gym.npz import read_npz
-from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.pose_text import (
-    MAX_COORDINATE_M,
     MAX_POSES,
-    lines_of,
     matrices_of,
     numbers_of,
-    poses_of_quaternions,
     redwood_poses,
     rigid_poses,
     tum_poses,
 )
 from activestructure_gym.scenes.loaders.scannet import axis_alignment
 
-Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "redwood", "habitat", "scannet", "scannetpp", "npz"]
+Format = Literal[
+    "auto", "tum", "nice_slam", "kitti", "replica", "redwood", "nerfstudio", "colmap", "euroc", "ros_csv", "habitat",
+    "scannet", "scannetpp", "npz",
+]  # fmt: skip
 FORMATS: tuple[str, ...] = get_args(Format)
-QUATERNIONS = frozenset({"tum", "habitat"})  # formats with quaternions, in the order x y z w
-_BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # format by the number of numbers per line
+QUATERNIONS = frozenset({"tum", "habitat"})  # formats with quaternions, in the order x y z w, without named columns
 _WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}  # numbers per line by format
-_SCANNETPP = "pose_intrinsic_imu.json"
-_IN_FOLDERS = {
-    "nice_slam": "traj.txt",
-    "replica": "traj_w_c.txt",
-    "redwood": "trajectory.log",
-    "scannet": "pose",  # a folder
-    "scannetpp": f"iphone/{_SCANNETPP}",
-    "npz": "trajectory.npz",
+_READERS = {
+    "nerfstudio": nerfstudio_poses,
+    "habitat": habitat_poses,
+    "scannetpp": scannetpp_poses,
+    "colmap": colmap_poses,
+    "redwood": redwood_poses,
 }
-_POSES: schema.Check = schema.each(
-    schema.table(
-        {
-            "position": schema.each(schema.number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=3),
-            "rotation": schema.each(schema.number(-2, 2), length=4),
-        }
-    ),
-    least=1,
+_IN_FOLDERS = (  # in the order of the search
+    ("traj.txt", "nice_slam"),
+    ("traj_w_c.txt", "replica"),
+    ("trajectory.log", "redwood"),
+    ("pose", "scannet"),  # a folder
+    ("iphone/pose_intrinsic_imu.json", "scannetpp"),
+    ("trajectory.npz", "npz"),
+    ("transforms.json", "nerfstudio"),
+    *((f"{folder}images.{ending}", "colmap") for folder in ("", "sparse/0/", "sparse/") for ending in ("bin", "txt")),
 )
+_NANOSECONDS = 1e14  # larger time stamps are nanoseconds: as seconds they would be 3 million years
+
+
+@dataclass(frozen=True)
+class RecordedPoses:
+    """Hold the poses of a file, without a conversion of their axes, and their time stamps."""
+
+    poses: np.ndarray  # [T, 4, 4] float64
+    stamps: np.ndarray | None = None  # [T] seconds; None if the file has none
 
 
 def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, str]:
@@ -75,53 +89,58 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
     if kind not in FORMATS:
         raise unknown_name("trajectory format", kind, FORMATS)
     path = Path(os.path.expanduser(place))
-    if path.is_dir() and path.name == _IN_FOLDERS["scannet"] and kind in ("auto", "scannet"):
+    if path.is_dir() and path.name == "pose" and kind in ("auto", "scannet"):
         return path, "scannet"
     if path.is_dir():
-        wanted = _IN_FOLDERS if kind == "auto" else {kind: _IN_FOLDERS.get(kind, "")}
-        found = [(path / name, known) for known, name in wanted.items() if name and (path / name).exists()]
+        wanted = [(name, known) for name, known in _IN_FOLDERS if kind in ("auto", known)]
+        found = [(path / name, known) for name, known in wanted if (path / name).exists()]
         if not found:
-            names = ", ".join(name for name in wanted.values() if name) or f"no file that {kind} knows"
+            names = ", ".join(name for name, _ in wanted) or f"no file that {kind} knows"
             raise InputError(f"the folder '{path}' has no trajectory ({names}); name the file itself")
         return found[0]
     if not path.is_file():
         raise InputError(f"there is no trajectory '{path}'")
     if kind == "auto":
-        usual = {".npz": "npz", ".log": "redwood", ".json": "scannetpp" if path.name == _SCANNETPP else "habitat"}
-        kind = usual.get(path.suffix.lower()) or _by_width(path)
+        kind = recognised(path)
     if kind == "scannet":
         raise InputError(f"'{path}' is a file; of ScanNet give the scan's folder, or the folder pose in it")
     return path, kind
 
 
 def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:  # [T, 4, 4] float64
-    """Read the poses of the trajectory at ``place``, without a conversion of their axes.
+    """Read the poses of the trajectory at ``place``, as `read_recorded` does, without their time stamps."""
+    return read_recorded(place, kind).poses
 
-    ``kind`` is one of `FORMATS`; "auto" detects the format from the file extension or the numbers per line. A matrix
-    that is only approximately a rotation, because of few digits, is replaced by the nearest rotation. Raise
-    `InputError` if the file cannot be read, or if a pose is not a rigid motion.
+
+def read_recorded(place: str | os.PathLike[str], kind: str = "auto") -> RecordedPoses:
+    """Read the poses of the trajectory at ``place`` and their time stamps, without a conversion of the axes.
+
+    ``kind`` is one of `FORMATS`; "auto" recognises the format by the content. A matrix that is only approximately a
+    rotation, because of few digits, is replaced by the nearest rotation. Raise `InputError` if the file cannot be read,
+    or if a pose is not a rigid motion.
     """
     path, kind = find_file(place, kind)
+    stamps = None
     if kind == "npz":
         poses = np.asarray(arrays_of(path)["world_from_camera"], dtype=np.float64)
-    elif kind == "habitat":
-        poses = _habitat(path)
-    elif kind == "redwood":
-        poses = redwood_poses(path)
     elif kind == "scannet":
         poses = _scannet(path)
-    elif kind == "scannetpp":
-        poses = _scannetpp(path)
+    elif kind in _READERS:
+        poses = _READERS[kind](path)
     else:
-        rows = numbers_of(path)
-        if rows.shape[1] != _WIDTHS[kind]:
+        rows = table_rows(path, kind) if kind in ("euroc", "ros_csv") else numbers_of(path)
+        if rows.shape[1] != _WIDTHS.get(kind, 8):
             raise InputError(
                 f"'{path}' has {rows.shape[1]} numbers per line, and {kind} has {_WIDTHS[kind]}: give its --format"
             )
-        poses = tum_poses(rows, path) if kind == "tum" else matrices_of(rows)
+        poses = matrices_of(rows) if kind in ("kitti", "nice_slam", "replica") else tum_poses(rows, path)
+        if rows.shape[1] == 8:
+            stamps = rows[:, 0] * (1e-9 if np.abs(rows[:, 0]).max() > _NANOSECONDS else 1.0)
+    if kind == "scannetpp":
+        poses = _known(poses, path)
     if not 1 <= len(poses) <= MAX_POSES:
         raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MAX_POSES} are read")
-    return rigid_poses(poses, path)
+    return RecordedPoses(rigid_poses(poses, path), stamps)
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
@@ -136,31 +155,6 @@ def arrays_of(path: Path) -> dict[str, np.ndarray]:
     if poses is None or poses.ndim != 3 or poses.shape[1:] != (4, 4) or poses.dtype.kind not in "fiu":
         raise InputError(f"'{path}' holds no array world_from_camera [T, 4, 4]")
     return arrays
-
-
-def _by_width(path: Path) -> str:
-    lines = lines_of(path)
-    width = len(lines[0][1]) if lines else 0
-    if width not in _BY_WIDTH:
-        raise InputError(
-            f"'{path}' is no trajectory that is known: expected 8 numbers per line (tum), 12 (kitti) or 16 (nice_slam, "
-            f"replica), got {width}"
-        )
-    return _BY_WIDTH[width]
-
-
-def _habitat(path: Path) -> np.ndarray:
-    try:
-        given: list[dict[str, Any]] = schema.read_checked_json(path, _POSES)
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        wanted = 'a list of {"position": [x, y, z], "rotation": [x, y, z, w]}'
-        raise InputError(f"'{path}' is no trajectory of Habitat, {wanted}: {error}") from error
-    rotations = np.array([pose["rotation"] for pose in given], dtype=np.float64)
-    if not (np.abs(np.linalg.norm(rotations, axis=1) - 1.0) <= 1e-2).all():
-        raise InputError(f"'{path}' holds a rotation that is no unit quaternion [x, y, z, w]")
-    return poses_of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
 
 
 def pose_files(folder: Path) -> list[Path]:
@@ -187,16 +181,6 @@ def _scannet(folder: Path) -> np.ndarray:
         raise InputError(f"'{folder}' holds no pose: expected files 0.txt, 1.txt, ...")
     poses = _known(np.array(rows).reshape(-1, 4, 4), folder)
     return axis_alignment(scan_text(folder)) @ poses
-
-
-def _scannetpp(path: Path) -> np.ndarray:
-    wanted = "the poses of a ScanNet++ recording (JSON, a table of frames with aligned_pose)"
-    frames = read_json(
-        path, wanted, lambda given: [np.array(given[name]["aligned_pose"], dtype=np.float64) for name in sorted(given)]
-    )
-    if not frames or any(frame.shape != (4, 4) for frame in frames):
-        raise InputError(f"'{path}' is not {wanted}: every aligned_pose must be 4 x 4 numbers, and there must be one")
-    return _known(np.array(frames), path)
 
 
 def _known(poses: np.ndarray, path: Path) -> np.ndarray:

@@ -78,18 +78,24 @@ def tum_poses(
     path: Path,
 ) -> np.ndarray:  # [T, 4, 4]
     """Return the poses of a TUM file; raise `InputError` for a wrong quaternion or unsorted time stamps."""
-    with np.errstate(over="ignore"):
-        lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
+    xyzw = checked_quaternions(rows[:, 4:], path)
     if (unsorted := ~(np.diff(rows[:, 0]) >= 0)).any():
         raise InputError(
             f"pose {int(np.argmax(unsorted)) + 2} of '{path}' has an earlier time stamp than the one before, or none: "
             "sort the lines"
         )
-    return poses_of_quaternions(rows[:, 1:4], rows[:, 4:])
+    return poses_of_quaternions(rows[:, 1:4], xyzw)
+
+
+def checked_quaternions(quaternions: np.ndarray, path: Path) -> np.ndarray:  # [T, 4] -> [T, 4]
+    """Return the quaternions; raise `InputError` if the length of one differs from 1 by more than 0.01."""
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(quaternions, axis=1)
+    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
+    return quaternions
 
 
 def matrices_of(rows: np.ndarray) -> np.ndarray:  # [T, 12 or 16] -> [T, 4, 4]

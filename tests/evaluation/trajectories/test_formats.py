@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import warnings
 from pathlib import Path
 
@@ -11,13 +12,32 @@ import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.trajectories import formats
-from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
+from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses, read_recorded
 from activestructure_gym.scenes.loaders import pose_text
 
 # A quarter turn about z, then (1, 2, 3).
 TURNED = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 HALF = np.sqrt(0.5)
 LINES = {
+    "nerfstudio": json.dumps(
+        {
+            "camera_model": "OPENCV",
+            "frames": [
+                {"file_path": "images/frame_10.jpg", "transform_matrix": TURNED.tolist()},
+                {"file_path": "images/frame_2.jpg", "transform_matrix": np.eye(4).tolist()},
+            ],
+        }
+    ),
+    # The inverse of TURNED: a quarter turn about z to the other side, and (-2, 1, -3).
+    "colmap": "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n"
+    f"7 {HALF} 0 0 {-HALF} -2 1 -3 1 frame 10.jpg\n1.5 2.5 -1 3 4 8\n3 1 0 0 0 0 0 0 1 frame 2.jpg\n\n",
+    "euroc": "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v\n"
+    f"1403715524907143168,0,0,0,1,0,0,0,0.5,\n1403715525907143168,1,2,3,{HALF},0,0,{HALF},0.5,\n",
+    "ros_csv": "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x,"
+    "field.pose.position.y,field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,"
+    "field.pose.orientation.z,field.pose.orientation.w\n"
+    "1403715524907143168,1,1403715524907143168,map,0,0,0,0,0,0,1\n"
+    f"1403715525907143168,2,1403715525907143168,map,1,2,3,0,0,{HALF},{HALF}\n",
     "tum": f"# timestamp tx ty tz qx qy qz qw\n0 0 0 0 0 0 0 1\n0.1 1 2 3 0 0 {HALF} {HALF}\n",
     "nice_slam": "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n0 -1 0 1 1 0 0 2 0 0 1 3 0 0 0 1\n",
     "kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n0 -1 0 1 1 0 0 2 0 0 1 3\n",
@@ -28,7 +48,7 @@ LINES = {
 
 
 def write(folder: Path, kind: str, text: str = "") -> Path:
-    path = folder / f"poses.{ {'habitat': 'json', 'redwood': 'log'}.get(kind, 'txt') }"
+    path = folder / "poses.txt"  # the name says nothing
     path.write_text(text or LINES[kind])
     return path
 
@@ -85,7 +105,27 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("redwood", LINES["redwood"].replace("-1", "x"), "not a trajectory of numbers"),
         ("habitat", '[{"position": [0, 0]}]', "no trajectory of Habitat"),
         ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "no unit quaternion"),
-        ("colmap", "", "unknown trajectory format 'colmap'"),
+        ("auto", " \n", "is empty: expected 8 numbers per line"),
+        ("auto", "# a comment\n", "got comments only"),
+        ("auto", '{"camera_model": "OPENCV", "poses": []}', "got JSON with the names camera_model, poses"),
+        ("nerfstudio", '{"frames": []}', "is not a transforms.json of nerfstudio .*: at least one frame"),
+        ("nerfstudio", '{"frames": [{"file_path": "a"}]}', "'transform_matrix' is missing"),
+        ("nerfstudio", '{"frames": [{"transform_matrix": [[1, 2], [3, 4]]}]}', "4 x 4 or 3 x 4 numbers for each"),
+        ("nerfstudio", '{"frames": [{"transform_matrix": [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0]]}]}', "no rigid"),
+        ("colmap", "1 2 3\n", "is no images.txt of COLMAP: expected IMAGE_ID QW"),
+        ("colmap", "# Image list\n", "is a COLMAP model without images"),
+        ("colmap", "1 2 0 0 0 0 0 0 1 a.jpg\n\n", "quaternion of length 2"),
+        ("colmap", "1 1 0 0 0 nan 0 0 1 a.jpg\n\n", "holds a translation over"),
+        ("euroc", LINES["euroc"].replace(",1,2,", ",x,2,"), "is no table of numbers"),
+        ("euroc", LINES["euroc"].splitlines()[0], "no row of numbers follows its header"),
+        ("ros_csv", "0,1,2,3,0,0,0,1\n", "has no header that names its columns"),
+        (
+            "auto",
+            "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]\n0,1,2,3\n",
+            "without columns for qx, qy, qz, qw",
+        ),
+        ("auto", "time,x,y,z,qx,qy,qz,qw\n0,1,2,3\n", "row 1 of .* has 4 cells, fewer than its header"),
+        ("spz", "", "unknown trajectory format 'spz'"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence(kind: str, text: str, said: str, tmp_path: Path) -> None:
@@ -172,3 +212,65 @@ def test_no_more_lines_are_read_than_poses_may_be(tmp_path, monkeypatch):
     (tmp_path / "long.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4 + "1 0\n" * 50)
     with pytest.raises(InputError, match="holds 4 poses, from 1 to 3 are read"):
         read_poses(tmp_path / "long.txt")
+
+
+def colmap_binary(images: list[tuple[str, list[float], int]]) -> bytes:
+    """The bytes of an images.bin: for each image a name, the quaternion wxyz and translation, a number of points."""
+    content = struct.pack("<Q", len(images))
+    for number, (name, numbers, points) in enumerate(images, start=1):
+        content += struct.pack("<i7di", number, *numbers, 1) + name.encode() + b"\0" + struct.pack("<Q", points)
+        content += struct.pack("<ddq", 1.5, 2.5, -1) * points
+    return content
+
+
+MODEL = colmap_binary([("b_10.jpg", [HALF, 0, 0, -HALF, -2, 1, -3], 2), ("b_9.jpg", [1, 0, 0, 0, 0, 0, 0], 0)])
+
+
+@pytest.mark.parametrize("place", ["images.bin", "sparse/0/images.bin", "renamed.txt"])
+def test_a_binary_model_of_colmap_is_inverted_and_sorted_by_name(place: str, tmp_path: Path) -> None:
+    file = tmp_path / place
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(MODEL)
+    for given in (file, *([tmp_path] if file.name == "images.bin" else [])):
+        np.testing.assert_allclose(read_poses(given), [np.eye(4), TURNED], atol=1e-15)
+        assert find_file(given) == (file, "colmap")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (MODEL[:-1], "is cut off"),
+        (MODEL[:-60], "is cut off"),
+        (MODEL[:100], "images do not fit in its"),
+        (MODEL + b"x", "data follow its 2 images"),
+        (b"\xff" * 7 + b"\0" + MODEL[8:], "images do not fit in its"),
+        (b"\x01" + b"\0" * 7 + MODEL[8:60], "images do not fit in its"),
+    ],
+)
+def test_a_damaged_binary_model_is_refused(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "images.bin").write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        read_poses(tmp_path)
+
+
+def test_time_stamps_are_seconds(tmp_path: Path) -> None:
+    for kind in ("euroc", "ros_csv"):
+        stamps = read_recorded(write(tmp_path, kind)).stamps
+        np.testing.assert_allclose(stamps, [1403715524.907143168, 1403715525.907143168], atol=1e-6)
+    assert read_recorded(write(tmp_path, "tum")).stamps.tolist() == [0, 0.1]
+    assert read_recorded(write(tmp_path, "kitti")).stamps is None
+    named = write(tmp_path, "ros_csv", '"tx","ty","tz","qw","qx","qy","qz"\n1,2,3,1,0,0,0\n')
+    assert read_recorded(named).poses[0, :3, 3].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "poses"),
+    [
+        ("trajectories/freiburg1_xyz-groundtruth.txt", "tum", 3000),
+        ("trajectories/fr2_desk_groundtruth.txt", "tum", 20957),
+        ("icl_nuim", "redwood", 211),
+    ],
+)
+def test_real_files(shared: Path, place: str, kind: str, poses: int) -> None:
+    file = shared / "data" / place
+    assert find_file(file)[1] == kind and len(read_poses(file)) == poses

@@ -40,6 +40,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("viewer",),
     ("envs",),
     ("policies",),
+    ("checks",),
     ("evaluation.machine", "evaluation.statistics"),
     ("evaluation.metrics",),
     ("evaluation.protocols",),

@@ -35,6 +35,7 @@ GROUPS = {
         "list": "lists:List",
     },
     "Files": {
+        "new": "new:New",
         "export": "export:Export",
         "cache": "cache:Cache",
     },

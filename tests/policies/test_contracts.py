@@ -80,6 +80,7 @@ def swap_truth(env: ReconstructionEnv) -> None:
     scene.__dict__["raycaster"] = RayCaster(crushed, scene.mesh.faces)
     env.reconstruction.scene = other
     env.reconstruction.sensor = Untouchable()  # type: ignore[assignment]
+    env.reconstruction.world = Untouchable()  # type: ignore[assignment]
 
 
 def scored_anew(env: ReconstructionEnv) -> Observation:

@@ -1,0 +1,147 @@
+"""The checks of plug-ins, on good ones and on one fault each; and the plug-ins that ``asg new`` writes."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.checks import check_feature, check_policy, check_source, check_world
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.features import FEATURES
+from activestructure_gym.policies import Policy
+from activestructure_gym.policies.base import best_valid
+from activestructure_gym.sources import SOURCES, Proposals, Source
+from activestructure_gym.worlds.simulated_world import SimulatedRobot
+
+
+def test_good_ones_pass() -> None:
+    assert check_policy("hole_area", "box", frames=40).decisions > 1
+    assert 0.0 < check_feature("hole_area", "box").seconds_per_256 < 60.0
+    assert check_source("around", "box").decisions > 1
+    check_world("simulated?scene=box&width=48&height=36")
+    check_world(SimulatedRobot("box", width=48, height=36))
+
+
+def policy_that(act: Callable[[Any, Any], Any]) -> type[Policy]:
+    return type("Faulty", (Policy,), {"act": act, "__doc__": "Have one fault."})
+
+
+class Counting:
+    count = 0
+
+
+def _writes(self: Policy, observation: dict[str, np.ndarray]) -> int:
+    observation["budget"][0] = 0.5
+    return 0
+
+
+def _drifts(self: Policy, observation: dict[str, np.ndarray]) -> int:
+    Counting.count += 1
+    return best_valid(np.roll(np.arange(len(observation["action_mask"]), dtype=float), Counting.count), observation)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (_writes, r"act\(\) changed observation\['budget'\]"),
+        (lambda self, observation: 0.0, "whole number"),
+        (lambda self, observation: len(observation["action_mask"]) - 1, "holds no candidate"),
+        (_drifts, "two episodes with the same seed"),
+    ],
+)
+def test_faulty_policies(act: Callable[[Any, Any], Any], message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_policy(policy_that(act), "box", frames=40)
+
+
+@pytest.mark.parametrize(
+    ("compute", "message"),
+    [
+        (lambda context: np.full(len(context.world_from_camera), 2.0), "outside its declared bounds"),
+        (lambda context: np.random.default_rng().random(len(context.world_from_camera)), "other values"),
+        (
+            lambda context: (context.volume.tsdf.__iadd__(0.5), np.zeros(len(context.world_from_camera)))[1],
+            "changed the map, the volume or the planes",
+        ),
+    ],
+)
+def test_faulty_features(compute: Any, message: str) -> None:
+    FEATURES.register("faulty", unit="share", low=0.0, high=1.0)(compute)
+    try:
+        with pytest.raises(AssertionError, match=message):
+            check_feature("faulty", "box")
+        FEATURES.register("faulty")(lambda context: np.full(len(context.world_from_camera), np.nan))
+        with pytest.raises(InputError, match="finite"):
+            check_feature("faulty", "box")
+    finally:
+        del FEATURES._entries["faulty"]
+
+
+def test_faulty_sources() -> None:
+    class Random(Source):
+        def propose(self, context: Any) -> Proposals:
+            turns = SOURCES.get("turns")().propose(context)
+            return Proposals(np.random.default_rng().permutation(turns.world_from_camera))
+
+    class Far(Source):
+        def propose(self, context: Any) -> Proposals:
+            pose = context.agent.pose.copy()
+            pose[:3, 3] += 100.0
+            return Proposals(pose[None])
+
+    for kind, message in ((Random, "other views in an equal episode"), (Far, "proposed no view")):
+        SOURCES.register("faulty")(kind)
+        try:
+            with pytest.raises(AssertionError, match=message):
+                check_source("faulty", "box")
+        finally:
+            del SOURCES._entries["faulty"]
+
+
+def test_faulty_worlds() -> None:
+    class Blind(SimulatedRobot):
+        def capture(self, world_from_camera: np.ndarray) -> Any:
+            frame = super().capture(world_from_camera)
+            frame.depth[:] = 0.0
+            return frame
+
+    with pytest.raises(AssertionError, match="no depth"):
+        check_world(Blind("box", width=48, height=36))
+    with pytest.raises(AssertionError, match="members"):
+        check_world(object())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", ["policy", "feature", "source", "world"])
+def test_asg_new_writes_a_plugin_whose_test_passes(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"my_{kind}"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["new", kind, name]) == 0
+    assert f"python -m pytest test_{name}.py" in capsys.readouterr().out
+    try:
+        module = importlib.import_module(f"test_{name}")
+        tests = [value for key, value in vars(module).items() if key.startswith("test_")]
+        assert tests
+        for test in tests:
+            test()
+    finally:
+        for loaded in (name, f"test_{name}"):
+            sys.modules.pop(loaded, None)
+    assert main(["new", kind, name]) == 2  # nothing is overwritten
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_asg_new_refuses_names_that_are_no_modules(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("Mine", "my-policy", "1st", "class", "../mine"):
+        assert main(["new", "policy", name]) == 2
+        assert "lower-case letters" in capsys.readouterr().err
+    assert main(["new", "robot", "mine"]) == 2

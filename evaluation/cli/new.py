@@ -28,9 +28,9 @@ _NEXT = {
 
 @dataclass(frozen=True)
 class New:
-    """Write a policy, feature, source or world to begin with, and its test.
+    """Write a plug-in to begin with, and its test.
 
-    Both files are written into the working directory. The test passes.
+    It is a policy, a feature, a candidate source or a world. Both files are written into the working directory. The test passes.
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, option("policy|feature|source|world")]

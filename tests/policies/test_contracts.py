@@ -65,6 +65,9 @@ class Untouchable:
     def __getattr__(self, name: str) -> Any:
         raise AssertionError(f"a score asked the ground truth for '{name}'")
 
+    def close(self) -> None:
+        """What the environment calls at its end."""
+
 
 def swap_truth(env: ReconstructionEnv) -> None:
     """Another mesh in the same bounds, in place and as another scene, and a sensor that says whoever asks it."""

@@ -30,7 +30,8 @@ _NEXT = {
 class New:
     """Write a plug-in to begin with, and its test.
 
-    It is a policy, a feature, a candidate source or a world. Both files are written into the working directory. The test passes.
+    It is a policy, a feature, a candidate source or a world. Both files are written into the working directory, and
+    the test passes.
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, option("policy|feature|source|world")]

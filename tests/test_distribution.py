@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import re
 import shutil
 import subprocess
@@ -65,6 +66,20 @@ def test_the_source_distribution_is_the_repository_once(sdist: dict[str, bytes])
     assert not missing, f"say so in MANIFEST.in: {sorted(missing)[:5]}"
     made = {name for name in sdist.keys() - names if ".egg-info/" not in name}
     assert made == {"PKG-INFO"}
+
+
+def test_data_of_others_is_installed_with_its_licence() -> None:
+    """setup.cfg names every data file, and a folder with data of others has its licence."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg", encoding="utf-8")
+    packed = config["options.package_data"]["activestructure_gym.scenes.loaders"].split()
+    assert packed == ["procthor_assets/*"]
+    folder = ROOT / "activestructure_gym" / "scenes" / "loaders" / "procthor_assets"
+    assert {file.name for file in folder.iterdir()} == {"LICENSE.txt", "sizes.txt"}
+    assert "Apache License" in (folder / "LICENSE.txt").read_text(encoding="utf-8")
+    head = (folder / "sizes.txt").read_text(encoding="utf-8").split("\n", 3)[:3]
+    assert "allenai/procthor" in head[1] and "Apache-2.0" in head[2]
+    assert (folder / "sizes.txt").stat().st_size < 60_000
 
 
 def test_an_index_can_show_the_description(metadata: Message) -> None:

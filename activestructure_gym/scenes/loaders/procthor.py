@@ -2,9 +2,9 @@
 
 Included are walls with doorways and windows, floors and ceilings. A file is one house (``house.json``) or one per line
 (``train.jsonl``, also gzipped). Positions are metres with y up in a left-handed frame; swapping y and z gives this
-project's frame. The house holds position and rotation of an object, but not its size. Its height follows from the
-centre height of objects on the floor; its sides are typical of its kind (own choice). Doors between rooms are open,
-outer doors closed; window panes and outer doors close the house. Source of the layout: [procthor].
+project's frame. The house holds the asset, centre and rotation of an object; `procthor_sizes` holds the asset's
+bounding box. Doors between rooms are open, outer doors closed; window panes and outer doors close the house. Source of
+the layout: [procthor].
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import gzip
 import io
 import json
 import os
-import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.scenes.loaders.budget import SceneBudget
@@ -28,24 +28,14 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_loader import finished_scene
 from activestructure_gym.scenes.loaders.mesh_parts import MeshPart, assemble
 from activestructure_gym.scenes.loaders.polygons import triangulated
+from activestructure_gym.scenes.loaders.procthor_sizes import asset_size
 from activestructure_gym.scenes.scene import Scene
 
 SUFFIXES = (".json", ".jsonl", ".json.gz", ".jsonl.gz")
 _MAX_OBJECTS, _MAX_WALLS = 5000, 5000
 _MAX_HOUSE_BYTES = 64 << 20  # maximum size of one house, bytes
 
-# Default width, depth and height in metres. The first of these words that is in an asset's name selects the size.
-SIZES = {
-    "bed": (1.6, 2.0, 0.6), "sofa": (2.0, 0.9, 0.8), "arm chair": (0.9, 0.9, 0.9), "chair": (0.5, 0.5, 0.9),
-    "stool": (0.4, 0.4, 0.6), "dining table": (1.6, 0.9, 0.75), "coffee table": (1.1, 0.6, 0.45),
-    "side table": (0.5, 0.5, 0.6), "table": (1.2, 0.7, 0.75), "desk": (1.3, 0.65, 0.75), "dresser": (1.2, 0.5, 0.9),
-    "shelf": (0.9, 0.35, 1.6), "shelving": (0.9, 0.4, 1.6), "fridge": (0.8, 0.75, 1.75), "counter": (1.8, 0.65, 0.9),
-    "toilet": (0.45, 0.7, 0.8), "bathtub": (1.6, 0.75, 0.6), "sink": (0.6, 0.5, 0.9), "tv stand": (1.4, 0.4, 0.5),
-    "television": (1.1, 0.15, 0.65), "washing": (0.6, 0.6, 0.85), "lamp": (0.4, 0.4, 1.5), "plant": (0.5, 0.5, 1.0),
-    "garbage": (0.35, 0.35, 0.5), "bin": (0.35, 0.35, 0.5), "painting": (0.7, 0.05, 0.5), "box": (0.4, 0.3, 0.3),
-}  # fmt: skip
-_USUAL = (0.4, 0.4, 0.4)  # metres, size of an object of another kind
-_SMALL = (0.15, 0.15, 0.15)  # metres, size of an object on another object
+_USUAL, _SMALL = 0.4, 0.15  # metres, edge of an unknown object on the floor, and on another object (own choice)
 
 
 def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects: bool = True) -> Scene:
@@ -71,7 +61,7 @@ def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects
     if not path.name.lower().endswith(SUFFIXES):
         raise InputError(f"a ProcTHOR house is a file {', '.join(SUFFIXES)}, got '{path.name}'")
     try:
-        parts = _parts(json.loads(_text(path, house)), objects=objects)
+        parts, doubts = _parts(json.loads(_text(path, house)), objects=objects)
     except KeyError as error:
         raise InputError(f"'{path}' is no ProcTHOR house: {error} is missing") from None
     except (TypeError, AttributeError, IndexError):
@@ -82,7 +72,7 @@ def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects
         raise InputError(f"'{path}' is no ProcTHOR house: {' '.join(str(error).split())[:200]}") from None
     stem = path.name.partition(".")[0]
     name = f"{stem}-{house}" if ".jsonl" in path.name.lower() else stem
-    return finished_scene(assemble(parts, ()), path, name=name)
+    return finished_scene(assemble(parts, ()), path, name=name, doubts=doubts)
 
 
 def _text(path: Path, house: int) -> bytes:
@@ -116,7 +106,8 @@ def _limited(data: bytes) -> bytes:
     return data
 
 
-def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
+def _parts(house: dict[str, Any], *, objects: bool) -> tuple[list[MeshPart], list[str]]:
+    """Return the parts of a house, and doubts about them for the user."""
     all_walls = [_Wall(wall) for wall in _list(house["walls"], "walls", _MAX_WALLS)]
     walls = {wall.id: wall for wall in all_walls}
     rooms = {str(room["id"]) for room in house["rooms"]}
@@ -131,10 +122,13 @@ def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
         tint = _tint(str(room.get("floorMaterial", "")), str(room["id"]))
         parts += [_polygon(floor, tint), _polygon(floor + [0.0, 0.0, top - floor[:, 2].min()], (0.93, 0.93, 0.91))]
     parts += panes
-    if objects:
-        for thing in _list(house.get("objects", []), "objects", _MAX_OBJECTS):
-            parts += _boxes(thing, on_floor=True)
-    return parts
+    doubtful: list[str] = []
+    for thing in _list(house.get("objects", []), "objects", _MAX_OBJECTS) if objects else ():
+        parts += _boxes(thing, doubtful, on_floor=True)
+    if not doubtful:
+        return parts, []
+    some = ", ".join(map(short_repr, dict.fromkeys(doubtful[:5])))
+    return parts, [f"{len(doubtful)} objects are no asset of ProcTHOR's database, so their size is estimated: {some}"]
 
 
 class _Wall:
@@ -195,26 +189,27 @@ def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door
     return [_quads(quad, (0.55, 0.38, 0.24) if door else (0.62, 0.78, 0.92))]
 
 
-def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
-    """Return a box for an object, and boxes for the objects on it."""
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])|[_|]", " ", str(thing.get("assetId") or thing.get("id", ""))).lower()
+def _boxes(thing: dict[str, Any], doubtful: list[str], *, on_floor: bool) -> list[MeshPart]:
+    """Return a box for an object, and boxes for the objects on it; append names without a published size."""
+    name = str(thing.get("assetId") or thing.get("id", ""))
+    size, published = asset_size(name)
     middle = _points([thing["position"]])[0]
-    usual = next((size for kind, size in SIZES.items() if kind in name), _USUAL) if on_floor else _SMALL
-    # An object on the floor is twice as high as its centre; a hanging object gets the default height.
-    height = 2.0 * float(middle[2]) if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * usual[2] else usual[2]
-    rotation = thing.get("rotation") or {}
-    degrees = float(rotation.get("y", 0.0))
-    if not abs(degrees) < 1e6:
+    if not published:
+        doubtful.append(name)
+        size = np.full(3, _USUAL if on_floor else _SMALL) if size is None else size.copy()
+        if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * size[1]:  # it is on the floor, not on a wall
+            size[1] = 2.0 * middle[2]
+    turned = thing.get("rotation") or {}
+    degrees = [float(turned.get(axis, 0.0)) for axis in "yxz"]  # Unity turns about z first, then x, then y
+    if not max(map(abs, degrees)) < 1e6 or np.isnan(degrees).any():
         raise UnreadableMesh(f"the rotation of {short_repr(thing.get('id', name))} is no finite number of degrees")
-    turn = np.radians(-degrees)  # clockwise from above in ProcTHOR's frame
     corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
-    corners *= 0.5 * np.array([usual[0], usual[1], height])
-    spin = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    placed = corners @ spin.T + middle
+    spun = Rotation.from_euler("YXZ", degrees, degrees=True).apply(0.5 * size * corners[:, [0, 2, 1]])
+    placed = spun[:, [0, 2, 1]] + middle
     sides = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
     parts = [_quads(placed[np.array(sides)], _tint(name, "object"))]
     for child in _list(thing.get("children", []), "children", _MAX_OBJECTS):
-        parts += _boxes(child, on_floor=False)
+        parts += _boxes(child, doubtful, on_floor=False)
     return parts
 
 

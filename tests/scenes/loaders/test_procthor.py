@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import copy
 import gzip
+import itertools
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.evaluation.running.episode import path_collisions
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.scenes.loaders.procthor import load_procthor_scene
+from activestructure_gym.scenes.loaders.procthor import _boxes, load_procthor_scene
+from activestructure_gym.scenes.loaders.procthor_sizes import _tables
 
+HOUSES = Path(__file__).resolve().parents[4] / "shared" / "data" / "procthor"
 HIGH = 2.6
 
 
@@ -58,9 +64,10 @@ def house() -> dict[str, Any]:
         ],
         "windows": [hole("w1", "a4", "exterior", ("room|2", "room|2"), (1, 0.9), (2, 1.9))],
         "objects": [
-            {"id": "Bed|2|0", "assetId": "Bed_4", "position": point(1.2, 0.3, 2.0), "rotation": point(0, 90, 0),
-             "children": [{"id": "Pillow|0", "assetId": "Pillow_2", "position": point(1.2, 0.7, 2.0)}]},
-            {"id": "Fridge|3|0", "assetId": "Fridge_11", "position": point(6.4, 0.9, 0.5), "rotation": point(0, 0, 0)},
+            {"id": "Bed|2|0", "assetId": "Bed_18_2", "position": point(1.2, 0.792, 2.0), "rotation": point(0, 90, 0),
+             "children": [{"id": "Book|0", "assetId": "Book_2", "position": point(1.2, 0.7, 2.0)}]},
+            {"id": "Fridge|3|0", "assetId": "Fridge_11", "position": point(6.4, 0.983, 0.5),
+             "rotation": point(0, 0, 0)},
         ],
     }  # fmt: skip
 
@@ -111,20 +118,123 @@ def test_where_two_rooms_are_one_there_is_no_wall(file: Path) -> None:
     np.testing.assert_array_equal(scene.raycaster.occluded(*ends), [False, True])  # open, but for the outer wall
 
 
+def box_of(file: Path, **thing: Any) -> np.ndarray:
+    """The lowest and highest corner [2, 3] of the box that one object adds to the house."""
+    empty = load_procthor_scene(file, objects=False)
+    file.write_text(json.dumps(changed(("objects",), [thing])))
+    corners = load_procthor_scene(file).mesh.vertices[len(empty.mesh.vertices) :]
+    return np.array([corners.min(axis=0), corners.max(axis=0)], dtype=np.float64)
+
+
 def test_the_frame_is_not_mirrored(file: Path) -> None:
     """Their x is ours and their z our y: a left-handed frame with y up becomes a right-handed one with z up."""
-    scene = load_procthor_scene(file)
-    bed = scene.mesh.vertices[(np.abs(scene.mesh.vertices - [1.2, 2.0, 0.3]) < [1.1, 0.9, 0.31]).all(axis=1)]
-    np.testing.assert_allclose(bed.min(axis=0), [0.2, 1.2, 0.0], atol=1e-5)  # 1.6 x 2 m, turned by 90 degrees
-    np.testing.assert_allclose(bed.max(axis=0)[:2], [2.2, 2.8], atol=1e-5)
+    scene = load_procthor_scene(file, objects=False)
+    floor = scene.mesh.vertices[scene.mesh.vertices[:, 2] == 0]
+    assert floor[:, 0].max() == 7 and floor[:, 1].max() == 3
 
 
-def test_furniture_is_boxes_as_high_as_their_middles_say_and_can_be_left_away(file: Path) -> None:
+@pytest.mark.parametrize(
+    ("turned", "sides"),  # Bed_18_2 is 1.150 m wide (x), 1.584 m high (y) and 1.859 m long (z)
+    [((0, 0, 0), (1.150, 1.859, 1.584)), ((0, 90, 0), (1.859, 1.150, 1.584)), ((270, 0, 0), (1.150, 1.584, 1.859)),
+     ((0, 0, 90), (1.584, 1.859, 1.150)), ((90, 90, 0), (1.584, 1.150, 1.859))],
+)  # fmt: skip
+def test_furniture_has_the_published_size_and_is_turned_as_in_unity(
+    file: Path, turned: tuple[int, int, int], sides: tuple[float, float, float]
+) -> None:
+    low, high = box_of(file, assetId="Bed_18_2", position=point(2.0, 1.2, 1.5), rotation=point(*turned))
+    np.testing.assert_allclose(high - low, sides, atol=1e-5)
+    np.testing.assert_allclose(0.5 * (low + high), [2.0, 1.5, 1.2], atol=1e-5)
+
+
+def test_furniture_turns_clockwise_when_seen_from_above(file: Path) -> None:
+    """The left front corner of a box, turned by 30 degrees."""
+    box_of(file, assetId="Bed_18_2", position=point(2.0, 0.8, 1.5), rotation=point(0, 30, 0))
+    corner = Rotation.from_euler("z", -30, degrees=True).apply([-0.575, 0.9295, 0.792]) + [2.0, 1.5, 0.8]
+    gaps = np.linalg.norm(load_procthor_scene(file).mesh.vertices - corner, axis=1)
+    assert gaps.min() < 1e-5
+
+
+def test_faces_of_furniture_look_outward(file: Path) -> None:
+    empty = load_procthor_scene(file, objects=False)
+    file.write_text(json.dumps(changed(("objects", 0, "children"), [])))
+    mesh = load_procthor_scene(file).mesh
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[len(empty.mesh.faces) :][:12]].astype(float), 1, 0)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a - [1.2, 2.0, 0.792]) > 0).all()
+
+
+def test_furniture_can_be_left_away(file: Path) -> None:
     full, empty = load_procthor_scene(file), load_procthor_scene(file, objects=False)
     assert len(full.mesh.faces) - len(empty.mesh.faces) == 3 * 12
-    fridge = full.mesh.vertices[np.abs(full.mesh.vertices[:, :2] - [6.4, 0.5]).max(axis=1) < 0.45]
-    assert abs(fridge[fridge[:, 2] < 2.0][:, 2].max() - 1.8) < 1e-5  # twice 0.9
     assert ground_truth_of(full).observable_surface.points.shape[0] > 1000
+
+
+@pytest.mark.parametrize(
+    ("asset", "centre", "sides"),
+    [
+        ("Fridge_999", 0.9, (None, None, 1.8)),  # the median of the fridges, twice as high as its centre
+        ("Fridge_999", 2.4, (None, None, None)),  # on a wall: the median
+        ("Harpsichord", 2.0, (0.4, 0.4, 0.4)),
+    ],
+)
+def test_an_unlisted_asset_has_the_median_size_of_its_kind_and_is_reported(
+    file: Path, asset: str, centre: float, sides: tuple[float | None, ...]
+) -> None:
+    listed = np.array([size for name, size in _tables()[0].items() if name.startswith("Fridge")])
+    usual = np.median(listed, axis=0)[[0, 2, 1]]
+    with pytest.warns(InputWarning, match=f"1 objects are no asset of ProcTHOR's database.*'{asset}'"):
+        low, high = box_of(file, assetId=asset, position=point(2.0, centre, 1.5))
+    np.testing.assert_allclose(high - low, [u if s is None else s for s, u in zip(sides, usual)], atol=1e-5)
+
+
+def test_the_sizes_are_those_of_all_published_assets() -> None:
+    sizes, kinds = _tables()
+    assert len(sizes) == 1653 and 200 < len(kinds) < 300
+    assert all(size.shape == (3,) and (size > 0.003).all() and (size < 3.1).all() for size in sizes.values())
+    published = HOUSES / "asset-database.json"
+    if published.is_file():
+        for one in itertools.chain.from_iterable(json.loads(published.read_text()).values()):
+            box = [one["boundingBox"][axis] for axis in "xyz"]
+            np.testing.assert_allclose(sizes[one["assetId"]], box, atol=5.1e-4)
+
+
+@pytest.mark.skipif(not HOUSES.is_dir(), reason="the published houses are not here")
+def test_furniture_of_the_published_houses_is_on_the_floor_and_in_no_wall() -> None:
+    """Their furniture has a published place: none below the floor, none deeper in a wall than 2 cm."""
+    things, on_floor = 0, 0
+    for file in sorted(HOUSES.glob("*_house_*.json")):
+        content = json.loads(file.read_text())
+        walls = np.array(
+            [[[p["x"], p["z"]] for p in wall["polygon"]] for wall in content["walls"] if not wall.get("empty")]
+        )
+        ends = np.stack([walls.min(axis=1), walls.max(axis=1)], axis=1)  # [W, 2, 2]: along x or along y
+        for thing in content["objects"]:
+            corners = _boxes({**thing, "children": []}, [], on_floor=True)[0].vertices
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            assert low[2] > -0.001
+            things, on_floor = things + 1, on_floor + (low[2] < 0.001)
+            if min(thing["rotation"]["y"] % 90, -thing["rotation"]["y"] % 90) < 1:
+                inner = np.minimum(ends[:, 1], high[:2] - 0.02) - np.maximum(ends[:, 0], low[:2] + 0.02)
+                assert not (inner >= 0).all(axis=1).any(), f"{thing['id']} of {file.name} is in a wall"
+    assert things > 500 and on_floor > 0.6 * things  # the others hang on walls
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HOUSES.is_dir(), reason="the published houses are not here")
+def test_all_published_houses_load_and_play_without_a_step_through_the_mesh() -> None:
+    files = sorted(HOUSES.glob("*_house_*.json"))
+    assert len(files) >= 18
+    short: dict[str, Any] = {"preset": "fast", "frame_budget": 60, "config": {"mapper.iterations": 1}}
+    for file in files:
+        env = ReconstructionEnv(scene=f"procthor:{file}", **short)
+        env.reset(seed=0)
+        rng, over = np.random.default_rng(0), False
+        while not over:
+            _, _, ended, cut, _ = env.step(rng.choice(np.flatnonzero(env.action_masks())))
+            over = ended or cut
+        scene, path = load_scene(f"procthor:{file}"), np.stack(env.reconstruction.trajectory)
+        assert scene.notes[0].endswith("plausible")
+        assert path_collisions(scene, path) == 0, file.name
+        assert env.reconstruction.frames == 60 and env.reconstruction.metres > 0.5, file.name
 
 
 @pytest.mark.parametrize("ending", [".jsonl", ".jsonl.gz"])

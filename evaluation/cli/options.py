@@ -143,6 +143,17 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
     return overrides
 
 
+def parse_labels(words: Sequence[str]) -> dict[str, str]:
+    """Parse ``NAME=TEXT`` words into the labels of a report; the last equals sign separates, since names have some."""
+    labels = {}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        if not (name and equals and text.strip()):
+            raise InputError(f"--labels takes NAME=TEXT, as in activestructure=Ours, got {short_repr(word)}")
+        labels[name] = text.strip()
+    return labels
+
+
 def use_lpips_weights(place: str | None) -> None:
     """Set the folder ``place`` of the LPIPS weights for this process and its children; None changes nothing.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import tyro
 from activestructure_gym.errors import FullDisk, InputError, pluralised
 from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import Out, Switch, Text, option
+from activestructure_gym.evaluation.cli.options import parse_labels, split_list
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
 from activestructure_gym.streams import escape
 
@@ -29,6 +31,12 @@ class Report:
     """Write the report into this directory (default: the comparison's, else runs/report-<date>-<time>)."""
     baseline: Text = None
     """Compare the others with this policy (default: the first of activestructure-a, pixel_only and random)."""
+
+    labels: Annotated[tuple[str, ...], option("NAME=TEXT [NAME=TEXT ...]", "")] = ()
+    """Show these names of policies and scenes differently, e.g. activestructure=Ours."""
+
+    columns: Annotated[tuple[str, ...], option("KEY [KEY ...]", "")] = ()
+    """Write a table of these metrics too, tables/chosen.tex (.md, .csv), e.g. completion_ratio,psnr,metres."""
 
     paper_tables: Switch = False
     """Add Tables 1 and 2 of the paper, with its published values next to these runs."""
@@ -51,13 +59,19 @@ class Report:
         from activestructure_gym.evaluation.cli.result_table import print_result
         from activestructure_gym.evaluation.report.results import gather
         from activestructure_gym.evaluation.report.summary import write_results
+        from activestructure_gym.evaluation.report.tables.columns import chosen_columns
         from activestructure_gym.evaluation.report.tables.overview import as_rich_table
+        from activestructure_gym.evaluation.report.tables.paper import ablation_table
 
         console = make_console()
-        results = gather(directories, self.baseline)
+        results = gather(directories, self.baseline, parse_labels(self.labels))
+        chosen = []
+        if self.columns:
+            aspect = chosen_columns(split_list(self.columns), results.runs)
+            chosen.append(dataclasses.replace(ablation_table(results, aspect), name="chosen", title="Chosen columns"))
         try:
             with console.status("drawing"):
-                files = write_results(out, results, published=self.paper_tables)
+                files = write_results(out, results, published=self.paper_tables, more=chosen)
         except FullDisk as error:
             raise FullDisk(f"{error}. The runs are whole: free some room, then give the same command again") from error
         console.print(pluralised(len(results.runs), "run"))
@@ -72,6 +86,8 @@ class Report:
             console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")
         if left_out:
             console.print("All columns, scene by scene: --wide, and results.csv next to the page.")
+        for table in chosen:
+            print_whole(console, as_rich_table(table), wide=self.wide)
         console.print("Tables for papers are in tables/ next to the page.")
         print_page(console, files[-1])
         return 1 if results.missing else 0

@@ -15,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, listed, pluralised
+from activestructure_gym.errors import InputError, listed, pluralised, unknown_name
 from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
@@ -238,10 +238,13 @@ def _given_conditions(run: Run) -> dict[str, str]:
     return {name: str(value) for name, value in flat.items()}
 
 
-def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
+def gather(
+    directories: Sequence[Path], baseline: str | None = None, labels: Mapping[str, str] | None = None
+) -> Results:
     """Read the runs in directories of comparisons and of single runs, in the given order.
 
-    ``baseline`` is as in `Results`. If a job is in two directories, the first run is used. A damaged run is listed as
+    ``baseline`` is as in `Results`. ``labels`` maps names of policies and scenes to the names that the report shows;
+    ``baseline`` is either. If a job is in two directories, the first run is used. A damaged run is listed as
     missing, with the reason. Raise `InputError` for other directories, and if there is no run.
     """
     runs: dict[str, Run] = {}
@@ -281,9 +284,29 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
         first.setdefault((job.scene_hash or job.scene, scene_label(job.scene)), job.scene)
         for job in (run.job for run in runs.values())
     ]
-    labels = scene_labels({spec: run.job.scene_hash for spec, run in zip(specs, runs.values())})
-    named = [dataclasses.replace(run, scene=labels[spec]) for spec, run in zip(specs, runs.values())]
-    return Results(named, sources, baseline)
+    scenes = scene_labels({spec: run.job.scene_hash for spec, run in zip(specs, runs.values())})
+    named = [dataclasses.replace(run, scene=scenes[spec]) for spec, run in zip(specs, runs.values())]
+    given = labels or {}
+    return Results(labelled(named, given), sources, None if baseline is None else given.get(baseline, baseline))
+
+
+def labelled(runs: Sequence[Run], labels: Mapping[str, str]) -> list[Run]:
+    """Return the runs with the ``labels`` of policies and scenes in place of their names.
+
+    Raise `InputError` for a name that no run has, and for a label that two names would share.
+    """
+    names = [name for kind in ("policy", "scene") for name in dict.fromkeys(getattr(run, kind) for run in runs)]
+    if unknown := [name for name in labels if name not in names]:
+        raise unknown_name("policy or scene", unknown[0], names)
+    shown = [labels.get(name, name) for name in names]
+    if double := [text for text in shown if shown.count(text) > 1]:
+        raise InputError(f"two names would have the label '{double[0]}': choose different labels")
+    found = []
+    for run in runs:
+        policy = labels.get(run.policy, run.policy)
+        found.append(dataclasses.replace(run, scene=labels.get(run.scene, run.scene)))
+        found[-1].__dict__["policy"] = policy  # replaces the cached name
+    return found
 
 
 def source_of(

@@ -48,23 +48,28 @@ def write_report(
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
-def write_results(directory: Path, results: Results, *, published: bool = False) -> list[Path]:
+def write_results(
+    directory: Path, results: Results, *, published: bool = False, more: Sequence[Table] = ()
+) -> list[Path]:
     """Write a report atomically, and return the paths of its files; ``summary.md`` and ``report.html`` are last.
 
-    ``published`` adds the paper's Tables 1 and 2, with the values of these runs next to the published values. Raise
-    `InputError` if a run's directory is damaged, or if ``directory`` cannot be written.
+    ``published`` adds the paper's Tables 1 and 2, with the values of these runs next to the published values. ``more``
+    are further tables for the directory of tables. Raise `InputError` if a run's directory is damaged, or if
+    ``directory`` cannot be written.
     """
     with temporary.atomic_files(directory) as part:
-        written = _write_into(part, results, directory, published_tables(results) if published else [])
+        written = _write_into(part, results, directory, published_tables(results) if published else [], more)
     return [directory / file.relative_to(part) for file in written]
 
 
-def _write_into(part: Path, results: Results, directory: Path, published: Sequence[Table]) -> list[Path]:
+def _write_into(
+    part: Path, results: Results, directory: Path, published: Sequence[Table], more: Sequence[Table]
+) -> list[Path]:
     """Write all files into the temporary directory ``part``; links are relative to ``directory``, the final place."""
     tables = part / TABLES
     tables.mkdir()
     written = [_written(part / "results.csv", runs_csv(results.runs))]
-    for name, text in documents([*all_tables(results), *published]).items():
+    for name, text in documents([*all_tables(results), *published, *more]).items():
         written.append(_written(tables / name, text))
     sections = []
     for scene, ending in zip(results.scenes, _endings(results.scenes)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from activestructure_gym.errors import pluralised
+from activestructure_gym.errors import pluralised, unknown_name
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import LEVELS
@@ -216,6 +216,16 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
         columns = tuple(replace(column, key=f"{name}/{column.key}") for column in QUALITY)
         found.append(Aspect(name, name, tuple(measured(columns, runs))))
     return [aspect for aspect in found if aspect.columns]
+
+
+def chosen_columns(keys: Sequence[str], runs: Sequence[Run]) -> Aspect:
+    """Return the columns with these keys as one aspect; raise `InputError` for an unknown key."""
+    everything = [*COLUMNS, *QUALITY, *PROGRESS, *COSTS, *map(Column.of, own_metrics(runs))]
+    everything += [column for aspect in aspects(runs) for column in aspect.columns]
+    known = {column.key: column for column in everything}
+    if unknown := [key for key in keys if key not in known]:
+        raise unknown_name("column", unknown[0], known)
+    return Aspect("chosen", "chosen columns", tuple(known[key] for key in keys))
 
 
 def reason_of(run: Run, key: str) -> str:

@@ -54,26 +54,26 @@ def to_csv(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    """Return a table as LaTeX that needs no package; rank 1 is bold, rank 2 underlined, rank 3 italic."""
+    """Return a table as LaTeX for the package booktabs; rank 1 is bold, rank 2 underlined, rank 3 italic."""
     columns = "".join("r" if heading.numeric else "l" for heading in table.headings)
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}"]
-    lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
+    lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
     if table.groups:
         groups = [
             latex_text(text) if span == 1 else rf"\multicolumn{{{span}}}{{c}}{{{latex_text(text)}}}"
             for text, span in table.groups
         ]
         lines.append(" & ".join(groups) + r" \\")
-    lines += [" & ".join(latex_text(heading.text) for heading in table.headings) + r" \\", r"\hline"]
+    lines += [" & ".join(latex_text(heading.text) for heading in table.headings) + r" \\", r"\midrule"]
     for index, row in enumerate(table.rows):
         if index and index in table.blocks:
-            lines.append(r"\hline")
+            lines.append(r"\midrule")
         cells = []
         for column, cell in enumerate(row):
             text = latex_text(table.shown(index, column))
             cells.append(_LATEX_RANKS[cell.rank].format(text) if cell.rank else text)
         lines.append(" & ".join(cells) + r" \\")
-    return "\n".join([*lines, r"\hline", r"\end{tabular}", r"\end{table}", ""])
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
 def latex_text(text: str) -> str:

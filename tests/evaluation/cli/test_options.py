@@ -2,6 +2,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.options import (
+    parse_labels,
     parse_overrides,
     parse_seeds,
     parse_start,
@@ -106,3 +107,10 @@ def test_a_published_start_is_that_of_one_scene(monkeypatch):
     assert start_of("1,2,3,4", ["a", "b"]) == (1.0, 2.0, 3.0, 4.0) and start_of(None, ["a", "b"]) is None
     with pytest.raises(InputError, match="takes one scene, got 2"):
         start_of("published", ["a", "b"])
+
+
+def test_labels_are_split_at_the_last_equals_sign() -> None:
+    assert parse_labels(["a=Ours", "room?seed=3=Room A"]) == {"a": "Ours", "room?seed=3": "Room A"}
+    for wrong in ("a", "=Ours", "a=", "a= "):
+        with pytest.raises(InputError, match="--labels takes NAME=TEXT"):
+            parse_labels([wrong])

@@ -15,12 +15,13 @@ def asked(monkeypatch, tmp_path):
     class Nothing:
         runs, missing = (), {}
 
-    def gather(directories, baseline):
+    def gather(directories, baseline, labels):
+        assert labels == {}
         calls.append((directories, baseline))
         return Nothing()
 
-    def write(out, results, published):
-        assert not published
+    def write(out, results, published, more):
+        assert not published and not more
         calls.append(out)
         return [out / "report.html"]
 

@@ -8,8 +8,10 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.report.page.document import html_page
-from activestructure_gym.evaluation.report.results import Results, gather, once, opened, source_of
-from activestructure_gym.evaluation.report.tables.columns import aspects, ratios_text
+from activestructure_gym.evaluation.report.results import Results, gather, labelled, once, opened, source_of
+from activestructure_gym.evaluation.report.tables.columns import aspects, chosen_columns, ratios_text
+from activestructure_gym.evaluation.report.tables.formats import latex
+from activestructure_gym.evaluation.report.tables.paper import ablation_table
 
 
 def test_cells_and_strata(make_run):
@@ -161,3 +163,29 @@ def test_a_run_that_stands_in_two_places_counts_once(make_run, tmp_path, monkeyp
     assert [run.scene for run in found.runs] == ["x/a", "y/a"]  # told apart again
     with pytest.raises(InputError, match="neither a comparison"):
         gather([tmp_path])
+
+
+def test_labels_replace_names_of_policies_and_scenes(make_run):
+    runs = [make_run("room", "a"), make_run("room", "b"), make_run("box", "a")]
+    named = labelled(runs, {"a": "Ours", "box": "Room B"})
+    assert [(run.policy, run.scene) for run in named] == [("Ours", "room"), ("b", "room"), ("Ours", "Room B")]
+    assert [run.policy for run in runs] == ["a", "b", "a"]  # the runs themselves do not change
+    assert labelled(runs, {}) == runs
+    for labels, message in (
+        ({"c": "Ours"}, "unknown policy or scene 'c'"),
+        ({"a": "b"}, "two names would have the label 'b'"),
+        ({"a": "One", "b": "One"}, "two names would have the label 'One'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            labelled(runs, labels)
+
+
+def test_chosen_columns_are_one_table(make_run):
+    runs = [make_run("room", "a", psnr=20.0), make_run("room", "b", psnr=21.0)]
+    aspect = chosen_columns(("psnr", "metres"), runs)
+    assert [column.key for column in aspect.columns] == ["psnr", "metres"]
+    table = ablation_table(Results(runs, []), aspect)
+    assert [row[1].text for row in table.rows] == ["20.00", "21.00"] and table.rows[1][1].rank == 1
+    assert r"\toprule" in latex(table) and r"\bottomrule" in latex(table)
+    with pytest.raises(InputError, match="unknown column 'psnrr'; did you mean 'psnr'"):
+        chosen_columns(("psnrr",), runs)

@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr, unknown_name
 from activestructure_gym.registry import Registry
-from activestructure_gym.scenes.loaders.habitat import ENDING, load_habitat_scene
+from activestructure_gym.scenes.loaders.habitat import ENDING, is_habitat, load_habitat_scene
 from activestructure_gym.scenes.loaders.hm3d import is_hm3d, load_gibson_scene, load_hm3d_scene
 from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
 from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
@@ -59,12 +59,12 @@ SCENES.register("habitat")(load_habitat_scene)
 
 # Tests of a path without prefix, and the loader of each; the first test that is True selects the loader.
 _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
+    (is_habitat, load_habitat_scene),
     (is_replica, load_replica_scene),
     (is_matterport3d, load_matterport3d_scene),
     (is_scannet, load_scannet_scene),
     (is_scannetpp, load_scannetpp_scene),
     (is_hm3d, load_hm3d_scene),
-    (lambda path: path.name.endswith(ENDING), load_habitat_scene),
 )
 
 

@@ -1,21 +1,25 @@
-"""Load datasets of Habitat by their ``*.scene_dataset_config.json``: stages, and stages with objects.
+"""Load datasets of Habitat by their ``*.scene_dataset_config.json``, and single stages by ``*.stage_config.json``.
 
 Supported are the sections ``stages``, ``objects`` and ``scene_instances``:
 
 - their ``paths`` (folders and patterns of configurations or .glb files) and ``default_attributes``;
+- their ``configs``: templates with a ``template_handle``, whose ``attributes`` change an ``original_file`` or the
+  defaults;
 - of a configuration: ``render_asset``, ``up``, ``front``, ``scale``, ``units_to_meters`` and, for objects, ``COM``;
 - of an instance: ``translation``, ``rotation`` (w first), ``uniform_scale``, ``non_uniform_scale`` and
   ``translation_origin``.
 
-Articulated objects, lights, semantics, physics and ``configs`` within the dataset's file are ignored. Habitat's world
-is y up; the scene returned is z up. Source of the format: [habitat], its documentation of attributes as JSON.
+Articulated objects, lights, semantics and physics are ignored. Habitat's world is y up; the scene returned is z up.
+Source of the format: [habitat], its documentation of attributes as JSON, and its reader for ``configs``.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from glob import escape
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -60,10 +64,10 @@ def load_habitat_scene(
     Parameters
     ----------
     path
-        The ``*.scene_dataset_config.json``.
+        The ``*.scene_dataset_config.json``, or a ``*.stage_config.json``.
     scene
-        A scene instance, or a stage if the dataset has no instances, by name or end of path. Optional if there is only
-        one.
+        A scene instance, or a stage if the dataset has no instances, by name, end of path or whole words of it, such as
+        ``00800-TEEsavR23oF``. Optional if there is only one.
     objects
         Whether to include the objects of a scene instance.
     max_texture
@@ -78,28 +82,52 @@ def load_habitat_scene(
         raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
     dataset = _Dataset.of(Path(os.path.abspath(os.path.expanduser(path))))
     textures = TextureStore(max_texture)
-    instances, stages = dataset.files("scene_instances"), dataset.files("stages")
+    instances, stages = dataset.templates("scene_instances"), dataset.templates("stages")
     name, chosen = _chosen(instances or stages, scene, dataset.path)
     if not instances:
         parts, _ = dataset.placed("stages", chosen, textures)
     else:
-        content = _table(chosen, "a scene instance (JSON with stage_instance)")
+        content = dataset.attributes("scene_instances", chosen)
+        where = chosen.file
         stage = content.get("stage_instance")
         if not isinstance(stage, Mapping):
-            raise InputError(f"'{chosen}' names no stage_instance, which is the building itself")
-        parts = _instance(dataset, "stages", stage, textures, chosen, "")
+            raise InputError(f"'{where}' names no stage_instance, which is the building itself")
+        parts = _instance(dataset, "stages", stage, textures, where, "")
         listed = content.get("object_instances") or []
         if not isinstance(listed, list) or len(listed) > _MAX_OBJECTS:
-            raise InputError(f"object_instances of '{chosen}' must be a list of at most {_MAX_OBJECTS}")
+            raise InputError(f"object_instances of '{where}' must be a list of at most {_MAX_OBJECTS}")
         origin = str(content.get("translation_origin", ""))
         for one in listed if objects else ():
             if not isinstance(one, Mapping):
-                raise InputError(f"'{chosen}' has an object instance that is no table: {short_repr(one)}")
-            parts += _instance(dataset, "objects", one, textures, chosen, origin)
-    check_visible(chosen, parts)
+                raise InputError(f"'{where}' has an object instance that is no table: {short_repr(one)}")
+            parts += _instance(dataset, "objects", one, textures, where, origin)
+    check_visible(chosen.file, parts)
     turned = [replace(part, vertices=upright(part.vertices, "y")) for part in parts]
     mesh = assemble(turned, textures.images)
-    return finished_scene(mesh, chosen, name=name.rpartition("/")[2], doubts=texture_notes(textures))
+    doubts = [*dict.fromkeys(dataset.doubts), *texture_notes(textures)]
+    return finished_scene(mesh, chosen.file, name=name.rpartition("/")[2].removesuffix(".basis"), doubts=doubts)
+
+
+def is_habitat(path: Path) -> bool:
+    """Return whether the path is a dataset's configuration, or that of a stage whose mesh is no .ply.
+
+    Replica's stage configurations name a .ply. It identifies paths given without a loader prefix.
+    """
+    if not path.name.endswith(_ENDINGS["stages"]):
+        return path.name.endswith(ENDING)
+    try:
+        asset = _table(path, "a stage config (JSON with render_asset)").get("render_asset")
+    except InputError:
+        return False
+    return isinstance(asset, str) and not asset.lower().endswith(".ply")
+
+
+@dataclass(frozen=True, eq=False)
+class _Template:
+    """Hold a configuration or mesh, and the attributes that the dataset's ``configs`` change."""
+
+    file: Path  # assets are relative to its folder; the dataset's configuration for a template without original_file
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -108,53 +136,90 @@ class _Dataset:
 
     path: Path
     content: Mapping[str, Any]
-    known: dict[str, dict[str, Path]] = field(default_factory=dict)  # files of a kind by handle
-    assets: dict[Path, tuple[list[MeshPart], np.ndarray]] = field(default_factory=dict)  # results of `placed`
+    known: dict[str, dict[str, _Template]] = field(default_factory=dict)  # templates of a kind by handle
+    assets: dict[_Template, tuple[list[MeshPart], np.ndarray]] = field(default_factory=dict)  # results of `placed`
+    doubts: list[str] = field(default_factory=list)  # for the user
 
     @classmethod
     def of(cls, path: Path) -> _Dataset:
         if not path.is_file():
-            raise InputError(f"there is no dataset configuration '{path}', a file *{ENDING}")
+            raise InputError(f"there is no dataset configuration '{path}', a file *{ENDING} or *{_ENDINGS['stages']}")
+        if path.name.endswith(_ENDINGS["stages"]):
+            return cls(path, {"stages": {"paths": {".json": [escape(path.name)]}}})
         return cls(path, _table(path, "a dataset's configuration (JSON with stages)"))
 
-    def files(self, kind: str) -> dict[str, Path]:
-        """Return the configurations and meshes of the section ``kind`` by handle.
+    def templates(self, kind: str) -> dict[str, _Template]:
+        """Return the templates of the section ``kind`` by handle: configurations, meshes and entries of ``configs``.
 
-        A handle is the path of a file relative to the dataset's folder, without the ending.
+        A handle is the path of a file relative to the dataset's folder, without the ending, or a ``template_handle``.
         """
         if kind not in self.known:
             root = self.path.parent
-            found: dict[str, Path] = {}
+            found: dict[str, _Template] = {}
             for file in islice(_listed(self._section(kind), kind, root), _MAX_FILES):
                 ending = _ENDINGS[kind] if file.name.endswith(_ENDINGS[kind]) else file.suffix
                 # A configuration overrides a bare mesh of the same name.
-                found.setdefault(file.relative_to(root).as_posix().removesuffix(ending), file)
+                found.setdefault(file.relative_to(root).as_posix().removesuffix(ending), _Template(file))
+            self._add_configs(kind, found)
             self.known[kind] = dict(sorted(found.items()))
         return self.known[kind]
 
-    def placed(self, kind: str, file: Path, textures: TextureStore) -> tuple[list[MeshPart], np.ndarray]:
-        """Return the parts of a stage or object in Habitat's axes, and their centre of mass [3]; read each file once.
+    def _add_configs(self, kind: str, found: dict[str, _Template]) -> None:
+        """Add the templates that the ``configs`` of a section define, in their order.
+
+        As in Habitat, an entry without ``template_handle`` changes its original, and an entry whose original is not
+        among the templates is left out.
+        """
+        entries = self._section(kind).get("configs", [])
+        if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+            raise InputError(f"configs of {kind} in '{self.path}' must be a list of tables, got {short_repr(entries)}")
+        originals = {template.file.name: handle for handle, template in found.items()}
+        originals |= {template.file.relative_to(self.path.parent).as_posix(): name for name, template in found.items()}
+        for entry in entries[:_MAX_FILES]:
+            changes, original, handle = (entry.get(key) for key in ("attributes", "original_file", "template_handle"))
+            template = _Template(self.path)
+            if isinstance(original, str):
+                known = originals.get(os.path.normpath(original).lstrip("/"))
+                if known is None:
+                    continue
+                template, handle = found[known], known if handle is None else handle
+            if not isinstance(changes, Mapping) or not isinstance(handle, str):
+                raise InputError(
+                    f"configs of {kind} in '{self.path}' has an entry without attributes, or without original_file "
+                    f"and template_handle: {short_repr(entry)}"
+                )
+            found[handle] = replace(template, changes={**template.changes, **changes})
+
+    def attributes(self, kind: str, template: _Template) -> dict[str, Any]:
+        """Return the attributes of a template: the section's defaults, those of its file, and the changes."""
+        default = self._section(kind).get("default_attributes")
+        told = dict(default) if isinstance(default, Mapping) else {}
+        if template.file.name.endswith(".json") and not template.file.name.endswith(ENDING):
+            told |= _table(template.file, "a configuration (JSON table)")
+        return told | dict(template.changes)
+
+    def placed(self, kind: str, template: _Template, textures: TextureStore) -> tuple[list[MeshPart], np.ndarray]:
+        """Return the parts of a stage or object in Habitat's axes, and their centre of mass [3]; read each one once.
 
         Habitat's axes are y up and -z front, in metres. The centre of mass is from the configuration, else the centre
         of the bounding box.
         """
-        if file not in self.assets:
-            default = self._section(kind).get("default_attributes")
-            told = dict(default) if isinstance(default, Mapping) else {}
+        if template not in self.assets:
+            file, told = template.file, self.attributes(kind, template)
             asset = file
-            if file.name.endswith(".json"):
-                told |= _table(file, "a configuration with a render_asset")
+            if file.name.endswith(".json") or "render_asset" in template.changes:
                 asset = self._asset(file, told.get("render_asset"))
             scale = _vector(told, "scale", file, (1.0,) * 3)  # along Habitat's axes, not the asset's
             motion = scale[:, None] * _turn(told, file) * _factor(told, file)
             if kind == "stages" and _vector(told, "origin", file, (0.0,) * 3).any():
                 raise InputError(f"'{file}' moves its stage by an origin, which is not read; move the mesh")
-            parts = [_moved(part, motion, np.zeros(3)) for part in read_parts(asset, textures)]
+            parts = [_moved(part, motion, np.zeros(3)) for part in read_parts(_plain(asset), textures)]
             corners = np.concatenate([part.vertices for part in parts])
             middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
             parts = solid_parts(parts, textures)  # the box is that of the whole asset
-            self.assets[file] = parts, scale * _vector(told, "COM", file, (0.0,) * 3) if "COM" in told else middle
-        return self.assets[file]
+            centre = scale * _vector(told, "COM", file, (0.0,) * 3) if "COM" in told else middle
+            self.assets[template] = parts, centre
+        return self.assets[template]
 
     def _section(self, kind: str) -> Mapping[str, Any]:
         section = self.content.get(kind, {})
@@ -170,6 +235,12 @@ class _Dataset:
             return find_reference(file.parent, reference, climb=climb)
         except FileNotFoundError:
             raise InputError(f"'{file}' names the mesh {short_repr(reference)}, which is not in the dataset") from None
+
+
+def _plain(asset: Path) -> Path:
+    """Return the mesh next to its copy with Basis textures, which cannot be read, if there is one, as in HM3D."""
+    plain = asset.with_name(f"{asset.name.removesuffix('.basis.glb')}.glb")
+    return plain if asset.name.endswith(".basis.glb") and plain.is_file() else asset
 
 
 def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]:
@@ -194,28 +265,37 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
                     yield file
 
 
-def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, Path]:
-    """Return handle and file of the scene ``wanted``, a handle or the end of one; without a name, the only file.
+def _chosen(templates: Mapping[str, _Template], wanted: str, where: Path) -> tuple[str, _Template]:
+    """Return handle and template of the scene ``wanted``; without a name, the only one.
 
-    Raises `InputError` if there is no such file or more than one; ``where`` is the dataset's configuration.
+    Raises `InputError` if there is no such template or more than one; ``where`` is the dataset's configuration.
     """
-    if not files:
+    if not templates:
         raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
-    if not wanted and len(files) == 1:
-        return next(iter(files.items()))
-    ends = _called(files, wanted)
-    if len(ends) == 1:
-        return ends[0], files[ends[0]]
-    names = [handle.rpartition("/")[2] for handle in files]
-    if not wanted or ends:
-        some = ", ".join(ends or names[:5])
-        raise InputError(f"'{where}' holds {len(files)} scenes; say which one by ?scene=NAME, one of: {some}")
+    if not wanted and len(templates) == 1:
+        return next(iter(templates.items()))
+    found = _called(templates, wanted) or _containing(templates, wanted)
+    if len(found) == 1:
+        return found[0], templates[found[0]]
+    names = [handle.rpartition("/")[2] for handle in templates]
+    if not wanted or found:
+        some = ", ".join((found or names)[:5])
+        raise InputError(f"'{where}' holds {len(templates)} scenes; say which one by ?scene=NAME, one of: {some}")
     raise unknown_name(f"scene of '{where.name}'", wanted, names)
 
 
-def _called(files: Mapping[str, Path], wanted: str) -> list[str]:
+def _called(templates: Mapping[str, _Template], wanted: str) -> list[str]:
     """Return the handles that the name ``wanted`` matches: the handle of this name, else all handles that end in it."""
-    return [wanted] if wanted in files else [handle for handle in files if handle.endswith(f"/{wanted}")]
+    return [wanted] if wanted in templates else [handle for handle in templates if handle.endswith(f"/{wanted}")]
+
+
+def _containing(templates: Mapping[str, _Template], wanted: str) -> list[str]:
+    """Return the handles that contain ``wanted`` as whole words, as ``room_0`` contains ``room``.
+
+    Habitat searches for any part of a handle.
+    """
+    whole = re.compile(rf"(?<![^\W_]){re.escape(wanted)}(?![^\W_])")
+    return [handle for handle in templates if wanted and whole.search(handle)]
 
 
 def _instance(
@@ -229,15 +309,19 @@ def _instance(
     template = told.get("template_name")
     if not isinstance(template, str):
         raise InputError(f"'{where}' has an instance without a template_name: {short_repr(told)}")
-    files = dataset.files(kind)
-    ends = _called(files, template)
+    templates = dataset.templates(kind)
+    ends = _called(templates, template)
     if len(ends) > 1:
         raise InputError(f"'{where}' names '{template}', which may be each of the {kind} {', '.join(ends[:5])}")
     if not ends:
-        names = [handle.rpartition("/")[2] for handle in files]
+        ends = _containing(templates, template)
+        if len(ends) > 1:
+            some = ", ".join(ends[:5])
+            dataset.doubts.append(f"'{template}' may be each of the {kind} {some}; the first is used, as in Habitat")
+    if not ends:
+        names = [handle.rpartition("/")[2] for handle in templates]
         raise unknown_name(f"template among the {kind} of '{dataset.path.name}'", template, names)
-    file = files[ends[0]]
-    parts, middle = dataset.placed(kind, file, textures)
+    parts, middle = dataset.placed(kind, templates[ends[0]], textures)
     try:
         textures.budget.take("meshes and copies of them", len(parts))
         textures.budget.take("triangles", sum(len(part.faces) for part in parts))

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.scenes.loaders.budget import LIMITS
-from activestructure_gym.scenes.loaders.habitat import load_habitat_scene
+from activestructure_gym.scenes.loaders.habitat import is_habitat, load_habitat_scene
+
+PUBLISHED = Path(__file__).resolve().parents[4] / "shared" / "data" / "habitat"
+CHEST = "objects/chest.object_config.json"
 
 
 def written(gltf_class, path, vertices, faces):
@@ -238,3 +241,141 @@ def test_a_scene_must_be_named_where_there_are_several(dataset):
         load_scene(f"{dataset}?scene=on")
     with pytest.raises(InputError, match="no dataset configuration"):
         load_scene("habitat:nowhere.scene_dataset_config.json")
+
+
+@pytest.fixture
+def with_configs(dataset):
+    """The dataset with changed templates: a room of twice the height, a small chest, and a chest from the defaults."""
+    content = json.loads(dataset.read_text())
+    hall = {"original_file": "stages/room.stage_config.json", "template_handle": "hall"}
+    content["stages"]["configs"] = [
+        {**hall, "attributes": {"scale": [1, 2, 1]}},
+        {"original_file": "stages/gone.stage_config.json", "template_handle": "gone", "attributes": {}},
+    ]
+    content["objects"]["default_attributes"] = {"up": [0, 0, 1], "front": [1, 0, 0]}
+    content["objects"]["configs"] = [
+        {"original_file": CHEST, "template_handle": "small", "attributes": {"scale": [1, 0.5, 1]}},
+        {"template_handle": "new", "attributes": {"render_asset": "objects/chest.glb", "units_to_meters": 0.02}},
+    ]
+    dataset.write_text(json.dumps(content))
+    return dataset
+
+
+def with_entries(dataset, kind, entries):
+    content = json.loads(dataset.read_text())
+    content[kind]["configs"] = entries
+    dataset.write_text(json.dumps(content))
+    return dataset
+
+
+def placed(dataset, *templates, stage="hall"):
+    """The scene ``one`` with objects of these templates, each 0.5 m above the origin."""
+    table(
+        dataset.parent / "scenes" / "one.scene_instance.json",
+        stage_instance={"template_name": stage},
+        object_instances=[{"template_name": name, "translation": [0, 0.5, 0]} for name in templates],
+    )
+    return load_scene(f"{dataset}?scene=one")
+
+
+def test_templates_are_defined_within_the_datasets_configuration(with_configs):
+    scene = placed(with_configs, "chest", "small", "new")
+    np.testing.assert_allclose(scene.mesh.vertices[:8].max(axis=0), [3, 2, 5.2], atol=1e-6)
+    sizes = np.ptp(boxes(scene), axis=1)
+    np.testing.assert_allclose(sizes, [[0.4, 0.6, 1.0], [0.4, 0.6, 0.5], [0.8, 1.2, 2.0]], atol=1e-6)
+
+
+def test_a_template_without_a_new_name_changes_its_original(with_configs):
+    half, tenfold = {"scale": [1, 0.5, 1]}, {"units_to_meters": 0.1}
+    with_entries(with_configs, "objects", [{"original_file": CHEST, "attributes": half}])
+    np.testing.assert_allclose(np.ptp(boxes(placed(with_configs, "chest")), axis=1), [[0.4, 0.6, 0.5]], atol=1e-6)
+    further = {"original_file": CHEST, "template_handle": "next", "attributes": tenfold}
+    with_entries(with_configs, "objects", [{"original_file": CHEST, "attributes": half}, further])
+    np.testing.assert_allclose(np.ptp(boxes(placed(with_configs, "next")), axis=1), [[4.0, 6.0, 5.0]], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("configs", "message"),
+    [
+        ({}, "configs of stages in .* must be a list of tables"),
+        ([7], "configs of stages in .* must be a list of tables"),
+        ([{"template_handle": "a"}], "an entry without attributes"),
+        ([{"attributes": {}}], "without original_file and template_handle"),
+        ([{"template_handle": "hall", "attributes": {}}], "small.scene_dataset_config.json' names no render_asset"),
+    ],
+)
+def test_configs_that_cannot_be_used_are_one_sentence(with_configs, configs, message):
+    with pytest.raises(InputError, match=message):
+        placed(with_entries(with_configs, "stages", configs), "chest")
+
+
+def test_an_original_that_is_missing_leaves_its_template_out(with_configs):
+    with pytest.raises(InputError, match="unknown template among the stages of .* 'gone'"):
+        placed(with_configs, stage="gone")
+
+
+def test_a_template_is_found_by_whole_words_of_its_name(with_configs):
+    entries = [
+        {"original_file": CHEST, "template_handle": name, "attributes": {}} for name in ("chest_oak_b", "chest_pine2_b")
+    ]
+    with_entries(with_configs, "objects", entries)
+    assert len(placed(with_configs, "oak").mesh.faces) == 24
+    with pytest.raises(InputError, match="unknown template among the objects of .* 'pine'"):
+        placed(with_configs, "pine")
+    said = "'b' may be each of the objects chest_oak_b, chest_pine2_b; the first is used"
+    with pytest.warns(InputWarning, match=said):
+        placed(with_configs, "b")
+
+
+def test_a_stage_configuration_is_a_scene_too(dataset):
+    stage = dataset.parent / "stages" / "room.stage_config.json"
+    changed(stage, up=[0, 0, 1], front=[0, 1, 0], render_asset="../assets/room.glb")
+    scene = load_scene(str(stage))
+    assert scene.name == "room"
+    np.testing.assert_allclose(np.ptp(scene.bounds, axis=0), [6, 2.6, 4], atol=1e-6)
+    odd = stage.rename(stage.with_name("[a] room.stage_config.json"))
+    assert load_scene(f"habitat:{odd}").content_hash == scene.content_hash
+    for content in ({"render_asset": "mesh.ply"}, {"render_asset": 7}, {}):  # Replica's, or unknown
+        table(stage, **content)
+        assert not is_habitat(stage)
+    stage.write_text("[")
+    assert not is_habitat(stage) and not is_habitat(stage.with_name("gone.stage_config.json"))
+
+
+@pytest.mark.parametrize("name", ["TEEsavR23oF", "00800-TEEsavR23oF", "TEEsavR23oF.basis", "val/00800-TEEsavR23oF"])
+@pytest.mark.parametrize("plain", [False, True])
+def test_scans_of_hm3d_have_their_natural_names(tmp_path, gltf, make_box, name, plain):
+    """The stages of the configuration are the copies for Habitat; a scan's own mesh next to them is read instead."""
+    kind = type(gltf)
+    for scan in ("00800-TEEsavR23oF", "00801-TEEsavR23oG"):
+        folder = tmp_path / "val" / scan
+        written(kind, folder / f"{scan[6:]}.basis.glb", *make_box((-3, -2, 0), (3, 2, 2.6)))
+        if plain:
+            written(kind, folder / f"{scan[6:]}.glb", *make_box((-2.5, -2, 0), (2.5, 2, 2.6)))
+    path = tmp_path / "hm3d.scene_dataset_config.json"
+    usual = {"up": [0, 0, 1], "front": [0, 1, 0], "origin": [0, 0, 0]}
+    table(path, stages={"default_attributes": usual, "paths": {".glb": ["val/*/*.basis.glb"]}})
+    scene = load_scene(f"{path}?scene={name}")
+    assert scene.name == "TEEsavR23oF"
+    np.testing.assert_allclose(np.ptp(scene.bounds, axis=0), [5 if plain else 6, 4, 2.6], atol=1e-6)
+    with pytest.raises(InputError, match="holds 2 scenes"):
+        load_scene(f"{path}?scene=val")
+
+
+MOVED = [[-8.9, -13.3], [11.1, 6.7]]  # scaled by 1, not by 2 as in the stage's own file, and moved by (1.1, -3.3) m
+
+
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="Habitat's test datasets are not here")
+@pytest.mark.parametrize(
+    ("file", "bounds"),
+    [
+        ("dataset_tests/dataset_0/test_dataset_0.scene_dataset_config.json", MOVED),
+        ("dataset_tests/dataset_1/test_dataset_1.scene_dataset_config.json?scene=dataset_test_scene_0", MOVED),
+        ("scenes/simple_room.stage_config.json", [[-5.25, -5.4], [5.28, 5.45]]),
+        ("scenes/stage_floor1.stage_config.json", [[-20, -20], [20, 20]]),
+    ],
+)
+def test_habitats_own_datasets(file, bounds):
+    with pytest.warns(InputWarning):  # they have no ceiling
+        scene = load_scene(f"{PUBLISHED}/{file}")
+    np.testing.assert_allclose(scene.bounds[:, :2], bounds, atol=0.01)

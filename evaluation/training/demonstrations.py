@@ -37,6 +37,7 @@ from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
 _DESCRIPTION = "demonstrations.json"
+_RECORDED = ("scores", "rewards", "ends", "actions", "terminated")  # arrays in addition to `USED_KEYS`
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class Demonstrations:
     scores: np.ndarray  # [N, K] expert's scores of K candidates, at least 0; 0 in rows without a candidate
     rewards: np.ndarray  # [N] reward of the step from this state
     ends: np.ndarray  # [N] bool: the last state of its episode
+    actions: np.ndarray  # [N] int16: the row that was taken; a share ``explore`` of them is random
+    terminated: np.ndarray  # [N] bool: the last state of an episode that ended before its budget was used up
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -123,7 +126,7 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
             raise Mismatch("it does not hold whole episodes")
     except (OSError, ValueError) as error:
         raise InputError(f"'{file}' is damaged: {error}; delete it, and its episodes are played again") from error
-    return {name: arrays[name] for name in (*USED_KEYS, "scores", "rewards", "ends")}
+    return {name: arrays[name] for name in (*USED_KEYS, *_RECORDED)}
 
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
@@ -140,7 +143,8 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
     }  # fmt: skip
     dtypes = {"action_mask": "i1", "plane_mask": "i1", "candidate_planes": "i1", "rewards": "f8"}
     layout = {name: Array(dtypes.get(name, "f4"), ("N", *shape), least=1) for name, shape in shapes.items()}
-    return layout | {"ends": Array("b1", ("N",), least=1)}
+    ends = {name: Array("b1", ("N",), least=1) for name in ("ends", "terminated")}
+    return layout | ends | {"actions": Array("i2", ("N",), low=0, least=1)}
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
@@ -150,7 +154,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     layouts = learning_layouts(world, "train", world.layouts, (*world.features, *extra))
     rng = np.random.default_rng([config.seed, number])
     truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
-    columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
+    columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, *_RECORDED)}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
         noise = draw_noise(rng) if world.noise else None
@@ -192,7 +196,10 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
             left=0.5 * (left + float(observation["budget"][0])),
             env_reward=reward,
         )
-        yield state | {"scores": scores.astype(np.float32), "rewards": earned, "ends": ended}
+        yield state | {
+            "scores": scores.astype(np.float32), "rewards": earned, "ends": ended, "actions": np.int16(action),
+            "terminated": bool(terminated),
+        }  # fmt: skip
 
 
 def _write(config: TrainingConfig, directory: Path, number: int) -> None:

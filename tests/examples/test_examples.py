@@ -56,6 +56,18 @@ def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
     assert [line for line in shown[number].splitlines() if line.strip()] == program(text)
 
 
+def test_minari_writes_and_reads_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari", reason='pip install "minari[create]" h5py')
+    pytest.importorskip("jax", reason='pip install "minari[create]"')
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    text = (ROOT / "docs" / "guide" / "training.md").read_text(encoding="utf-8")
+    (block,) = (one for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "minari" in one)
+    with pytest.warns(UserWarning):
+        exec(compile(block, "training.md", "exec"), {"__name__": "example"})
+    episodes = list(minari.load_dataset("activestructure/room-v0").iterate_episodes())
+    assert len(episodes) == 2 and all(len(one.observations["rgb"]) == len(one.actions) + 1 for one in episodes)
+
+
 def test_any_policy_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     example = load("play")
     for policy in ("hole_area", "activestructure"):

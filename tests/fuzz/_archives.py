@@ -132,7 +132,8 @@ def _episode(config: Any) -> dict[str, np.ndarray]:
     masks = {"action_mask": np.ones((3, 5), np.int8), "plane_mask": np.ones((3, planes), np.int8)}
     masks["candidate_planes"] = np.ones((3, 5, planes), np.int8)
     rewards = state["rewards"].astype(np.float64)
-    return {**state, **masks, "rewards": rewards, "ends": np.array([False, False, True])}
+    ends = {name: np.array([False, False, True]) for name in ("ends", "terminated")}
+    return {**state, **masks, **ends, "rewards": rewards, "actions": np.zeros(3, np.int16)}
 
 
 def write(files: Files, folder: Path) -> Path:

@@ -30,7 +30,8 @@ def demonstrations(seed: int, states: int = 240) -> Demonstrations:
     observations = {key: np.stack([one[key] for one in seen]) for key in USED_KEYS}
     frames = observations["candidates"][..., CANDIDATE_COLUMNS.index("frames")]
     scores = observations["candidate_features"].prod(-1) / (1 + frames / 5) * observations["action_mask"]
-    return Demonstrations(observations, scores.astype(np.float32), rng.random(states), np.arange(states) % 6 == 5)
+    ends, actions = np.arange(states) % 6 == 5, scores.argmax(axis=1).astype(np.int16)
+    return Demonstrations(observations, scores.astype(np.float32), rng.random(states), ends, actions, ends)
 
 
 @pytest.fixture(scope="module")

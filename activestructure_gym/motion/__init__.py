@@ -4,7 +4,7 @@ from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edg
 from activestructure_gym.motion.planned_paths import Agent, PlannedPath, least_frames
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
-from activestructure_gym.motion.segments import PathSegment, recorded_segments, regular_segments
+from activestructure_gym.motion.segments import PathSegment, recorded_segments, regular_segments, segments_at
 from activestructure_gym.motion.trajectory import (
     MotionConfig,
     arrived_at,
@@ -37,6 +37,7 @@ __all__ = [
     "planar_graph",
     "recorded_segments",
     "regular_segments",
+    "segments_at",
     "unrounded_start",
     "voronoi_graph",
 ]

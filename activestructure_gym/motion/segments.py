@@ -27,11 +27,19 @@ def regular_segments(poses: np.ndarray, keyframe_every: int) -> list[PathSegment
 
     Every ``keyframe_every``-th frame and the last one are keyframes.
     """
-    frames = np.arange(2, len(poses) + 1)  # number of frames used at each pose after the first
-    mapped = (frames % keyframe_every == 0) | (frames == len(poses))
+    frames = np.arange(1, len(poses) + 1)  # number of frames used at each pose
+    return segments_at(poses, (frames % keyframe_every == 0) | (frames == len(poses)))
+
+
+def segments_at(poses: np.ndarray, keyframes: np.ndarray) -> list[PathSegment]:
+    """Split a trajectory [T, 4, 4] into segments of four keyframes. Its first pose is the start.
+
+    ``keyframes`` [T] is True at poses to map; the first pose is always mapped.
+    """
+    mapped = keyframes[1:]
     ends = np.flatnonzero(mapped)[KEYFRAMES_PER_SEGMENT - 1 :: KEYFRAMES_PER_SEGMENT] + 1
     segments = []
-    for begin, end in zip([0, *ends], [*ends, len(frames)]):
+    for begin, end in zip([0, *ends], [*ends, len(mapped)]):
         if begin < end:
             factors = tuple(int(keyframe) for keyframe in mapped[begin:end])
             segments.append(PathSegment(poses[1 + begin : 1 + end], factors))

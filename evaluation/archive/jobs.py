@@ -30,7 +30,8 @@ CELL = ("scene", "policy", "seed", "scene_hash")  # fields that differ between t
 _HASH_DIGITS = 12
 MAX_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # digits of a content hash in a label
-_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose")  # generic names of trajectory files and folders
+# Generic names of trajectory files and folders.
+_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose", "transforms", "images", "data")
 _RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # end of a run directory's name
 _MAX_NAME_CHARACTERS = 80  # maximum length of the scene, and of the policy, in a directory's name
 
@@ -242,7 +243,8 @@ def policy_label(spec: Spec) -> str:
         file = PurePath(path)
         name = file.parent.name if file.stem in _USUAL_STEMS and file.parent.name else file.stem
         name = "--".join(name.split("--")[1:3]) if _RUN.search(name) else name
-        return Spec.joined(f"{TRAJECTORY}{name}@{digits}", spec.query)
+        query = re.sub(r"=[^&]*/([^/&]*?)(\.\w*)?(?=@)", r"=\1", spec.query)  # files of options without their folders
+        return Spec.joined(f"{TRAJECTORY}{name}@{digits}", query)
     if spec.kind != "checkpoint" or not at:
         return spec
     file = PurePath(path)

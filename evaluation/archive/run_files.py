@@ -83,8 +83,11 @@ _MEASURED = (
     *(metric.name for metric in STANDARD), *(f"tsdf_{metric.name}" for metric in SURFACE), "observed_area",
     *LATE.values(),
 )  # fmt: skip
-# Metrics of runs that follow a given trajectory.
-_FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
+# Metrics of runs that follow a given trajectory; those of the second line only with a reference trajectory.
+_FOLLOWED = (
+    "largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside",
+    "ate_m", "rpe_m", "rpe_deg", "poses_matched", "align_scale",
+)  # fmt: skip
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": maybe(number())}
 _POINT_MORE = {name: maybe(number()) for name in CURVE_MEASURES if name not in _POINT}

@@ -39,6 +39,13 @@ class TrajectoryOptions:
     """Read poses that map world to camera."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
     """Put the first pose here, for files in the frame of their first camera (write --start=-1,2,1.4,90)."""
+    keyframes: Annotated[str, option("all|N|FILE", "")] = ""
+    """Map all poses, every N-th, or those that a file lists by index or time stamp; by default every
+    `keyframe_every`-th, or those of the run."""
+    reference: Annotated[str | None, option("FILE", "")] = None
+    """Measure ATE and RPE of the poses against this trajectory, which is in the frame of the scene."""
+    align: Literal["none", "se3", "sim3"] = "none"
+    """Move the poses to the reference before they are mapped: rigidly (se3) or with a scale (sim3)."""
     mappers: NoNames = ()
     """Map by default, splatam, monogs, gaussian_slam or co_slam, one run for each."""
     seeds: Annotated[tuple[str, ...], option("N [N ...]", "")] = ()
@@ -85,7 +92,11 @@ def _asked(options: ReplayTrajectory, run: Run | None) -> tuple[Compare, Compari
         axes=options.axes or "",
         inverted=options.inverted,
         start=parse_start(options.start),
+        keyframes=options.keyframes,
+        reference=options.reference or "",
+        align="" if options.align == "none" else options.align,
     )
+    given.check()
     specs = [replace(given, mapper=name).spec for name in split_list(options.mappers) or ("",)]
     same = {one.name: getattr(options, one.name) for kind in (RunOptions, ConditionOptions) for one in fields(kind)}
     asked = Compare(**same, scenes=(options.scene or "",), policies=tuple(specs), seeds=options.seeds or None)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,24 +19,28 @@ import numpy as np
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.archive.jobs import TRAJECTORY
+from activestructure_gym.evaluation.trajectories.alignment import matched, trajectory_errors, umeyama
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
 from activestructure_gym.evaluation.trajectories.formats import (
     QUATERNIONS,
+    RecordedPoses,
     arrays_of,
     find_file,
     pose_files,
-    read_poses,
+    read_recorded,
     scan_text,
 )
+from activestructure_gym.evaluation.trajectories.keyframes import every_of, listed_poses
 from activestructure_gym.mapping import MAPPERS
-from activestructure_gym.motion import PathSegment, recorded_segments, regular_segments
+from activestructure_gym.motion import PathSegment, recorded_segments, regular_segments, segments_at
 from activestructure_gym.specs import Spec, number_text, typed_options
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
 
 SWEEP, PASSIVE = "sweep", "passive"  # names used instead of a file
+ALIGNMENTS = ("se3", "sim3")  # rotation and translation, without and with scale
 _DIGITS = 8  # number of digits of the file's SHA-256 in a spec
 _ROOM = 1e-3  # metres; body radius for given poses, which may be nearer to surfaces than planned ones
 
@@ -52,21 +56,31 @@ class TrajectorySpec:
     inverted: bool = False  # whether poses map world to camera
     start: tuple[float, float, float, float] | None = None  # x, y, z in metres and yaw in degrees of the first pose
     mapper: str = ""  # name of the mapper; empty: the mapper of the configuration
+    keyframes: str = ""  # poses to map: "all", every N-th, or a file of indices or time stamps; empty: as configured
+    reference: str = ""  # file of the reference trajectory, in the frame of the scene; empty: none
+    align: str = ""  # one of `ALIGNMENTS`, by which the trajectory is moved to the reference; empty: not moved
 
     @classmethod
     def of(cls, spec: Spec) -> TrajectorySpec:
         """Parse a spec such as ``trajectory:FILE?axes=opengl&mapper=splatam``; raise `InputError` for a wrong one."""
-        name = spec.place
-        place, at, digits = name.rpartition("@")
-        if not at or len(digits) != _DIGITS or Path(os.path.expanduser(name)).exists():
-            place, digits = name, ""
+        place, digits = _split(spec.place)
         options = typed_options("a trajectory", cls, spec.options(f"'{spec}'"), apart=("place", "digits"))
         given = cls(place, digits, **options)
         if given.mapper and given.mapper not in MAPPERS:
             raise unknown_name("mapper", given.mapper, MAPPERS)
         if not given.of_file and set(options) - {"mapper"}:
             raise InputError(f"'{spec}': a {place} is made for the scene and takes the option mapper alone")
+        given.check()
         return given
+
+    def check(self) -> None:
+        """Raise `InputError` if the options that place the trajectory do not fit each other."""
+        if self.align and self.align not in ALIGNMENTS:
+            raise unknown_name("alignment", self.align, ALIGNMENTS)
+        if self.align and not self.reference:
+            raise InputError("an alignment needs the trajectory to align to: give a reference as well")
+        if self.align and self.start is not None:
+            raise InputError("an alignment and a start both place the trajectory: give one of them")
 
     @property
     def of_file(self) -> bool:
@@ -79,8 +93,8 @@ class TrajectorySpec:
         if not self.of_file:
             return None
         file, kind = self.file()
-        poses = read_poses(file, kind)
-        return ResolvedTrajectory(poses, _segments(file, kind, poses, 1)).frames
+        recorded = read_recorded(file, kind)
+        return ResolvedTrajectory(recorded.poses, self._segments(file, kind, recorded, 1)).frames
 
     @property
     def spec(self) -> Spec:
@@ -93,25 +107,41 @@ class TrajectorySpec:
         file, kind = self.file()
         usual = USUAL.get(kind, "opencv")
         options = {
+            "align": self.align,
             "axes": self.axes if self.axes not in ("", usual) else "",
             "format": kind if kind != find_file(file)[1] else "",
             "inverted": "true" if self.inverted else "",
+            "keyframes": self._keyframes,
             "mapper": self.mapper,
+            "reference": _with_digits(self._reference.file()[0]) if self.reference else "",
             "start": ",".join(map(number_text, self.start or ())),
         }
         query = "&".join(f"{key}={value}" for key, value in options.items() if value)
-        return Spec.joined(f"{TRAJECTORY}{file}@{_digits(file)}", query)
+        return Spec.joined(TRAJECTORY + _with_digits(file), query)
+
+    @property
+    def _keyframes(self) -> str:
+        """Return the canonical option ``keyframes``; a file has an absolute path and digits of its checksum."""
+        if not self.keyframes:
+            return ""
+        every = every_of(self.keyframes)
+        return str(every) if every else _with_digits(_listing(self.keyframes))
 
     def file(self) -> tuple[Path, str]:
         """Return the path of the file (or folder) and its format; raise `InputError` if its content has changed."""
         file, kind = find_file(self.place, self.format)
         # A symbolic link to a folder is not resolved, because the scan's text file is next to the link.
         file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()
-        if any(letter in str(file) for letter in "?@,&"):
-            raise InputError(f"'{file}' has one of ? @ , & in its name, which separate options: rename it")
-        if self.digits and _digits(file) != self.digits:
-            raise InputError(f"the trajectory '{file}' has changed: expected {self.digits}, found {_digits(file)}")
+        _check_digits(file, self.digits)
         return file, kind
+
+    @property
+    def _reference(self) -> TrajectorySpec:
+        """Return the reference trajectory, whose axes are those given for this one, or the usual ones of its format."""
+        given = TrajectorySpec(*_split(self.reference), axes=self.axes)
+        if not given.of_file:
+            raise InputError(f"a reference trajectory is a file of poses, got '{self.reference}'")
+        return given
 
     def changes(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
         """Return the changes of the preset by key: ``overrides``, the mapper, and for given poses the body radius."""
@@ -134,15 +164,43 @@ class TrajectorySpec:
         if not self.of_file:
             return None
         file, kind = self.file()
-        written = read_poses(file, kind)
+        recorded = read_recorded(file, kind)
+        written = recorded.poses
         axes = self.axes or USUAL.get(kind, "opencv")
         poses = in_our_axes(written, axes, inverted=self.inverted)
+        errors: dict[str, float] = {}
         if self.start is not None:
             poses = begun_at(poses, as_pose(self.start))
+        if self.reference:
+            poses, errors = self._compared(poses, recorded.stamps)
         name = f"{file.name}' in '{truth.scene.name}"
         clearance_at, quaternions = truth.free_space.clearance_at, kind in QUATERNIONS
         fit = checked(clearance_at, written, poses, axes, self.inverted, name, quaternions=quaternions)
-        return ResolvedTrajectory(poses, _segments(file, kind, poses, keyframe_every), fit.outside)
+        segments = self._segments(file, kind, replace(recorded, poses=poses), keyframe_every)
+        return ResolvedTrajectory(poses, segments, fit.outside, errors)
+
+    def _compared(self, poses: np.ndarray, stamps: np.ndarray | None) -> tuple[np.ndarray, dict[str, float]]:
+        """Return the poses [T, 4, 4], aligned to the reference if asked, and their errors (see `trajectory_errors`)."""
+        given = self._reference
+        file, kind = given.file()
+        found = read_recorded(file, kind)
+        reference = in_our_axes(found.poses, given.axes or USUAL.get(kind, "opencv"))
+        ours, theirs = matched(len(poses), stamps, len(reference), found.stamps)
+        scale = {}
+        if self.align:
+            moved = umeyama(poses[ours, :3, 3], reference[theirs, :3, 3], with_scale=self.align == "sim3")
+            poses, scale = moved.moved(poses), {"align_scale": moved.scale}
+        return poses, trajectory_errors(poses[ours], reference[theirs]) | scale
+
+    def _segments(self, file: Path, kind: str, recorded: RecordedPoses, keyframe_every: int) -> Sequence[PathSegment]:
+        """Return the segments with the keyframes of the option, of a run, or every ``keyframe_every``-th."""
+        poses = recorded.poses
+        if not self.keyframes:
+            return _segments(file, kind, poses, keyframe_every)
+        every = every_of(self.keyframes)
+        if every is not None:
+            return regular_segments(poses, every)
+        return segments_at(poses, listed_poses(_listing(self.keyframes), len(poses), recorded.stamps))
 
 
 @dataclass(frozen=True)
@@ -152,6 +210,7 @@ class ResolvedTrajectory:
     poses: np.ndarray  # [T, 4, 4] world_from_camera
     segments: Sequence[PathSegment]  # the poses with their keyframes, one segment per step
     outside: int = 0  # number of poses outside of the scene's free space
+    errors: Mapping[str, float] = field(default_factory=dict)  # to the reference trajectory; empty without one
 
     @property
     def frames(self) -> int:
@@ -185,6 +244,37 @@ def with_mappers(policies: Sequence[Spec], mappers: Sequence[str]) -> list[Spec]
             else [policy]
         )
     ]
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Split ``FILE@DIGITS`` into the file and the digits of its checksum, which are "" if none are given."""
+    place, at, digits = text.rpartition("@")
+    if not at or len(digits) != _DIGITS or Path(os.path.expanduser(text)).exists():
+        return text, ""
+    return place, digits
+
+
+def _check_digits(file: Path, digits: str) -> None:
+    """Raise `InputError` if the name of a file has characters of a spec, or if its checksum is not ``digits``."""
+    if any(letter in str(file) for letter in "?@,&"):
+        raise InputError(f"'{file}' has one of ? @ , & in its name, which separate options: rename it")
+    if digits and _digits(file) != digits:
+        raise InputError(f"the file '{file}' has changed: expected {digits}, found {_digits(file)}")
+
+
+def _listing(text: str) -> Path:
+    """Return the path of a list of keyframes, ``FILE`` or ``FILE@DIGITS``; raise `InputError` if it has changed."""
+    place, digits = _split(text)
+    file = Path(os.path.expanduser(place)).resolve()
+    if not file.is_file():
+        raise InputError(f"there is no list of keyframes '{place}'; give all, a number from 1, or a file")
+    _check_digits(file, digits)
+    return file
+
+
+def _with_digits(file: Path) -> str:
+    """Return ``FILE@DIGITS``, a path with the first digits of the file's checksum."""
+    return f"{file}@{_digits(file)}"
 
 
 def _digits(file: Path) -> str:

@@ -95,8 +95,9 @@ def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryP
 def followed_metrics(env: TrajectoryEnv) -> dict[str, float]:
     """Return the motion statistics of the executed trajectory, and its number of poses outside the free space.
 
-    The statistics compare steps (metres) and turns (degrees) with the motion limits, see `motion_report`.
+    The statistics compare steps (metres) and turns (degrees) with the motion limits, see `motion_report`. With a
+    reference trajectory the errors of `trajectory_errors` are added.
     """
     motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
     report = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
-    return {**report, "poses_outside": env.resolved.outside}
+    return {**report, "poses_outside": env.resolved.outside, **env.resolved.errors}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.motion import recorded_segments, regular_segments
+from activestructure_gym.motion import recorded_segments, regular_segments, segments_at
 
 
 def poses(count: int) -> np.ndarray:
@@ -23,6 +23,13 @@ def test_every_fifth_frame_and_the_last_are_keyframes_of_a_bare_trajectory() -> 
     np.testing.assert_array_equal(np.concatenate([segment.poses for segment in segments]), poses(23)[1:])
     assert regular_segments(poses(1), 5) == []
     assert [segment.refine_factors for segment in regular_segments(poses(2), 5)] == [(1,)]
+
+
+def test_listed_poses_are_the_keyframes_and_the_rest_is_followed() -> None:
+    mask = np.isin(np.arange(9), [0, 2, 3, 4, 5])
+    segments = segments_at(poses(9), mask)
+    assert [segment.refine_factors for segment in segments] == [(0, 1, 1, 1, 1), (0, 0, 0)]
+    assert [len(segment.poses) for segment in segments_at(poses(4), np.zeros(4, dtype=bool))] == [3]
 
 
 def arrays() -> dict[str, np.ndarray]:

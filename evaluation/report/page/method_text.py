@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from activestructure_gym.errors import pluralised
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import (
@@ -175,11 +177,38 @@ def trajectories_text(results: Results) -> list[str]:
             f"`{name}` ({total['frames']} frames) {total['collisions']} collisions, {total['poses_outside']} poses "
             f"outside free space, {total['steps_too_long']} steps over {step:g} m (largest "
             f"{most['largest_step_m']:.2f} m), {total['turns_too_wide']} turns over {turn:g} degrees (largest "
-            f"{most['largest_turn_deg']:.0f})"
+            f"{most['largest_turn_deg']:.0f}){_mapped_text(runs)}{_errors_text(runs)}"
         )
     return [f"Given trajectories, followed without planning: {'; '.join(texts)}."] if texts else []
 
 
+def _mapped_text(runs: Sequence[Run]) -> str:
+    """Return the number of mapped poses, with their indices if all runs have mapped the same ones."""
+    keyframes = [run.trajectory["keyframes"].tolist() for run in runs]
+    mapped, total = sum(map(len, keyframes)), sum(len(run.trajectory["world_from_camera"]) for run in runs)
+    same = mapped < total and all(one == keyframes[0] for one in keyframes)
+    shown = [*map(str, keyframes[0])]
+    if len(shown) > 2 * _SHOWN:
+        shown[_SHOWN:-1] = ["..."]
+    return f", {mapped} of {pluralised(total, 'pose')} mapped" + (f" (from 0: {', '.join(shown)})" if same else "")
+
+
+def _errors_text(runs: Sequence[Run]) -> str:
+    """Return the mean errors to a reference trajectory; empty without one."""
+    found = [run.metrics["metrics"] for run in runs if "ate_m" in run.metrics["metrics"]]
+    if not found:
+        return ""
+    mean = {key: sum(one.get(key, 0.0) for one in found) / len(found) for key in _ERRORS}
+    text = (
+        f", ATE {mean['ate_m']:.4f} m, RPE {mean['rpe_m']:.4f} m and {mean['rpe_deg']:.3f} degrees (root mean squares, "
+        f"{mean['poses_matched']:.0f} poses matched to the reference"
+    )
+    scale = [one["align_scale"] for one in found if "align_scale" in one]
+    return text + (f", aligned with scale {sum(scale) / len(scale):.4f})" if scale else ", not aligned)")
+
+
+_SHOWN = 5  # largest number of mapped poses that are listed before the last one
+_ERRORS = ("ate_m", "rpe_m", "rpe_deg", "poses_matched")
 _COUNTS = ("frames", "collisions", "poses_outside", "steps_too_long", "turns_too_wide")
 _MOTION_KEYS = ("largest_step_m", "largest_turn_deg")
 

@@ -30,6 +30,10 @@ def test_a_file_costs_as_many_frames_as_it_has_poses(tmp_path: Path) -> None:
         "axes=opengl&mapper=splatam",
         "axes=opengl&mapper=default",
     ]
+    placed = asked(place, scene="box", keyframes="all", reference=place, align="se3").policies[0]
+    assert placed.partition("?")[2].startswith(f"align=se3&keyframes=1&reference={place}@")
+    with pytest.raises(InputError, match="an alignment needs the trajectory to align to"):
+        asked(place, scene="box", align="se3")
     assert asked(place, scene="box", frames=5).conditions.frame_budget == 5
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from activestructure_gym.evaluation.references.trajectory import TrajectorySpec,
 from activestructure_gym.evaluation.report.page.method_text import trajectories_text
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.comparison import Comparison
-from activestructure_gym.evaluation.trajectories.formats import read_poses
+from activestructure_gym.evaluation.trajectories.formats import read_poses, read_recorded
 from activestructure_gym.geometry import look_along
 from activestructure_gym.specs import Spec
 
@@ -121,6 +122,51 @@ def test_a_trajectory_has_one_name_and_is_known_by_its_content(played: Run, tmp_
         named_trajectory(f"trajectory:{file}?mapper=splatan")
     with pytest.raises(InputError, match="which separate options: rename it"):
         named_trajectory(f"trajectory:{shutil.copy(file, tmp_path / 'a&b.txt')}")
+
+
+def test_a_trajectory_in_its_own_frame_is_aligned_mapped_and_compared(played: Run, tmp_path: Path) -> None:
+    reference = flown(played.trajectory["world_from_camera"][0])
+    reference[:, :3, 3] += 0.05 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]])
+    away = look_along(np.array([3.0, -2.0, 9.0]), np.array([0.0, 1.0, 0.0]))
+    own = away @ reference
+    own[:, :3, 3] = own[:, :3, 3] * 2.0
+    own[-1, :3, 3] += 0.01
+    files = [write(tmp_path / "own.txt", own), write(tmp_path / "reference.txt", reference), tmp_path / "list.txt"]
+    files[2].write_text("1\n2\n3\n4\n")
+    spec = f"trajectory:{files[0]}?reference={files[1]}&align=sim3&keyframes={files[2]}"
+    (run,) = compare(["box"], [spec], tmp_path / "runs", **USUAL).runs
+    numbers = run.metrics["metrics"]
+    assert numbers["align_scale"] == pytest.approx(0.5, rel=0.05) and numbers["poses_matched"] == 6
+    assert 1e-4 < numbers["ate_m"] < 0.01 and 0 < numbers["rpe_deg"] < 1.0
+    np.testing.assert_allclose(run.trajectory["world_from_camera"][:, :3, 3], reference[:, :3, 3], atol=0.01)
+    assert run.trajectory["keyframes"].tolist() == [0, 1, 2, 3, 4] and numbers["keyframes"] == 5
+    (told,) = trajectories_text(gather([tmp_path / "runs"]))
+    assert "5 of 6 poses mapped (from 0: 0, 1, 2, 3, 4)" in told
+    assert f"ATE {numbers['ate_m']:.4f} m, RPE {numbers['rpe_m']:.4f} m and {numbers['rpe_deg']:.3f} degrees" in told
+    assert f"6 poses matched to the reference, aligned with scale {numbers['align_scale']:.4f}" in told
+    assert re.search(r"align=sim3&keyframes=list@[0-9a-f]{8}&reference=reference@[0-9a-f]{8}$", run.policy)
+    files[2].write_text("1\n")
+    with pytest.raises(InputError, match=r"list.txt' has changed: expected"):
+        named_trajectory(run.job.policy)
+
+
+def test_options_of_keyframes_and_references_are_checked(tmp_path: Path) -> None:
+    file = write(tmp_path / "way.txt", flown(np.eye(4)))
+    assert named_trajectory(f"trajectory:{file}?keyframes=all").endswith("?keyframes=1")
+    assert [len(one.refine_factors) for one in TrajectorySpec.of(Spec(f"trajectory:{file}?keyframes=2"))._segments(
+        file, "nice_slam", read_recorded(file), 99
+    )] == [5]  # fmt: skip
+    for options, said in (
+        ("align=sim3", "an alignment needs the trajectory to align to"),
+        (f"reference={file}&align=rigid", "unknown alignment 'rigid'"),
+        (f"reference={file}&align=se3&start=0,0,1,0", "an alignment and a start both place the trajectory"),
+        ("reference=passive", "a reference trajectory is a file of poses"),
+        (f"reference={tmp_path / 'none.txt'}", "there is no trajectory"),
+        ("keyframes=none.txt", "there is no list of keyframes 'none.txt'; give all, a number from 1, or a file"),
+        ("keyframes=0", "keyframes must be all, a number from 1, or a file"),
+    ):
+        with pytest.raises(InputError, match=said):
+            named_trajectory(f"trajectory:{file}?{options}")
 
 
 def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:

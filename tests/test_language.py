@@ -62,6 +62,7 @@ READ = (
     "evaluation/archive",
     "evaluation/benchmarks",
     "evaluation/cli",
+    "evaluation/export",
     "evaluation/machine",
     "evaluation/metrics",
     "evaluation/protocols",

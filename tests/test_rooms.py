@@ -49,7 +49,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("evaluation.references",),
     ("evaluation.running",),
     ("explorer",),
-    ("evaluation.replay", "evaluation.reproduction"),
+    ("evaluation.export", "evaluation.replay", "evaluation.reproduction"),
     ("evaluation.training",),
     ("evaluation.benchmarks",),
     ("evaluation.cli",),

@@ -1,84 +1,188 @@
-"""Define ``asg export``, which writes a run's map in a format that other programs read."""
+"""Define ``asg export``, which writes a run's map, pictures, poses or surface in formats that other programs read."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from activestructure_gym.errors import InputError, one_line
-from activestructure_gym.evaluation.cli.fields import Out, option
+from activestructure_gym.evaluation.cli.fields import Out, Switch, option
+from activestructure_gym.evaluation.cli.options import use_trust
+from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.streams import say
 
-_FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}  # format by file extension
-_NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}  # default file name by format
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.store import Run
+    from activestructure_gym.mapping.axes import UpInFile
+
+Format = Literal["ply", "splat", "splatam", "mesh", "nerfstudio", "colmap", "tum"]
+# Default name in the working directory, and the allowed file extensions; none for a folder.
+_FORMATS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "ply": ("map.ply", (".ply",)),
+    "splat": ("map.splat", (".splat",)),
+    "splatam": ("params.npz", (".npz",)),
+    "mesh": ("surface.glb", (".glb", ".ply")),
+    "nerfstudio": ("nerfstudio", ()),
+    "colmap": ("colmap", ()),
+    "tum": ("trajectory.txt", (".txt",)),
+}
+_BY_EXTENSION = {".ply": "ply", ".splat": "splat", ".npz": "splatam", ".glb": "mesh", ".txt": "tum"}
+_DATA_SETS = ("nerfstudio", "colmap")
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a run's map for other programs."""
+    """Write a run for other programs: its map, its views for offline training, its poses, its surface."""
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
-    """Export the map of the run in this directory."""
-    format: Annotated[Literal["ply", "splat", "splatam"] | None, option("ply|splat|splatam", "")] = None
-    """Write a 3DGS PLY, a .splat file, or SplaTAM's params.npz (default: by the name in --out, else ply)."""
+    """Export the run in this directory."""
+    format: Annotated[Format | None, option("|".join(_FORMATS), "")] = None
+    """Write the map (ply, splat, splatam), the mesh, the views or the poses (default: by --out's name, else ply)."""
     out: Out = None
-    """Write this file, .ply, .splat or .npz (default: map.ply, map.splat or params.npz in the working directory)."""
-    up: Literal["z", "y", "-y"] = "z"
-    """Turn the map: z is up as in the scene, -y for most splat viewers, y for three.js and game engines."""
+    """Write this file, or this new folder for nerfstudio and colmap (default: a name in the working directory)."""
+    size: Annotated[str | None, option("WxH", "")] = None
+    """Draw the pictures of nerfstudio and colmap with so many pixels (default: the sensor's)."""
+    frames: Annotated[Literal["keyframes", "all"] | None, option("keyframes|all", "")] = None
+    """Write the keyframes or all executed poses (default: keyframes; for tum all)."""
+    up: Annotated[Literal["z", "y", "-y"] | None, option("z|y|-y", "")] = None
+    """Turn map or mesh: z is up as in the scene (default; .glb: y), -y for most splat viewers, y for game engines."""
+    trust_code: Switch = False
+    """Run code (package.module:name) that the run names as its scene."""
 
     def run(self) -> int:
-        """Write the map file, and print its number of Gaussians and its frame in one line."""
+        """Write the file or the folder, and print its content in one line."""
         from activestructure_gym.evaluation.archive.store import read_run
         from activestructure_gym.evaluation.archive.temporary import writing
-        from activestructure_gym.evaluation.protocols import CameraPath
-        from activestructure_gym.mapping.axes import FILE_FROM_WORLD, turned_map
-        from activestructure_gym.mapping.ply import write_ply
-        from activestructure_gym.mapping.splat_file import write_splat
-        from activestructure_gym.mapping.splatam_file import write_splatam
 
         out, form = destination(self)
-        if form == "splatam" and self.up != "z":
-            raise InputError(
-                f"--up {self.up} is for ply and splat: SplaTAM's params.npz is in the frame of its first camera"
-            )
+        size = _checked(self, form)
+        use_trust(self.trust_code)
         run = read_run(Path(self.run_directory))
-        gaussians = run.gaussians
-        if self.up != "z":
-            gaussians = turned_map(gaussians, FILE_FROM_WORLD[self.up])
         with writing(out):
-            if out.is_dir():
+            if form not in _DATA_SETS and out.is_dir():
                 raise InputError(f"'{out}' is a folder; give the name of the file to write")
-            if not out.parent.is_dir():
+            if not out.absolute().parent.is_dir():
                 raise InputError(f"'{out}' cannot be written: there is no folder '{out.parent}'")
-            if form == "ply":
-                write_ply(gaussians, out, up=self.up)
-            elif form == "splat":
-                write_splat(gaussians, out)
+            if form in _DATA_SETS:
+                content = _write_data_set(run, out, form, self.frames or "keyframes", size)
+            elif form == "tum":
+                content = _write_poses(run, out, self.frames or "all")
+            elif form == "mesh":
+                content = _write_mesh(run, out, self.up or ("y" if out.suffix.lower() == ".glb" else "z"))
             else:
-                path = run.trajectory
-                camera = CameraPath.from_arrays(path).camera
-                write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
-        frame = "in its first camera's frame" if form == "splatam" else f"{self.up} up"
-        say(one_line(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}"))
+                content = _write_map(run, out, form, self.up or "z")
+        say(one_line(f"{out}: {content}"))
         return 0
 
 
 def destination(options: Export) -> tuple[Path, str]:
-    """Return the path and the format of the file to write, from ``--out`` and ``--format``.
+    """Return the path and the format to write, from ``--out`` and ``--format``.
 
-    Raise `InputError` if the two contradict each other, or if the file extension is not one of `_FORMATS`.
+    Raise `InputError` if the two contradict each other, or if neither names a format.
     """
     if options.out is None:
-        usual = options.format or "ply"
-        return Path(_NAMES[usual]), usual
+        form = options.format or "ply"
+        return Path(_FORMATS[form][0]), form
     out = Path(options.out)
-    form = _FORMATS.get(out.suffix.lower(), "")
-    if not form:
-        raise InputError(f"--out is a file that ends with .ply, .splat or .npz (SplaTAM's), got '{out}'")
-    if options.format not in (None, form):
-        suffix = next(suffix for suffix, name in _FORMATS.items() if name == options.format)
-        raise InputError(f"--format {options.format} is written into a {suffix} file, got '{out}': give one of the two")
-    return out, form
+    extension = out.suffix.lower()
+    if options.format is None:
+        if extension not in _BY_EXTENSION:
+            raise InputError(
+                f"--out is a file that ends with {', '.join(_BY_EXTENSION)}, got '{out}'; for a folder also give "
+                f"--format {' or '.join(_DATA_SETS)}"
+            )
+        return out, _BY_EXTENSION[extension]
+    allowed = _FORMATS[options.format][1]
+    if allowed and extension not in allowed:
+        raise InputError(
+            f"--format {options.format} is written into a {' or '.join(allowed)} file, got '{out}': give one of the two"
+        )
+    return out, options.format
+
+
+def _checked(options: Export, form: str) -> tuple[int, int] | None:
+    """Return the size of the pictures; raise `InputError` for options that the format does not have."""
+    if form == "splatam" and options.up not in (None, "z"):
+        raise InputError(
+            f"--up {options.up} is for ply and splat: SplaTAM's params.npz is in the frame of its first camera"
+        )
+    if options.up is not None and form in (*_DATA_SETS, "tum"):
+        raise InputError(f"--up is for maps and meshes: {form} has the scene's world, z up; leave it out")
+    if options.frames is not None and form not in (*_DATA_SETS, "tum"):
+        raise InputError(f"--frames is for nerfstudio, colmap and tum: {form} has no frames; leave it out")
+    if options.size is None:
+        return None
+    if form not in _DATA_SETS:
+        raise InputError(f"--size is for nerfstudio and colmap: {form} has no pictures; leave it out")
+    sides = re.fullmatch(r"(\d{1,6})x(\d{1,6})", options.size)
+    if sides is None:
+        raise InputError(f"--size is width x height in pixels, such as 1200x680, got '{options.size}'")
+    return int(sides[1]), int(sides[2])
+
+
+def _write_data_set(
+    run: Run, out: Path, form: str, frames: Literal["keyframes", "all"], size: tuple[int, int] | None
+) -> str:
+    """Write the pictures, poses and seed points into a new folder, and return a description."""
+    from activestructure_gym.evaluation.archive.temporary import atomic_files
+    from activestructure_gym.evaluation.export import posed_frames, write_colmap, write_nerfstudio
+    from activestructure_gym.evaluation.export.dataset import seed_points
+
+    if out.exists() and (not out.is_dir() or any(not file.name.startswith(".files-") for file in out.iterdir())):
+        raise InputError(f"'{out}' exists already and is not an empty folder: choose another folder, or remove it")
+    with working(make_console(), "loading the run") as update:
+        views = posed_frames(run, frames, size)
+
+        def report(done: int) -> None:
+            update(f"drawing {done} of {len(views)} pictures")
+
+        write: Callable[..., None] = write_colmap if form == "colmap" else write_nerfstudio
+        with atomic_files(out) as part:
+            write(views, run.gaussians, part, report)
+    pictures = f"{len(views)} pictures of {views.camera.width} x {views.camera.height} pixels with depth"
+    return f"{pictures} and {len(seed_points(run.gaussians)[0])} seed points of {run.job.title}, z up, metres"
+
+
+def _write_poses(run: Run, out: Path, frames: Literal["keyframes", "all"]) -> str:
+    from activestructure_gym.evaluation.export import write_tum
+    from activestructure_gym.evaluation.export.frames import chosen_numbers
+
+    numbers = chosen_numbers(run, frames)
+    write_tum(numbers, run.trajectory["world_from_camera"][numbers], out)
+    return f"{len(numbers)} poses of {run.job.title}, world from camera, z up, metres"
+
+
+def _write_mesh(run: Run, out: Path, up: UpInFile) -> str:
+    from activestructure_gym.evaluation.export import surface_mesh, write_mesh
+
+    with working(make_console(), "fusing the surface"):
+        mesh = surface_mesh(run)
+        write_mesh(mesh, out, up)
+    return f"{len(mesh.faces)} triangles of {run.job.title}, {up} up"
+
+
+def _write_map(run: Run, out: Path, form: str, up: UpInFile) -> str:
+    from activestructure_gym.evaluation.protocols import CameraPath
+    from activestructure_gym.mapping.axes import FILE_FROM_WORLD, turned_map
+    from activestructure_gym.mapping.ply import write_ply
+    from activestructure_gym.mapping.splat_file import write_splat
+    from activestructure_gym.mapping.splatam_file import write_splatam
+
+    gaussians = run.gaussians
+    if up != "z":
+        gaussians = turned_map(gaussians, FILE_FROM_WORLD[up])
+    if form == "ply":
+        write_ply(gaussians, out, up=up)
+    elif form == "splat":
+        write_splat(gaussians, out)
+    else:
+        path = run.trajectory
+        camera = CameraPath.from_arrays(path).camera
+        write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
+    frame = "in its first camera's frame" if form == "splatam" else f"{up} up"
+    return f"{gaussians.count} Gaussians of {run.job.title}, {frame}"

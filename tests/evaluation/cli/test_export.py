@@ -72,8 +72,16 @@ def test_the_name_says_the_format(run, tmp_path, capsys, options, name, kind):
     [
         ("--out x.splat --format ply", "--format ply is written into a .ply file, got 'x.splat'"),
         ("--out x.ply --format splatam", "--format splatam is written into a .npz file, got 'x.ply'"),
-        ("--out x.png", "ends with .ply, .splat or .npz (SplaTAM's), got 'x.png'"),
-        ("--out x", "ends with .ply, .splat or .npz"),
+        ("--out x.png", "ends with .ply, .splat, .npz, .glb, .txt, got 'x.png'; for a folder also give --format"),
+        ("--out x.ply --format tum", "--format tum is written into a .txt file, got 'x.ply'"),
+        ("--out x.obj --format mesh", "--format mesh is written into a .glb or .ply file, got 'x.obj'"),
+        ("--out x.ply --size 64x36", "--size is for nerfstudio and colmap: ply has no pictures"),
+        ("--format colmap --size 64", "--size is width x height in pixels, such as 1200x680, got '64'"),
+        ("--out x.glb --frames all", "--frames is for nerfstudio, colmap and tum: mesh has no frames"),
+        ("--format colmap --up y", "--up is for maps and meshes: colmap has the scene's world, z up"),
+        ("--format colmap --out full", "'full' exists already and is not an empty folder: choose another folder"),
+        ("--format colmap --out nowhere/x", "there is no folder 'nowhere'"),
+        ("--out x", "ends with .ply, .splat, .npz"),
         ("--out nowhere/x.ply", "there is no folder 'nowhere'"),
         (f"--out {'x' * 300}.ply", "cannot be written: File name too long"),
         ("--out taken.ply", "'taken.ply' is a folder"),
@@ -83,10 +91,25 @@ def test_the_name_says_the_format(run, tmp_path, capsys, options, name, kind):
 )
 def test_what_cannot_be_written_is_one_sentence(run, capsys, options, said):
     os.mkdir("taken.ply")
+    os.makedirs("full/images")
     assert main(["export", "run", *options.split()]) == 2
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and "Traceback" not in err
-    assert os.listdir() == ["taken.ply"]
+    assert sorted(os.listdir()) == ["full", "taken.ply"] and os.listdir("full") == ["images"]
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "stamps"),
+    [
+        ("--format tum", "trajectory.txt", [0, 1, 2]),
+        ("--out p.txt", "p.txt", [0, 1, 2]),
+        ("--out p.txt --frames keyframes", "p.txt", [0, 2]),
+    ],
+)
+def test_poses_are_stamped_with_their_frame_numbers(run, capsys, options, name, stamps):
+    assert main(["export", "run", *options.split()]) == 0
+    assert f"{name}: {len(stamps)} poses of room" in capsys.readouterr().out
+    assert np.loadtxt(name)[:, 0].tolist() == stamps and os.listdir() == [name]
 
 
 @pytest.mark.parametrize("up, mean", [("z", (1, 2, 3)), ("y", (1, 3, -2)), ("-y", (1, -3, 2))])

@@ -37,7 +37,7 @@ _DATA_SETS = ("nerfstudio", "colmap")
 
 @dataclass(frozen=True)
 class Export:
-    """Write a run for other programs: its map, its views for offline training, its poses, its surface."""
+    """Write a run's map, views, poses or mesh for other programs."""
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
     """Export the run in this directory."""

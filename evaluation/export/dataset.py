@@ -4,8 +4,8 @@ Both have PNG pictures in ``images/`` and depth in ``depth/``: 16-bit PNG, milli
 surface. Both programs place the centre of the first pixel at (0.5, 0.5), as `PinholeCamera` does, so the intrinsics are
 the camera's. Both files keep the run's world: metres, z up.
 
-Sources: [colmap, code], pages "Output Format" and "Database Format"; [nerfstudio, code], page "Data conventions" and its
-nerfstudio dataparser.
+Sources: [schoenberger2016], pages "Output Format" and "Database Format" of COLMAP; [nerfstudio], page
+"Data conventions" and the dataparser of this format.
 """
 
 from __future__ import annotations

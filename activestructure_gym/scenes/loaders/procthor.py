@@ -194,11 +194,12 @@ def _boxes(thing: dict[str, Any], doubtful: list[str], *, on_floor: bool) -> lis
     name = str(thing.get("assetId") or thing.get("id", ""))
     size, published = asset_size(name)
     middle = _points([thing["position"]])[0]
+    if size is None:
+        size = np.full(3, _USUAL if on_floor else _SMALL)
     if not published:
         doubtful.append(name)
-        size = np.full(3, _USUAL if on_floor else _SMALL) if size is None else size.copy()
         if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * size[1]:  # it is on the floor, not on a wall
-            size[1] = 2.0 * middle[2]
+            size = np.array([size[0], 2.0 * middle[2], size[2]])
     turned = thing.get("rotation") or {}
     degrees = [float(turned.get(axis, 0.0)) for axis in "yxz"]  # Unity turns about z first, then x, then y
     if not max(map(abs, degrees)) < 1e6 or np.isnan(degrees).any():

@@ -30,7 +30,7 @@ def surface_mesh(run: Run) -> trimesh.Trimesh:
     """Return the surface that the protocol ``standard`` measures, with vertex colours; metres, z up.
 
     The surface is fused from depth images of the map at the keyframes, and the colours come from its colour images
-    there. Raise `InputError` if the map has no surface, or a too large one.
+    there. Raise `InputError` if the map has no surface, or one that is too large.
     """
     import trimesh
 
@@ -64,9 +64,10 @@ def write_mesh(mesh: trimesh.Trimesh, file: Path, up: UpInFile) -> None:
     mesh.vertices = mesh.vertices @ FILE_FROM_WORLD[up].T
     with replaced(file) as stream:
         if file.suffix.lower() == ".ply":
-            stream.write(mesh.export(file_type="ply"))
-            return
-        stream.write(_glb(mesh))
+            content: Any = mesh.export(file_type="ply")
+        else:
+            content = _glb(mesh)
+        stream.write(content)
 
 
 def _glb(mesh: trimesh.Trimesh) -> bytes:
@@ -74,8 +75,10 @@ def _glb(mesh: trimesh.Trimesh) -> bytes:
 
     from activestructure_gym.scenes.loaders.mesh_parts import linear_from_srgb
 
-    colors = linear_from_srgb(mesh.visual.vertex_colors[:, :3] / 255.0).astype(np.float32)
-    attributes = {"_COLOR": colors}  # trimesh itself writes colours of 8 bits, too few for dark linear light
+    visual: Any = mesh.visual
+    colors = linear_from_srgb(visual.vertex_colors[:, :3] / 255.0).astype(np.float32)
+    # trimesh itself writes colours of 8 bits, too few for dark linear light.
+    attributes: dict[str, Any] = {"_COLOR": colors}
     plain = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_attributes=attributes, process=False)
     return bytes(trimesh.exchange.gltf.export_glb(plain.scene(), include_normals=False, tree_postprocessor=_unlit))
 

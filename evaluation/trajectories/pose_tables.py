@@ -27,7 +27,7 @@ _EUROC = (0, 1, 2, 3, 5, 6, 7, 4)  # columns of `_COLUMNS` in a file of EuRoC wi
 def columns_of(cells: Sequence[str]) -> dict[str, int]:
     """Return the indices of the columns time, x, y, z, qx, qy, qz, qw that the cells of a header name."""
     names = [cell.split("[")[0].strip(" \t\"'#%").lower().replace("/", ".") for cell in cells]
-    wanted = {"time": _TIME}
+    wanted: dict[str, tuple[str, ...]] = {"time": _TIME}
     wanted |= {axis: tuple(name.format(axis) for name in _POSITION) for axis in "xyz"}
     wanted |= {f"q{axis}": tuple(name.format(axis) for name in _ROTATION) for axis in "xyzw"}
     found: dict[str, int] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +28,19 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
 
 
 def _read(file: Path, kind: str) -> None:
+    from activestructure_gym.errors import InputError
+    from activestructure_gym.evaluation.trajectories.alignment import matched, trajectory_errors, umeyama
     from activestructure_gym.evaluation.trajectories.formats import read_recorded
+    from activestructure_gym.evaluation.trajectories.keyframes import listed_poses
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = read_recorded(file, kind)
-    assert np.isfinite(found.poses).all() and (found.stamps is None or len(found.stamps) == len(found.poses))
+    poses, stamps = found.poses, found.stamps
+    assert np.isfinite(poses).all() and (stamps is None or len(stamps) == len(poses))
+    with contextlib.suppress(InputError):  # the file as a list of keyframes
+        assert listed_poses(file, len(poses), stamps).any()
+    with contextlib.suppress(InputError):  # the file as its own reference
+        ours, theirs = matched(len(poses), stamps, len(poses), stamps)
+        assert all(np.isfinite(value) for value in trajectory_errors(poses[ours], poses[theirs]).values())
+        assert umeyama(poses[ours, :3, 3], poses[theirs, :3, 3], with_scale=True).scale > 0

@@ -77,13 +77,15 @@ def tum_poses(
     rows: np.ndarray,  # [T, 8]: time stamp in seconds, position in metres, quaternion xyzw
     path: Path,
 ) -> np.ndarray:  # [T, 4, 4]
-    """Return the poses of a TUM file; raise `InputError` for a wrong quaternion or unsorted time stamps."""
+    """Return the poses of a TUM file; raise `InputError` for a wrong quaternion or time stamp."""
     xyzw = checked_quaternions(rows[:, 4:], path)
     if (unsorted := ~(np.diff(rows[:, 0]) >= 0)).any():
         raise InputError(
             f"pose {int(np.argmax(unsorted)) + 2} of '{path}' has an earlier time stamp than the one before, or none: "
             "sort the lines"
         )
+    if not np.isfinite(rows[:, 0]).all():
+        raise InputError(f"a time stamp of '{path}' is no finite number")
     return poses_of_quaternions(rows[:, 1:4], xyzw)
 
 

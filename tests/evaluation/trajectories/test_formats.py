@@ -99,6 +99,7 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("kitti", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 -1e300 0 0 1 0\n", "pose 2 .* stands 1e"),
         ("tum", "2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
         ("tum", "0 0 0 0 0 0 0 1\nnan 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
+        ("tum", "inf 0 0 0 0 0 0 1\n", "a time stamp of .* is no finite number"),
         ("tum", "# nothing\n", "holds no pose"),
         ("redwood", LINES["nice_slam"], "a line of 3 numbers and 4 lines of 4 numbers"),
         ("redwood", "# nothing\n", "not a Redwood trajectory"),

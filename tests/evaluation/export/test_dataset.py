@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.export import PosedFrames, posed_frames, write_colmap, write_nerfstudio
 from activestructure_gym.evaluation.export.dataset import seed_points
+from activestructure_gym.evaluation.trajectories.axes import in_our_axes
+from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
 SIZE = (120, 80)  # another shape than the sensor's, so pixels are not square
@@ -39,6 +41,12 @@ def keyframes(run: Run) -> np.ndarray:
 
 def content(file: Path) -> list[str]:
     return [line for line in file.read_text().split("\n")[:-1] if not line.startswith("#")]
+
+
+def test_the_poses_are_read_back_as_a_trajectory(run: Run, colmap: Path, nerfstudio: Path) -> None:
+    for folder, kind, axes in ((colmap, "colmap", "opencv"), (nerfstudio, "nerfstudio", "opengl")):
+        assert find_file(folder)[1] == kind
+        np.testing.assert_allclose(in_our_axes(read_poses(folder), axes), keyframes(run), atol=1e-12)
 
 
 def test_the_text_model_says_camera_poses_and_points(run: Run, colmap: Path) -> None:

@@ -33,7 +33,7 @@ from activestructure_gym.evaluation.cli.parsing import gathered, parse
         ("bench", "Expected one of {.*splatting"),
         ("train", "Expected one of {bc, rank, ppo, eval}"),
         ("train ''", "bc, rank, ppo, eval"),
-        ("list", "Expected one of {policies, scenes, features, config}"),
+        ("list", "Expected one of {policies, scenes, worlds, features, config}"),
         ("train rank --temperature 2", "--temperature X .*in asg train bc --help"),
         ("train --seed 3 bc", "--seed N .*in asg train bc --help"),
     ],

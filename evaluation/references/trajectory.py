@@ -173,7 +173,7 @@ class TrajectorySpec:
             poses = begun_at(poses, as_pose(self.start))
         if self.reference:
             poses, errors = self._compared(poses, recorded.stamps)
-        name = f"{file.name}' in '{truth.scene.name}"
+        name = f"{file.name}' ({kind}) in '{truth.scene.name}"
         clearance_at, quaternions = truth.free_space.clearance_at, kind in QUATERNIONS
         fit = checked(clearance_at, written, poses, axes, self.inverted, name, quaternions=quaternions)
         segments = self._segments(file, kind, replace(recorded, poses=poses), keyframe_every)

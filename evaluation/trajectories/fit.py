@@ -120,5 +120,6 @@ def checked(
         raise InputError(f"{wrong}; the most likely convention is {other.words}")
     raise InputError(
         f"{wrong}, in every convention that is known ({', '.join(AXES)}): check units (metres) and the frame; "
-        "--start x,y,z,yaw says where a trajectory in its first camera's frame begins"
+        "--start x,y,z,yaw says where a trajectory in its first camera's frame begins, and --align moves one in "
+        "another frame to a --reference"
     )

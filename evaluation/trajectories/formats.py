@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -120,6 +120,17 @@ def read_recorded(place: str | os.PathLike[str], kind: str = "auto") -> Recorded
     or if a pose is not a rigid motion.
     """
     path, kind = find_file(place, kind)
+    try:
+        recorded = _read(path, kind)
+        if not 1 <= len(recorded.poses) <= MAX_POSES:
+            raise InputError(f"'{path}' holds {len(recorded.poses)} poses, from 1 to {MAX_POSES} are read")
+        return replace(recorded, poses=rigid_poses(recorded.poses, path))
+    except InputError as error:
+        raise InputError(f"{error} (read as {kind})") from error
+
+
+def _read(path: Path, kind: str) -> RecordedPoses:
+    """Read the poses of a file as written, and its time stamps."""
     stamps = None
     if kind == "npz":
         poses = np.asarray(arrays_of(path)["world_from_camera"], dtype=np.float64)
@@ -138,9 +149,7 @@ def read_recorded(place: str | os.PathLike[str], kind: str = "auto") -> Recorded
             stamps = rows[:, 0] * (1e-9 if np.abs(rows[:, 0]).max() > _NANOSECONDS else 1.0)
     if kind == "scannetpp":
         poses = _known(poses, path)
-    if not 1 <= len(poses) <= MAX_POSES:
-        raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MAX_POSES} are read")
-    return RecordedPoses(rigid_poses(poses, path), stamps)
+    return RecordedPoses(poses, stamps)
 
 
 def arrays_of(path: Path) -> dict[str, np.ndarray]:

@@ -29,6 +29,7 @@ _ENTRANCES = (
     "hm3d/00001-h1",
     "procthor:house.json",
     "data.scene_dataset_config.json",
+    "hab/s.stage_config.json",
     "redwood",
     "tum",
 )
@@ -109,6 +110,7 @@ def layout() -> dict[str, bytes]:
         "roomId": "r",
     }
     floor = [{"x": x, "y": 0, "z": z} for x, z in ((0, 0), (0, 3), (4, 3), (4, 0))]
+    chair = {"assetId": "Chair_007_1", "position": {"x": 2, "y": 0.5, "z": 1}, "rotation": {"x": 0, "y": 90, "z": 0}}
     files |= {
         "scan/scene0000_00/scene0000_00_vh_clean_2.ply": mesh,
         "scan/scene0000_00/scene0000_00.txt": b"axisAlignment = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n",
@@ -116,16 +118,22 @@ def layout() -> dict[str, bytes]:
         "scan/scene0000_00/pose/1.txt": b"-inf " * 16,
         "scanpp/a1/scans/mesh_aligned_0.05.ply": mesh,
         "hm3d/00001-h1/h1.glb": rooms()["glb"]["room.glb"],
-        "house.json": json.dumps({"rooms": [{"id": "r", "floorPolygon": floor}], "walls": [wall]}).encode(),
+        "house.json": json.dumps(
+            {"rooms": [{"id": "r", "floorPolygon": floor}], "walls": [wall], "objects": [chair]}
+        ).encode(),
         "data.scene_dataset_config.json": json.dumps(
-            {"stages": {"paths": {".json": ["hab"]}}, "objects": {"paths": {".json": ["hab"]}},
+            {"stages": {"paths": {".json": ["hab"]}},
+             "objects": {"paths": {".json": ["hab"]},
+                         "configs": [{"original_file": "hab/o.object_config.json", "template_handle": "p",
+                                      "attributes": {"scale": [1, 2, 1]}}]},
              "scene_instances": {"paths": {".json": ["hab"]}}}
         ).encode(),
         "hab/s.stage_config.json": json.dumps({"render_asset": "room.glb", "up": [0, 1, 0]}).encode(),
         "hab/o.object_config.json": json.dumps({"render_asset": "room.glb", "units_to_meters": 0.1}).encode(),
         "hab/one.scene_instance.json": json.dumps(
             {"stage_instance": {"template_name": "s"},
-             "object_instances": [{"template_name": "o", "translation": [1, 0, 1], "rotation": [1, 0, 0, 0]}]}
+             "object_instances": [{"template_name": name, "translation": [1, 0, 1], "rotation": [1, 0, 0, 0]}
+                                  for name in "op"]}
         ).encode(),
         "hab/room.glb": rooms()["glb"]["room.glb"],
     }  # fmt: skip

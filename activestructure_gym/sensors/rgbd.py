@@ -85,12 +85,12 @@ class SensorConfig:
 def _lens_of(value: Any) -> tuple[float, float, float, float] | None:
     """Return fx, fy, cx, cy in pixels as floats; None for other values than four numbers with focal lengths above 0."""
     numbers = tuple(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else ()
-    given = [
-        float(one)
-        for one in numbers
-        if isinstance(one, int | float | np.integer | np.floating) and not isinstance(one, bool) and abs(one) < 1e6
-    ]
-    if len(numbers) == len(given) == 4 and min(given[:2]) > 1e-3:
+    kinds = int, float, np.integer, np.floating
+    try:
+        given = [float(one) for one in numbers if isinstance(one, kinds) and not isinstance(one, bool)]
+    except OverflowError:  # a whole number of hundreds of digits
+        return None
+    if len(numbers) == len(given) == 4 and all(abs(one) < 1e6 for one in given) and min(given[:2]) > 1e-3:
         return given[0], given[1], given[2], given[3]
     return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from activestructure_gym.errors import InputError
@@ -73,6 +74,6 @@ class Explore:
             engine="inline",
         )
         code = compare_with(asked)
-        if code == 1:
+        if code == 1 and any(Path(directory).glob("captures/*/*.npz")):
             complain(f"captured frames are kept; continue with: asg explore --resume --out {shlex.quote(directory)}")
         return code

@@ -135,9 +135,16 @@ def test_asg_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_asg_explore_says_how_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    take, taken = SimulatedRobot.capture, list[np.ndarray]()
+
     def empty(self: SimulatedRobot, wanted: np.ndarray) -> Frame:
-        raise CaptureFailed("the battery is empty")
+        if len(taken) >= limit:
+            raise CaptureFailed("the battery is empty")
+        taken.append(wanted)
+        return take(self, wanted)
 
     monkeypatch.setattr(SimulatedRobot, "capture", empty)
-    code = main(["explore", "--world", "simulated?scene=box", "--preset", "fast", "--out", str(tmp_path / "runs")])
-    assert code == 1 and "asg explore --resume --out" in capsys.readouterr().err
+    for limit, kept in ((0, False), (1, True)):
+        place = str(tmp_path / f"runs-{limit}")
+        code = main(["explore", "--world", "simulated?scene=box", "--preset", "fast", "--out", place])
+        assert code == 1 and ("asg explore --resume --out" in capsys.readouterr().err) == kept

@@ -45,9 +45,12 @@ class Reliable:
             raise InputError(f"timeout_s of a world is a number of seconds above 0, got {short_repr(timeout_s)}")
         self.world, self.tries, self.timeout_s = world, tries, timeout_s
         self._calls: queue.Queue[_Call] | None = None
-        for name in ("truth", "exact_motion", "views"):
-            if hasattr(world, name):
-                setattr(self, name, getattr(world, name))
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an optional member of the other world, as it is now."""
+        if name not in ("truth", "views", "exact_motion", "reset"):
+            raise AttributeError(f"{type(self).__name__} has no attribute '{name}'")
+        return getattr(self.world, name)
 
     @property
     def bounds(self) -> np.ndarray:
@@ -63,11 +66,6 @@ class Reliable:
     def start(self) -> Start:
         """Return the start of the other world."""
         return self.world.start
-
-    def reset(self, seed: int) -> None:
-        """Begin an episode in the other world."""
-        if (reset := getattr(self.world, "reset", None)) is not None:
-            reset(seed)
 
     def travel(self, path: np.ndarray) -> None:
         """Send the poses [P, 4, 4] of the path; failures are not repeated, since the robot may have moved."""

@@ -16,7 +16,7 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.npz import read_npz
 from activestructure_gym.worlds.base import CaptureFailed, Start, Views, World, checked_bounds, checked_start
+
+if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
 
 WORLD_FILE = "world.json"
 _VIEWS_FILE = "views.npz"
@@ -58,11 +61,10 @@ class StoredCaptures:
         self._facts = self._read() if (self.folder / WORLD_FILE).exists() else None
         if self._facts is None and world is None:
             raise InputError(f"'{self.folder}' holds no captures to replay: it has no {WORLD_FILE}")
-        self.truth = getattr(world, "truth", None)
-        self.views: Views | None = getattr(world, "views", None)
+        self._views: Views | None = None
         if (self.folder / _VIEWS_FILE).exists():
             arrays = _read_arrays(self.folder / _VIEWS_FILE, ("world_from_camera", "free_radius"))
-            self.views = Views(arrays["world_from_camera"], arrays["free_radius"])
+            self._views = Views(arrays["world_from_camera"], arrays["free_radius"])
         while world is not None and self._failure(self.stored - 1).exists():
             self._failure(self.stored - 1).unlink()  # the world is asked again
 
@@ -105,11 +107,23 @@ class StoredCaptures:
         """Return the camera pose at which the episode begins, and the radius of the free sphere around it."""
         return self._read_or_ask()[2]
 
+    @property
+    def truth(self) -> GroundTruth | None:
+        """Return the ground truth of the world, if there is one."""
+        return getattr(self.world, "truth", None)
+
+    @property
+    def views(self) -> Views | None:
+        """Return the poses that can be captured: the stored ones, or those of the world; None if all poses can."""
+        return getattr(self.world, "views", None) if self._views is None else self._views
+
     def reset(self, seed: int) -> None:
         """Begin the episode, in the world too if nothing is stored yet."""
         self._next = 0
-        if self._facts is None and (reset := getattr(self.world, "reset", None)) is not None:
-            reset(seed)
+        if self.world is not None and not self._is_stored(0):
+            self._facts = self._views = None  # the world may begin elsewhere, with other views
+            if (reset := getattr(self.world, "reset", None)) is not None:
+                reset(seed)
 
     def travel(self, path: np.ndarray) -> None:
         """Send the path [P, 4, 4] to the world, unless the frame at its end is stored."""
@@ -184,9 +198,9 @@ class StoredCaptures:
                 "start": {"pose": start.pose.tolist(), "free_radius": start.free_radius},
             }
             self.folder.mkdir(parents=True, exist_ok=True)
-            if self.views is not None:
+            if (views := self.views) is not None:
                 with replaced(self.folder / _VIEWS_FILE) as stream:
-                    poses, radii = self.views.world_from_camera, self.views.free_radius
+                    poses, radii = views.world_from_camera, views.free_radius
                     np.savez_compressed(stream, world_from_camera=poses, free_radius=radii)
             with replaced(self.folder / WORLD_FILE) as stream:
                 stream.write((json.dumps(content, indent=1) + "\n").encode())

@@ -91,6 +91,19 @@ def test_other_settings_ask_for_other_poses_and_are_refused(tmp_path: Path) -> N
             longer.step(np.int64(0))
 
 
+def test_the_seed_reaches_the_world_until_a_capture_is_stored(tmp_path: Path) -> None:
+    expected = robot()
+    expected.reset(5)
+    world = StoredCaptures(tmp_path, robot())
+    assert world.bounds.shape == (2, 3) and not np.array_equal(world.start.pose, expected.start.pose)  # both are stored
+    for again in (world, StoredCaptures(tmp_path, robot())):
+        again.reset(5)
+        np.testing.assert_array_equal(again.start.pose, expected.start.pose)
+    world.capture(world.start.pose)
+    world.reset(6)
+    np.testing.assert_array_equal(world.start.pose, expected.start.pose)
+
+
 def test_damaged_captures_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no captures to replay"):
         StoredCaptures(tmp_path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.motion import is_level, levelled
 from activestructure_gym.sources.places import directions, looking
 from activestructure_gym.views import GivenViews, ViewConfig, without_overlap
-from activestructure_gym.worlds import Views, checked_bounds, checked_views
+from activestructure_gym.worlds import Reliable, StoredCaptures, Views, checked_bounds, checked_views
 from activestructure_gym.worlds.simulated_world import SimulatedRobot
 
 
@@ -65,6 +67,16 @@ def test_only_the_views_are_offered_and_captured() -> None:
     for pose, index in zip(world.taken, episode.keyframe_indices):
         np.testing.assert_allclose(episode.trajectory[index], pose, atol=1e-12)  # the frame's own pose, with its roll
     env.close()
+
+
+def test_views_are_those_after_the_reset(tmp_path: Path) -> None:
+    rail = Rail("box", width=64, height=36)
+    for world in (Reliable(rail), StoredCaptures(tmp_path, rail)):
+        world.reset(0)
+        before = world.views.world_from_camera
+        world.reset(5)
+        np.testing.assert_array_equal(world.views.world_from_camera[0], world.start.pose)
+        assert not np.array_equal(world.views.world_from_camera, before)
 
 
 def test_a_source_of_other_poses_is_refused() -> None:

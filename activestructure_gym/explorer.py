@@ -1,4 +1,4 @@
-"""Use a planner as a library: give it pictures, and take the next view from it."""
+"""Use a planner as a library: it gets pictures and returns the next view."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SCENE = Spec("world:explorer")  # scene of the runs that an explorer saves
 
 @dataclass(frozen=True)
 class Goal:
-    """Hold where the next picture is to be taken, and the way there. Poses are ``world_from_camera``, in metres.
+    """Hold the pose of the next picture and the path to it. Poses are ``world_from_camera``, in metres.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Goal:
         [P, 4, 4] poses that lead to it, one per frame of the budget. They keep the configured clearance to space that
         is not known to be free.
     view
-        [4, 4] view that the policy has chosen. Pictures are also taken on the way to it: every ``keyframe_every``
+        [4, 4] view that the policy has chosen. Pictures are also taken on the path to it, every ``keyframe_every``
         frames, because the map then shows obstacles before the camera reaches them.
     scores
         Features of the chosen view by name.
@@ -154,7 +154,7 @@ class Explorer:
         return self._env.reconstruction
 
     def observe(self, rgb: Any, depth: Any, pose: Any) -> None:
-        """Give the picture that the last `next_view` asked for; the first picture is that of the start.
+        """Add the picture that the last `next_view` asked for; the first picture is that of the start.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class Explorer:
         if target != self.directory:
             shutil.copytree(self.directory, target)
         elif self._temporary is not None:
-            raise InputError("name the directory to save the run in")
+            raise InputError("save() needs a directory, since this explorer was made without one")
         return target
 
     def close(self) -> None:

@@ -62,7 +62,7 @@ OF_PAIRS = {
     "observed": ("observed (points)", 1),
     "psnr": ("PSNR (dB)", 2),
 }
-RUNGS = ("**B**, planes in sight", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
+RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
 LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
     "ladder_300.csv": ("on `hole_area`, 300 frames: area (points)", "observed_area"),
     "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
@@ -179,7 +179,7 @@ def ladders(folder: Path) -> str:
         table = read(folder / name)
         if not (rungs := ladder(table)):
             raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on one base")
-        columns.append([heading, *(_difference(table, *pair, key, OF_PAIRS[key][1]) for _, *pair in rungs)])
+        columns.append([heading, *(_difference(table, *pair, key, OF_PAIRS[key][1]).replace("-", "−") for _, *pair in rungs)])
     rows = list(zip(["variant", *RUNGS, "all of it"], *columns, strict=True))
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"

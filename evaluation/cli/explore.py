@@ -20,15 +20,15 @@ from activestructure_gym.worlds.registry import PREFIX
 class Explore:
     """Explore a simulator, a recording or a robot.
 
-    The result is a run with map, path and report, as of `asg compare`. Every captured frame is stored, so that an
-    episode that was stopped continues with --resume. `asg watch --world` shows an episode in a browser.
+    The result is a run with map, path and report, as of `asg compare`. Every captured frame is stored, so --resume
+    continues an episode that was stopped. `asg watch --world` shows an episode in a browser.
     """
 
     world: Annotated[str | None, option("WORLD", "")] = None
     (
-        "Explore this world: a name (see `asg list worlds`) or package.module:factory, with options behind a "
-        "question mark (simulated?scene=apartment). Its options tries=N and timeout_s=T repeat failed captures and "
-        "limit their time."
+        "Explore this world: a name (see `asg list worlds`) or package.module:factory, with options after a "
+        "question mark (simulated?scene=apartment). In every world, tries=N repeats failed captures, and timeout_s=T "
+        "limits their time in seconds."
     )
     policy: Annotated[str, option("NAME")] = "activestructure"
     """Explore with this policy (see `asg list policies`)."""

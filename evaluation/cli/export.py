@@ -46,7 +46,7 @@ class Export:
     out: Out = None
     """Write this file, or this new folder for nerfstudio and colmap (default: a name in the working directory)."""
     size: Annotated[str | None, option("WxH", "")] = None
-    """Draw the pictures of nerfstudio and colmap with so many pixels (default: the sensor's)."""
+    """Render the pictures of nerfstudio and colmap at this size in pixels (default: the sensor's)."""
     frames: Annotated[Literal["keyframes", "all"] | None, option("keyframes|all", "")] = None
     """Write the keyframes or all executed poses (default: keyframes; for tum all)."""
     up: Annotated[Literal["z", "y", "-y"] | None, option("z|y|-y", "")] = None

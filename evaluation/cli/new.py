@@ -1,4 +1,4 @@
-"""Define ``asg new``, which writes a plug-in to begin with, and its test."""
+"""Define ``asg new``, which writes a template of a plug-in and its test."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _NEXT = {
 
 @dataclass(frozen=True)
 class New:
-    """Write a plug-in to begin with, and its test.
+    """Write a template of a plug-in and its test.
 
-    It is a policy, a feature, a candidate source or a world. Both files are written into the working directory, and
-    the test passes.
+    A plug-in is a policy, a feature, a candidate source or a world. Both files are written into the working directory.
+    The test passes before you change the template.
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, option("policy|feature|source|world")]
     """Write this kind of plug-in."""
     name: Annotated[str, tyro.conf.Positional, option("NAME")]
-    """Call the module NAME.py; lower-case letters, digits and underscores."""
+    """Name the module NAME.py, with lower-case letters, digits and underscores."""
 
     def run(self) -> int:
         """Write ``NAME.py`` and ``test_NAME.py``, and print the next commands; return 0."""

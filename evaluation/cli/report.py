@@ -33,7 +33,7 @@ class Report:
     """Compare the others with this policy (default: the first of activestructure-a, pixel_only and random)."""
 
     labels: Annotated[tuple[str, ...], option("NAME=TEXT [NAME=TEXT ...]", "")] = ()
-    """Show these names of policies and scenes differently, e.g. activestructure=Ours."""
+    """Show TEXT as the name of a policy or scene, e.g. activestructure=Ours."""
 
     columns: Annotated[tuple[str, ...], option("KEY [KEY ...]", "")] = ()
     """Write a table of these metrics too, tables/chosen.tex (.md, .csv), e.g. completion_ratio,psnr,metres."""

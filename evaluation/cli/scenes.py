@@ -112,8 +112,8 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
         ("source", scene.source),
         ("size", " x ".join(f"{side:.2f}" for side in extent) + " m (x, y, z)"),
         ("mesh", f"{len(scene.mesh.faces):,} triangles, {len(scene.mesh.textures)} textures"),
-        ("free space", f"{space.volume:.1f} m3, {len(space.start_poses)} start poses"),
-        ("can be seen", f"{seen.area:.1f} m2, {100 * seen.area_share:.0f} % of the surface"),
+        ("free space", f"{space.volume:.1f} m³, {len(space.start_poses)} start poses"),
+        ("can be seen", f"{seen.area:.1f} m², {100 * seen.area_share:.0f} % of the surface"),
         ("recorded views", str(len(scene.evaluation_views)) if scene.evaluation_views is not None else "none"),
         ("content", scene.content_hash[:16]),
     ]
@@ -168,7 +168,7 @@ def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
 def _region_table(rows: list[dict[str, Any]]) -> Table:
     """Return a table of the regions, given as dictionaries of `_region`, that fits a terminal of 80 characters."""
     table = plain_table("Regions of free space (* is used; the scene's option inside=X,Y,Z uses another)")
-    for column in ("", "volume m3", "floor z m", "ceiling m", "level m2", "seen", "inside="):
+    for column in ("", "volume m³", "floor z m", "ceiling m", "level m²", "seen", "inside="):
         table.add_column(column, justify="left" if column == "inside=" else "right", no_wrap=True)
     for row in rows:
         floor, ceiling = row["floor_z_m"], row["ceiling_m"]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Why:
     """Explain why a view was chosen.
 
-    Plays a finished run again up to a decision. Prints the best rows with their features, the surface that each would
-    really have shown, and what other policies would have chosen in the same state.
+    The command plays a finished run again up to a decision. It prints the best candidates with their features, the true
+    surface that each would have shown for the first time, and the choices of other policies in the same state.
     """
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
@@ -32,7 +32,7 @@ class Why:
     decision: Count = None
     """Explain this decision, from 0 (default: the last one)."""
     policies: NoNames = ()
-    """Ask these policies too."""
+    """Print the choices of these policies as well."""
     json: Switch = False
     """Print JSON."""
     trust_code: Switch = False
@@ -66,7 +66,7 @@ class Why:
         if found.divergence:
             console.print(f"[yellow]{escape(found.divergence)}: the code or the machine differs[/]")
         if not run.has_truth:
-            console.print("No ground truth: what each view would really have shown is not known.")
+            console.print("There is no ground truth, so the surface that each view would have shown is unknown.")
         return 0
 
 

@@ -1,4 +1,4 @@
-"""Write finished runs for programs of others: posed pictures for offline training, poses, and the surface as a mesh."""
+"""Write finished runs for other programs: posed pictures for offline training, poses, and the surface as a mesh."""
 
 from activestructure_gym.evaluation.export.dataset import write_colmap, write_nerfstudio
 from activestructure_gym.evaluation.export.frames import PosedFrames, posed_frames

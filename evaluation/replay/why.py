@@ -113,7 +113,7 @@ def explain(
         raise InputError(f"'{run.job.title}' has no policy whose decisions can be explained")
     if not 0 <= decision < len(run.steps):
         raise InputError(
-            f"'{run.job.title}' has {len(run.steps)} decisions, from 0 on; there is no decision {decision}"
+            f"'{run.job.title}' has {len(run.steps)} decisions, numbered from 0; there is no decision {decision}"
         )
     policies = {str(spec): make_policy(spec) for spec in dict.fromkeys([run.job.policy, *others])}
     features = tuple(dict.fromkeys(name for policy in policies.values() for name in policy.required_features))
@@ -126,7 +126,7 @@ def explain(
             for name, policy in policies.items():
                 row = policy.act(observation)
                 if name == run.job.policy and row != step["action"] and not divergence:
-                    divergence = f"decision {number}: the policy now chooses row {row}, and chose row {step['action']}"
+                    divergence = f"decision {number}: the policy now chooses row {row}, in the run row {step['action']}"
             observation, *_ = env.step(np.int64(step["action"]))
             report_progress(number + 1, decision)
         return _explained(run, decision, env, observation, policies, divergence)

@@ -95,7 +95,7 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
         wanted = [(name, known) for name, known in _IN_FOLDERS if kind in ("auto", known)]
         found = [(path / name, known) for name, known in wanted if (path / name).exists()]
         if not found:
-            names = ", ".join(name for name, _ in wanted) or f"no file that {kind} knows"
+            names = ", ".join(name for name, _ in wanted) or f"{kind} is no format of a folder"
             raise InputError(f"the folder '{path}' has no trajectory ({names}); name the file itself")
         return found[0]
     if not path.is_file():
@@ -103,7 +103,7 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
     if kind == "auto":
         kind = recognised(path)
     if kind == "scannet":
-        raise InputError(f"'{path}' is a file; of ScanNet give the scan's folder, or the folder pose in it")
+        raise InputError(f"'{path}' is a file; for ScanNet give the scan's folder, or its folder pose")
     return path, kind
 
 
@@ -200,10 +200,10 @@ def _known(poses: np.ndarray, path: Path) -> np.ndarray:
     """
     known = np.isfinite(poses).all(axis=(1, 2))
     if not known.any():
-        raise InputError(f"none of the {len(poses)} poses of '{path}' is known (all are infinite or no number)")
+        raise InputError(f"none of the {len(poses)} poses of '{path}' is finite")
     if not known.all():
         lost = int((~known).sum())
         warnings.warn(
-            f"{lost} of {len(poses)} poses of '{path}' are not known and are left out", InputWarning, stacklevel=2
+            f"{lost} of {len(poses)} poses of '{path}' are not finite and are left out", InputWarning, stacklevel=2
         )
     return poses[known]

@@ -35,7 +35,7 @@ def recognised(path: Path) -> str:
     text = head.decode("utf-8-sig", errors="replace")
     kind, found = _json_kind(text) if text.lstrip()[:1] in ("{", "[") else _text_kind(text)
     if not kind:
-        raise InputError(f"'{path}' is no trajectory that is known: {_EXPECTED}, got {found}")
+        raise InputError(f"'{path}' has no known trajectory format: {_EXPECTED}, got {found}")
     return kind
 
 

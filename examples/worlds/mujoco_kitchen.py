@@ -38,7 +38,7 @@ def kitchen() -> str:
     """Return the name of the kitchen as a world; raise `InputError` if gymnasium-robotics is not installed."""
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or found.origin is None:
-        raise InputError("the kitchen is a part of another package: pip install gymnasium-robotics")
+        raise InputError("the kitchen needs the package gymnasium-robotics: pip install gymnasium-robotics")
     model = Path(found.origin).parent / MODEL
     return f"world:mujoco?model={model}&bounds=-1.6,-2.4,-0.05,2.2,1.45,3&start=1.4,-1.2,1.9,130"
 
@@ -54,7 +54,7 @@ def main(args: Args) -> None:
     while not ended:
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         ended = terminated or truncated
-        print(f"frame {info['frames']}: {info['metres']:.1f} m, {reward:.1f} m3 newly known", flush=True)
+        print(f"frame {info['frames']}: {info['metres']:.1f} m, {reward:.1f} m³ newly known", flush=True)
     print(f"{info['gaussians']} Gaussians and {info['planes']} planes after {info['metres']:.1f} m")
     if args.picture is not None:
         Image.fromarray(env.render()).save(args.picture)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Measure what needs no ground truth: known volume, and the image quality of keyframes."""
+"""Compute the metrics that need no ground truth: known volume, and the image quality of keyframes."""
 
 from __future__ import annotations
 

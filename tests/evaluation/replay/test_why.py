@@ -83,4 +83,4 @@ def test_a_run_in_a_world_has_no_truth_to_show(tmp_path: Path, capsys: pytest.Ca
     assert all(row.new_m2 is None for row in found.rows)
     assert main(["why", str(run.directory)]) == 0
     said = capsys.readouterr().out
-    assert "No ground truth" in said and "new m²" not in said
+    assert "no ground truth" in said and "new m²" not in said

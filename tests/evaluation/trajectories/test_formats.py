@@ -168,7 +168,7 @@ def scan(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("place", ["", "pose"])
 def test_a_scan_s_poses_are_turned_with_its_mesh_and_lost_ones_are_counted(scan: Path, place: str) -> None:
-    with pytest.warns(InputWarning, match="1 of 4 poses of .* are not known"):
+    with pytest.warns(InputWarning, match="1 of 4 poses of .* are not finite"):
         poses = read_poses(scan / place)
     # In the order of their numbers: 3 and 4 m along x, which the turn makes y.
     np.testing.assert_allclose(poses[:, :3, 3], [[1, 2, 3], [1, 5, 3], [1, 6, 3]])

@@ -17,7 +17,7 @@ _RIGID = 1e-3  # largest deviation of an entry of R R^T from the identity: poses
 
 @dataclass(frozen=True)
 class Start:
-    """Hold where an episode begins.
+    """Hold the start of an episode.
 
     Parameters
     ----------
@@ -89,12 +89,12 @@ class World(Protocol):
     def capture(self, world_from_camera: np.ndarray) -> Frame:
         """Go to a pose [4, 4], or render there, and return the frame taken.
 
-        ``Frame.world_from_camera`` is the pose where the frame was really taken, as well as the world knows it. Depth
+        ``Frame.world_from_camera`` is the pose where the frame was taken, as accurately as the world measures it. Depth
         is in metres along the optical axis; 0 means no return. Raise `CaptureFailed` if no frame can be taken.
         """
 
     def close(self) -> None:
-        """Release what the world holds; may be called twice."""
+        """Release all resources of the world; may be called twice."""
 
 
 class CaptureFailed(RuntimeError):

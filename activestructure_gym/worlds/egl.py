@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from activestructure_gym.errors import InputError
 
 REPAIR = (
-    "on Debian 'apt-get install -y --no-install-recommends libegl1 libgl1' brings EGL; "
+    "on Debian 'apt-get install -y --no-install-recommends libegl1 libgl1' installs EGL; "
     "with 'libosmesa6' and MUJOCO_GL=osmesa MuJoCo draws without it"
 )
 # Values of the headers EGL/egl.h and EGL/eglext.h.

@@ -28,12 +28,12 @@ _SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # geom groups that MuJoC
 _DRAWS, _PLACES, _RAYS = 100, 16, 300  # places tried, places kept, rays per place
 _CLEARANCE, _LEAST_CLEARANCE = 0.6, 0.3  # metres wanted and needed around a start
 _BETWEEN = 0.9  # share of the shortest ray that counts as clearance: corners may be between two rays
-_FREE = 10.0  # metres: largest radius stated as free
+_FREE = 10.0  # metres: largest free radius of a start
 
 
 @WORLDS.register("mujoco")
 class MujocoWorld:
-    """Draw a MuJoCo model in its current state; the camera goes anywhere at once.
+    """Explore a MuJoCo model in its current state, with a camera that has no body.
 
     MuJoCo draws its lights, shadows and reflections. The sky is black and without depth. Sites are not drawn.
 

@@ -10,10 +10,10 @@ from activestructure_gym.worlds.simulated_world import SimulatedRobot
 def pyrender_world(
     file: str, *, width: int = 160, height: int = 90, horizontal_fov_deg: float = 90.0, seed: int = 0
 ) -> SimulatedRobot:
-    """Draw a mesh file with OpenGL, without ground truth; the starts are free places in it.
+    """Explore a mesh file that pyrender draws with OpenGL, without ground truth.
 
-    Colours are those of its textures and vertices, as with ``sensor.backend=pyrender`` in a scene: neither trimesh nor
-    pyrender reads the lights of a file.
+    An episode begins at a free place of the mesh. Colours are those of its textures and vertices, as with
+    ``sensor.backend=pyrender`` in a scene: neither trimesh nor pyrender reads the lights of a file.
     """
     return SimulatedRobot(
         file, width=width, height=height, horizontal_fov_deg=horizontal_fov_deg, backend="pyrender", seed=seed

@@ -17,12 +17,12 @@ from activestructure_gym.worlds.registry import WORLDS
 
 @WORLDS.register("simulated")
 class SimulatedRobot:
-    """Carry the simulated RGB-D camera through a scene, as a robot would; no ground truth leaves it.
+    """Explore a scene with a simulated robot and its RGB-D camera, without ground truth.
 
     Parameters
     ----------
     scene
-        Scene to load, without options; ``seed`` picks the layout of a procedural one.
+        Scene to load, without options; ``seed`` determines the layout of a procedural one.
     width, height, horizontal_fov_deg
         Size of the images in pixels, horizontal field of view in degrees.
     depth_noise
@@ -33,7 +33,7 @@ class SimulatedRobot:
     backend
         Renderer: auto, raycast or pyrender.
     seed
-        Seed of the layout, and until the first reset of noise and start pose.
+        Seed of the layout. It is also the seed of noise and start pose until the first reset.
     """
 
     def __init__(

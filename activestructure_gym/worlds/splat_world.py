@@ -34,13 +34,13 @@ _CUBE = PinholeCamera.from_size(48, 48)  # one face; 90 degrees
 
 @WORLDS.register("splat")
 class SplatWorld:
-    """Explore a trained map of Gaussians: a 3DGS PLY, the ``map.npz`` of a run, or SplaTAM's ``params.npz``.
+    """Explore a trained Gaussian map: a 3DGS PLY, the ``map.npz`` of a run, or SplaTAM's ``params.npz``.
 
     Colours do not depend on the view direction: spherical harmonics above degree 0 are ignored. Depth is that of the
     surface at which half of the light is blocked, 0 where the map is more transparent.
 
-    Without a collision mesh, `capture` renders at every pose. Inside matter it shows what is behind the surfaces, as a
-    splat has no inside; planned paths stay in space that the depth images show to be free. With a collision mesh,
+    Without a collision mesh, `capture` renders at every pose. Inside a wall the picture shows the surfaces
+    behind the wall, since a splat has no inside. Planned paths stay in space that the depth images show to be free. With a collision mesh,
     `capture` raises `CaptureFailed` at a position that is not in the mesh's free space.
 
     Parameters

@@ -14,8 +14,8 @@ from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import make_console
 
 _HINT = (
-    "One with its options: asg list worlds NAME. Explore it with asg explore --world 'NAME?option=value'; your own is "
-    "package.module:factory."
+    "asg list worlds NAME describes the options of a world. asg explore --world 'NAME?option=value' explores it. The name "
+    "of your own world is package.module:factory."
 )
 
 
@@ -37,10 +37,10 @@ class Worlds:
         if self.json:
             return print_json(facts)
         if names:
-            print_text(make_console(), "\n\n".join(f"{one['name']}?{one['options']}\n{one['doc']}" for one in facts))
+            print_text(make_console(), "\n\n".join(f"{one['name']}?{one['options']}\n\n{one['doc']}" for one in facts))
             return 0
         rows = [[one["name"], one["about"]] for one in facts]
-        print_listed("Worlds in place of a scene", ["name", "what it is"], rows, _HINT, wide=False)
+        print_listed("Worlds", ["name", "description"], rows, _HINT, wide=False)
         return 0
 
 

@@ -82,16 +82,24 @@ def aligned(
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """Yield the paragraphs and list items of a docstring, each joined to one line; empty lines stay."""
+    """Yield the paragraphs and list items of a docstring, each joined to one line; empty lines stay.
+
+    Headings of sections, their underlines, names of parameters and indented lines are lines of their own.
+    """
     lines: list[str] = []
     for line in [*text.splitlines(), ""]:
-        if lines and (not line.strip() or line.lstrip().startswith("- ") or line.startswith("    ")):
+        starts = not line.strip() or line.lstrip().startswith("- ") or line.startswith("    ") or _is_underline(line)
+        if lines and (starts or lines[-1].startswith("    ") or _is_underline(lines[-1])):
             yield " ".join([lines[0].rstrip(), *(more.strip() for more in lines[1:])])
             lines = []
         if line.strip():
             lines.append(line)
         else:
             yield ""
+
+
+def _is_underline(line: str) -> bool:
+    return len(line) > 2 and set(line.strip()) == {"-"}
 
 
 def _with_indent(line: str, width: int) -> Iterator[str]:

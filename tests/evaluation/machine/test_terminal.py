@@ -46,3 +46,8 @@ def test_one_line_per_row_and_the_last_entry_gives_way():
 
 def test_paragraphs_and_items_are_lines():
     assert list(paragraphs("One\ntwo.\n\n- a\n  b\n- c")) == ["One two.", "", "- a b", "- c", ""]
+
+
+def test_sections_of_a_docstring_keep_their_lines():
+    lines = ["Parameters", "----------", "model", "    MJCF file.", "width, height", "    Pixels."]
+    assert list(paragraphs("\n".join(lines))) == [*lines, ""]

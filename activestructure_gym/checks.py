@@ -208,7 +208,7 @@ def check_world(world: str | World) -> None:
         shape = (camera.height, camera.width)
         assert frame.rgb.shape == (*shape, 3) and frame.rgb.dtype == np.uint8, "rgb must be [H, W, 3] uint8"
         assert frame.depth.shape == shape, f"depth must have the camera's {camera.width} x {camera.height} pixels"
-        assert (frame.depth > 0).any(), "the frame at the start has no depth: check its unit (metres) and the start pose"
+        assert (frame.depth > 0).any(), "the frame at the start has no depth: check its unit (metres) and its pose"
         taken = checked_pose("a frame's pose", frame.world_from_camera)
         off = float(np.linalg.norm(taken[:3, 3] - start.pose[:3, 3]))
         assert off < 0.5, f"the frame at the start was taken {off:.2f} m away from it"

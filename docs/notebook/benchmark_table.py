@@ -179,7 +179,8 @@ def ladders(folder: Path) -> str:
         table = read(folder / name)
         if not (rungs := ladder(table)):
             raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on one base")
-        columns.append([heading, *(_difference(table, *pair, key, OF_PAIRS[key][1]).replace("-", "−") for _, *pair in rungs)])
+        cells = [_difference(table, *pair, key, OF_PAIRS[key][1]).replace("-", "−") for _, *pair in rungs]
+        columns.append([heading, *cells])
     rows = list(zip(["variant", *RUNGS, "all of it"], *columns, strict=True))
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"

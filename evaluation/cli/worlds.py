@@ -14,8 +14,8 @@ from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import make_console
 
 _HINT = (
-    "asg list worlds NAME describes the options of a world. asg explore --world 'NAME?option=value' explores it. The "
-    "name of your own world is package.module:factory."
+    "asg list worlds NAME describes the options of a world. asg explore --world 'NAME?option=value' explores it. "
+    "The name of your own world is package.module:factory."
 )
 
 

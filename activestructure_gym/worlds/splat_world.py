@@ -40,8 +40,8 @@ class SplatWorld:
     surface at which half of the light is blocked, 0 where the map is more transparent.
 
     Without a collision mesh, `capture` renders at every pose. Inside a wall the picture shows the surfaces
-    behind the wall, since a splat has no inside. Planned paths stay in space that the depth images show to be free. With a
-    collision mesh, `capture` raises `CaptureFailed` at a position that is not in the mesh's free space.
+    behind the wall, since a splat has no inside. Planned paths stay in space that the depth images show to be
+    free. With a collision mesh, `capture` raises `CaptureFailed` at a position that is not in the mesh's free space.
 
     Parameters
     ----------

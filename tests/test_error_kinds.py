@@ -20,7 +20,7 @@ TOP = ("activestructure_gym", "envs", "policies", "evaluation")
 # Everything that comes here was given by somebody; below the functions that are no entrance of theirs.
 ENTRANCES = (
     "activestructure_gym/config.py",
-    "activestructure_gym/reconstruction.py",
+    "activestructure_gym/reconstruction/episode.py",
     "activestructure_gym/registry.py",
     "activestructure_gym/specs.py",
     "activestructure_gym/scenes/library.py",

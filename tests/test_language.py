@@ -24,6 +24,7 @@ READ = (
     "activestructure_gym/mapping",
     "activestructure_gym/motion",
     "activestructure_gym/planes",
+    "activestructure_gym/reconstruction",
     "activestructure_gym/scenes",
     "activestructure_gym/sensors",
     "activestructure_gym/sources",

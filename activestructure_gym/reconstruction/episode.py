@@ -8,25 +8,17 @@ view, and the agent moves there (`Reconstruction.move_to`). Every frame costs 1 
 from __future__ import annotations
 
 import math
-import time
-from collections import defaultdict
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from activestructure_gym.compiling.thread_team import default_threads
-from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
-from activestructure_gym.features import FeatureContext, evaluate_features
+from activestructure_gym.features import evaluate_features
 from activestructure_gym.ground_truth import GroundTruth
-from activestructure_gym.mapping import KeyframeMapper, track_pose
-from activestructure_gym.mapping.adapted import keyframe_mapper
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import (
-    Agent,
     DistanceMap,
     PathSegment,
     arrived_at,
@@ -36,20 +28,26 @@ from activestructure_gym.motion import (
     path_lengths,
     plan_path,
 )
-from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
-from activestructure_gym.scenes import Scene
-from activestructure_gym.sensors import Frame, RGBDSensor
-from activestructure_gym.sources import SourceContext, make_stages, offer, only_views_of_pool, random_of
-from activestructure_gym.splatting.rasterizers import rasterizer
-from activestructure_gym.views import CandidatePool, CandidateTable, GivenViews, without_overlap
-from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.planes import MapPoints
+from activestructure_gym.reconstruction.offering import Offering
+from activestructure_gym.reconstruction.parts import (
+    make_given_pool,
+    make_mapper,
+    make_planes,
+    make_pool,
+    make_volume,
+    tracked,
+    tracks,
+)
+from activestructure_gym.reconstruction.state import EpisodeState
+from activestructure_gym.sensors import Frame
+from activestructure_gym.views import GivenViews
 from activestructure_gym.worlds import (
     CaptureFailed,
     SceneWorld,
     World,
     checked_bounds,
     checked_start,
-    checked_views,
     frame_from,
 )
 
@@ -66,7 +64,7 @@ class StepResult:
     keyframes: tuple[Frame, ...]  # frames that were integrated
 
 
-class Reconstruction:
+class Reconstruction(EpisodeState):
     """Hold the state of one episode. `start` begins it, `move_to` executes a decision; attributes are read-only.
 
     Parameters
@@ -83,27 +81,6 @@ class Reconstruction:
     >>> result.reached, episode.frames > 1
     (True, True)
     """
-
-    world: World
-    scene: Scene  # in a `SceneWorld` only
-    sensor: RGBDSensor  # in a `SceneWorld` only
-    bounds: np.ndarray  # [2, 3] metres, world: lowest and highest corner of the space to explore
-    mapper: KeyframeMapper
-    volume: VoxelVolume
-    planes: PlaneSceneGraph
-    pool: CandidatePool
-    candidates: CandidateTable
-    features: np.ndarray  # [n, G] features; one column per name in config.features
-    visible: np.ndarray  # [n, N] bool: planes of the graph visible from each candidate
-
-    def __init__(self, config: ReconstructionConfig) -> None:
-        rasterizer(config.mapper.backend)  # raises if the backend cannot run here
-        self.config = config
-        self.scoring_camera = config.sensor.camera.resized(
-            max(1, round(config.sensor.width * config.views.scoring_scale)),
-            max(1, round(config.sensor.height * config.views.scoring_scale)),
-        )
-        self._sources = make_stages(config.views.stages, config.views.max_candidates)
 
     def start(self, world: World | GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
         """Begin an episode and return its first keyframe.
@@ -149,55 +126,23 @@ class Reconstruction:
         start = checked_start(self.world.start, bounds)
         start_pose = start.pose if self._exact else levelled(start.pose)
 
-        # The mapper assumes at least the sensor's own noise scale, 0 for a sensor without noise.
-        multiplier = config.sensor.noise_multiplier if config.sensor.depth_noise != "none" else 0.0
-        made = config.mapper.make(np.random.default_rng(mapping), bounds, depth_noise_scale=multiplier)
-        self.mapper = keyframe_mapper(made, config.mapper)
-        # The volume's margins are tuned for Kinect noise; a noisier sensor widens them.
-        widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * max(1.0, multiplier)})
-        self.volume = VoxelVolume(bounds, widened)
-        # The plane detector assumes at least the sensor's own noise scale.
-        noise_scale = max(
-            config.planes.detection.depth_noise_scale,
-            depth_noise_scale(config.sensor.depth_noise, config.sensor.noise_multiplier),
-        )
-        self.planes = PlaneSceneGraph(replaced(config.planes, {"detection": {"depth_noise_scale": noise_scale}}))
-        pool_seed, motion = int(pool.generate_state(1)[0]), config.motion
+        self.mapper = make_mapper(config, bounds, np.random.default_rng(mapping))
+        self.volume, self.planes = make_volume(config, bounds), make_planes(config)
+        pool_seed = int(pool.generate_state(1)[0])
         if (views := getattr(self.world, "views", None)) is None:
-            self.pool = CandidatePool(
-                start_pose[:3, 3], bounds, config.views, pool_seed, clearance_m=motion.candidate_clearance
-            )
+            self.pool = make_pool(config, bounds, start_pose[:3, 3], pool_seed)
         else:
-            only_views_of_pool(self._sources)
-            views = checked_views(views, bounds)
-            level = np.stack([levelled(pose) for pose in views.world_from_camera])
-            self.pool = GivenViews(level, config.views, pool_seed)
-            radii = np.minimum(motion.start_free_radius, views.free_radius)
-            for index in without_overlap(level[:, :3, 3], radii, slack=0.5 * self.volume.voxel_size):
-                self.volume.mark_free_sphere(level[index, :3, 3], float(radii[index]))
+            self.pool = make_given_pool(config, views, self.volume, bounds, pool_seed, self._sources)
         self._planning_rng = np.random.default_rng(planning)
         self._sources_seed = int(sources.generate_state(1)[0])
-        self.stage = 0  # index into ``views.stages``
-        self.finished = False  # whether a row that ends the episode was chosen
         self._offered = {0}  # stages offered since the last frame was used
         self._empty = set[int]()  # offered stages that had no candidates
-        self.pose = start_pose
-        self.trajectory = [start.pose]  # every executed pose
-        self.keyframe_indices: list[int] = []  # into trajectory
-        self.refine_factors: list[int] = []  # iteration factor of each keyframe
-        # At the end of each decision: number of poses executed, frames used, 1 if they were spent optimising in place.
-        self.legs: list[tuple[int, int, int]] = []
-        self.stops: list[np.ndarray] = []  # final pose of each decision
-        self.frames = 0
-        self.metres = 0.0
-        self.decisions = 0
-        self.chosen: int | None = None  # row of the candidate table that is executed
         self._failures = 0  # captures in a row that have failed
-        # wall-clock time by stage; never part of an observation
-        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self._begin_at(start.pose)
+        self.pose = start_pose
 
         # The start pose is collision-free, so a sphere within the start's clearance is marked as free.
-        self.volume.mark_free_sphere(start_pose[:3, 3], min(motion.start_free_radius, start.free_radius))
+        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, start.free_radius))
         frame = self._keyframe(start.pose[None])
         self.frames = 1
         self._refresh()
@@ -205,30 +150,6 @@ class Reconstruction:
 
     def _set_scene(self, world: SceneWorld) -> None:
         self.world, self._exact, self.scene, self.sensor = world, True, world.scene, world.sensor
-
-    @property
-    def agent(self) -> Agent:
-        """Return the agent's pose, budget and travel distances, for sources and features."""
-        return Agent(
-            pose=self.pose.copy(),  # a copy: plug-in sources and features may write to it
-            frames=self.frames,
-            frame_budget=self.frame_budget,
-            keyframe_every=self.config.keyframe_every,
-            motion=self.config.motion,
-            distances=self.distances,
-            rng=self._planning_rng,
-            stops=np.array(self.stops).reshape(-1, 4, 4),
-        )
-
-    @property
-    def frame_budget(self) -> int:
-        """Return the number of frames that the episode may use, the first one included."""
-        return self.config.frame_budget
-
-    @property
-    def exhausted(self) -> bool:
-        """Return whether the frame budget is used up."""
-        return self.frames >= self.config.frame_budget
 
     def move_to(self, index: int) -> StepResult:
         """Execute candidate ``index`` of the current table and map on the path to it.
@@ -238,8 +159,8 @@ class Reconstruction:
         cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
         observed obstacles block ends before the obstacle. A path ends too if a keyframe was taken elsewhere than asked
         for, by more than one frame's step or turn; planning continues from there. A keyframe that the world cannot take
-        (`CaptureFailed`) ends the path at the keyframe before it and costs one frame; the fourth failure in a row is
-        raised.
+        (`CaptureFailed`) ends the path at the keyframe before it, and costs one frame. The agent is then assumed to be
+        at that keyframe. The fourth failure in a row is raised.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
@@ -397,9 +318,9 @@ class Reconstruction:
         sensor = self.config.sensor
         if not self._exact:
             frame = frame_from(frame.rgb, frame.depth, frame.world_from_camera, sensor.camera, sensor.max_range)
-        if self._tracking:
+        if tracks(self.config):
             with self._timed("tracking"):
-                frame = replace(frame, world_from_camera=self._tracked(frame))
+                frame = tracked(frame, self.mapper.keyframes, self.trajectory[0], self.config)
         if not self._exact:
             self._correct_pose(frame.world_from_camera)
         with self._timed("volume"):
@@ -429,28 +350,6 @@ class Reconstruction:
         if isinstance(self.pool, GivenViews):
             self.pool.mark_visited(self.pose)  # views on the path too
 
-    @property
-    def _tracking(self) -> bool:
-        sensor = self.config.sensor
-        return self.config.mapper.tracking.iterations > 0 and (sensor.pose_noise_m > 0 or sensor.pose_noise_deg > 0)
-
-    def _tracked(self, frame: Frame) -> np.ndarray:  # [4, 4] world_from_camera
-        """Return the pose used for integration: the start pose as given, later poses tracked against the keyframes.
-
-        The start pose defines the world frame, as in SLAM (simultaneous localisation and mapping); a noisy start would
-        tilt that frame.
-        """
-        if not self.mapper.keyframes:
-            return self.trajectory[0].copy()
-        sensor = self.config.sensor
-        return track_pose(
-            frame,
-            self.mapper.keyframes,
-            self.config.mapper.tracking,
-            sigma_m=sensor.pose_noise_m,
-            sigma_deg=sensor.pose_noise_deg,
-        ).world_from_camera
-
     def _refresh(self) -> None:
         """Build the candidates of the next decision and compute their features."""
         config = self.config
@@ -468,35 +367,11 @@ class Reconstruction:
         """Build the table of the current stage and its features; other rows get zeros."""
         config = self.config
         with self._timed("planning"):
-            revisits, agent = self._revisits(), self.agent
-
-            def context_of(name: str, room: int) -> SourceContext:
-                return SourceContext(
-                    mapper=self.mapper,
-                    volume=self.volume,
-                    planes=self.planes,
-                    camera=self.scoring_camera,
-                    bounds=self.bounds.copy(),
-                    max_range=config.sensor.max_range,
-                    agent=agent,
-                    start=self.trajectory[0][:3, 3].copy(),
-                    clearance_m=config.motion.candidate_clearance,
-                    decision=self.decisions,
-                    pool=self.pool,
-                    revisits=revisits,
-                    room=room,
-                    rng=random_of(self._sources_seed, self.decisions, name),
-                )
-
-            def rows_with(without: set[int]) -> CandidateTable:
-                stages = config.views.stages
-                asks = [stage for stage in range(len(stages)) if stage not in without]
-                return offer(stages[self.stage], self._sources, context_of, rows=config.views.max_candidates, asks=asks)
-
-            self.candidates = rows_with(self._offered)
+            offering = Offering(self, self._sources, self._sources_seed)
+            self.candidates = offering.table(self._offered)
             if not len(self.candidates):  # no candidates: offer again every stage not known to be empty
                 self._empty.add(self.stage)
-                self.candidates = rows_with(self._empty)
+                self.candidates = offering.table(self._empty)
         with self._timed("features"):
             views = self.candidates.views
             context = self.feature_context(self.candidates.world_from_camera[:views], self.candidates.revisit[:views])
@@ -505,44 +380,3 @@ class Reconstruction:
             self.visible = np.pad(context.visible, asks)
             # A row that ends the episode has a pose but gets no features.
             self.features[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
-
-    def feature_context(
-        self,
-        world_from_camera: np.ndarray,  # [K, 4, 4] views
-        revisit: np.ndarray | None = None,  # [K] bool, which are a stored keyframe's pose
-    ) -> FeatureContext:
-        """Return the context that features read: the current state, with these views as candidates."""
-        return FeatureContext(
-            mapper=self.mapper,
-            volume=self.volume,
-            planes=self.planes,
-            camera=self.scoring_camera,
-            bounds=self.bounds.copy(),
-            coverage_alpha=self.config.views.coverage_alpha,
-            max_range=self.config.sensor.max_range,
-            world_from_camera=world_from_camera.copy(),
-            agent=self.agent,
-            revisit=None if revisit is None else revisit.copy(),
-        )
-
-    def _revisits(self) -> np.ndarray:  # [R, 4, 4]
-        """Return distinct keyframe poses [R, 4, 4] without roll, in order of PSNR, lowest first.
-
-        A revisit adds a keyframe at the same pose, so poses can repeat.
-        """
-        if not self.config.views.max_revisits:
-            return np.zeros((0, 4, 4))
-        order = np.argsort(self.mapper.keyframe_psnr(), kind="stable")
-        once: dict[bytes, np.ndarray] = {}
-        for number in order:
-            pose = levelled(self.trajectory[self.keyframe_indices[number]])
-            once.setdefault(pose.tobytes(), pose)
-        return np.stack(list(once.values())[: self.config.views.max_revisits])
-
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        began = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] += time.perf_counter() - began

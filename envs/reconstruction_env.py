@@ -201,7 +201,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if self._world is not None and options:
             raise InputError(f"an episode in a world has no reset options, got {', '.join(sorted(options))}")
         if names_world(options.get("scene")) or is_world(options.get("scene")):
-            raise InputError("a world is given when the environment is made, since its camera is the observation's")
+            raise InputError(
+                "reset() takes no world: give it when the environment is made, since its camera defines the space"
+            )
         where: World | GroundTruth
         if self._world is not None:
             where, truth = self._world, getattr(self._world, "truth", None)
@@ -366,7 +368,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if len(self._scenes) > 1:
             raise InputError("an environment explores one world; a sequence may hold scenes only")
         if start_pose is not None:
-            raise InputError("a world states where its camera is: leave start_pose out")
+            raise InputError("a world has its own start pose: leave out start_pose")
         (world,) = worlds
         if isinstance(world, str):
             return load_world(world)

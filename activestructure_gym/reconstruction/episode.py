@@ -113,7 +113,7 @@ class Reconstruction(EpisodeState):
             ))  # fmt: skip
         else:
             if start_pose is not None:
-                raise InputError("a world states where its camera is: leave start_pose out")
+                raise InputError("a world has its own start pose: leave out start_pose")
             if world.camera != config.sensor.camera:
                 raise InputError(
                     f"the configured sensor is {config.sensor.camera}, and the world's camera is {world.camera}; set "

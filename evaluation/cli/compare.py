@@ -50,7 +50,7 @@ class GridOptions:
     """Explore these scenes, separated by commas or spaces: names (see `asg list scenes`), files, folders."""
     policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
-        "Compare these policies: names (see `asg list policies`) with options behind a question mark "
+        "Compare these policies: names (see `asg list policies`) with options after a question mark "
         "(active_gs?travel=shared), package.module:Class, `ladder` (the paper's variants A to E), or `all`."
     )
     mappers: NoNames = ()

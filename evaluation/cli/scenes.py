@@ -104,7 +104,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
     known = ground_truth_of(scene)
     regions = known.regions
     space = known.free_space
-    notify("finding what can be seen")
+    notify("computing the observable surface")
     seen = known.observable_surface
     extent = scene.bounds[1] - scene.bounds[0]
     lines = [
@@ -149,7 +149,7 @@ def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
     if region is regions.used:
         share = known.observable_surface.area_share
     else:
-        notify(f"finding what can be seen from region {number} of {len(regions.places)}")
+        notify(f"computing the surface observable from region {number} of {len(regions.places)}")
         x, y, z = (float(value) for value in name.split(","))
         other = replace(known.scene, inside=(x, y, z))
         share = observable_surface_of(other, free_space_in(region), _SAMPLES).area_share

@@ -45,7 +45,7 @@ def _numbers(text: str | None, kind: type) -> np.ndarray:
                 "its numbers are written with commas (0,5 for 0.5); export it with decimal points"
             ) from None
         wanted = "whole numbers" if kind is np.int64 else "numbers"
-        raise UnreadableMesh(f"'{_first_odd(words, kind)}' stands where {wanted} are expected") from None
+        raise UnreadableMesh(f"'{_first_odd(words, kind)}' was found where {wanted} are expected") from None
 
 
 def _first_odd(words: list[str], kind: type) -> str:

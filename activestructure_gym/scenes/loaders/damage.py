@@ -36,7 +36,7 @@ def in_words(error: Exception) -> str:
     elif isinstance(error, struct.error | EOFError | zlib.error | binascii.Error):
         reason = "it is cut off or damaged; copy or export it again"
     elif isinstance(error, ValueError) and any(words in str(error) for words in _NO_NUMBER):
-        reason = "something else stands in it where numbers are expected (with points, no commas); export it again"
+        reason = "it has other text where numbers are expected (with points, no commas); export it again"
     elif isinstance(error, OSError) and error.strerror:
         reason = f"it cannot be opened ({error.strerror})"
     else:

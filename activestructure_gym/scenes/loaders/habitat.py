@@ -271,7 +271,9 @@ def _chosen(templates: Mapping[str, _Template], wanted: str, where: Path) -> tup
     Raises `InputError` if there is no such template or more than one; ``where`` is the dataset's configuration.
     """
     if not templates:
-        raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
+        raise InputError(
+            f"'{where}' finds no stages and no scene_instances in its paths; check that the dataset is complete"
+        )
     if not wanted and len(templates) == 1:
         return next(iter(templates.items()))
     found = _called(templates, wanted) or _containing(templates, wanted)
@@ -280,7 +282,7 @@ def _chosen(templates: Mapping[str, _Template], wanted: str, where: Path) -> tup
     names = [handle.rpartition("/")[2] for handle in templates]
     if not wanted or found:
         some = ", ".join((found or names)[:5])
-        raise InputError(f"'{where}' holds {len(templates)} scenes; say which one by ?scene=NAME, one of: {some}")
+        raise InputError(f"'{where}' holds {len(templates)} scenes; choose one with ?scene=NAME, such as: {some}")
     raise unknown_name(f"scene of '{where.name}'", wanted, names)
 
 
@@ -312,12 +314,12 @@ def _instance(
     templates = dataset.templates(kind)
     ends = _called(templates, template)
     if len(ends) > 1:
-        raise InputError(f"'{where}' names '{template}', which may be each of the {kind} {', '.join(ends[:5])}")
+        raise InputError(f"'{where}' names '{template}', which fits several {kind}: {', '.join(ends[:5])}")
     if not ends:
         ends = _containing(templates, template)
         if len(ends) > 1:
             some = ", ".join(ends[:5])
-            dataset.doubts.append(f"'{template}' may be each of the {kind} {some}; the first is used, as in Habitat")
+            dataset.doubts.append(f"'{template}' fits several {kind}: {some}; the first is used, as in Habitat")
     if not ends:
         names = [handle.rpartition("/")[2] for handle in templates]
         raise unknown_name(f"template among the {kind} of '{dataset.path.name}'", template, names)

@@ -96,7 +96,7 @@ def checked_quaternions(quaternions: np.ndarray, path: Path) -> np.ndarray:  # [
     wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
     if wrong.any():
         at = int(np.argmax(wrong))
-        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
+        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, expected 1")
     return quaternions
 
 
@@ -122,7 +122,7 @@ def rigid_poses(poses: np.ndarray, path: Path) -> np.ndarray:  # [T, 4, 4]
     far = np.abs(kept[:, :3, 3]).max(axis=1)
     if (far > MAX_COORDINATE_M).any():
         at = int(np.argmax(far > MAX_COORDINATE_M))
-        raise InputError(f"pose {at + 1} of '{path}' stands {far[at]:g} m away: metres are expected")
+        raise InputError(f"pose {at + 1} of '{path}' is {far[at]:g} m away from the origin: metres are expected")
     kept = np.clip(kept, -MAX_COORDINATE_M, MAX_COORDINATE_M)
     rotations = kept[:, :3, :3]
     straight = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _RIGID
@@ -131,7 +131,7 @@ def rigid_poses(poses: np.ndarray, path: Path) -> np.ndarray:  # [T, 4, 4]
     if mirrored.any():
         raise InputError(
             f"pose {int(np.argmax(mirrored)) + 1} of '{path}' mirrors: its axes are left-handed; a right-handed "
-            "convention is needed (turn one axis round)"
+            "convention is needed (invert one axis)"
         )
     if not straight.all():
         raise InputError(f"pose {int(np.argmin(straight)) + 1} of '{path}' is no rigid motion (rotation, translation)")

@@ -255,7 +255,7 @@ def _given_camera(intrinsics: Sequence[float], width: int, height: int) -> Pinho
         raise InputError(f"intrinsics are fx, fy, cx, cy in pixels, with fx and fy above 0, got {tuple(intrinsics)}")
     fx, fy, cx, cy = map(float, intrinsics)
     if width < 1 or height < 1:
-        raise InputError(f"an image needs at least one pixel, and the camera file says {width} x {height}")
+        raise InputError(f"an image needs at least one pixel, and the camera file has {width} x {height}")
     # The data sets put pixel centres at integers, this project at + 0.5.
     return PinholeCamera(width, height, fx, fy, cx + 0.5, cy + 0.5)
 

@@ -396,7 +396,7 @@ def test_vertex_colours_without_a_material_s_own_are_seen_as_they_are(document, 
     "before, after, said",
     [
         ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 1,0 0 0 1 1 0 0 1 0", "written with commas"),
-        ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 one 0 0 1 1 0 0 1 0", "'one' stands where numbers are expected"),
+        ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 one 0 0 1 1 0 0 1 0", "'one' was found where numbers are expected"),
         ("<p>0 1 2 0 2 3", "<p>0 1 2 0 2 9", "its corners name VERTEX 9 of 4"),
         ("<p>0 0 0 1 0 1 2", "<p>0 0 0 1 0 1 2 2", "no rows of 3"),
         ("<vcount>4", "<vcount>5", "counts 5 corners and has 4"),

@@ -7,7 +7,7 @@ from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 
 NOT_THE_FORMAT = "its content is damaged or not what the format says; export it again"
 
-NO_NUMBER = "something else stands in it where numbers are expected (with points, no commas); export it again"
+NO_NUMBER = "it has other text where numbers are expected (with points, no commas); export it again"
 
 
 def stumble(statement):

@@ -155,9 +155,7 @@ def test_a_template_of_which_there_are_two_is_named_with_both(dataset, tmp_path)
     (tmp_path / "objects" / "old").mkdir()
     shutil.copy(tmp_path / "objects" / "chest.object_config.json", tmp_path / "objects" / "old")
     changed(dataset, objects={"paths": {".json": ["objects", "objects/old"]}})
-    with pytest.raises(
-        InputError, match="names 'chest', which may be each of the objects objects/chest, objects/old/c"
-    ):
+    with pytest.raises(InputError, match="names 'chest', which fits several objects: objects/chest, objects/old/c"):
         load_scene(f"{dataset}?scene=one")
     with pytest.raises(InputError, match="max_texture is the largest side"):
         load_scene(f"{dataset}?scene=empty&max_texture=0")
@@ -235,7 +233,7 @@ def test_what_cannot_be_used_is_one_sentence(dataset, file, change, wanted):
 
 
 def test_a_scene_must_be_named_where_there_are_several(dataset):
-    with pytest.raises(InputError, match="holds 2 scenes; say which one by \\?scene=NAME, one of: empty, one"):
+    with pytest.raises(InputError, match="holds 2 scenes; choose one with \\?scene=NAME, such as: empty, one"):
         load_scene(str(dataset))
     with pytest.raises(InputError, match="one"):
         load_scene(f"{dataset}?scene=on")
@@ -322,7 +320,7 @@ def test_a_template_is_found_by_whole_words_of_its_name(with_configs):
     assert len(placed(with_configs, "oak").mesh.faces) == 24
     with pytest.raises(InputError, match="unknown template among the objects of .* 'pine'"):
         placed(with_configs, "pine")
-    said = "'b' may be each of the objects chest_oak_b, chest_pine2_b; the first is used"
+    said = "'b' fits several objects: chest_oak_b, chest_pine2_b; the first is used"
     with pytest.warns(InputWarning, match=said):
         placed(with_configs, "b")
 

@@ -83,7 +83,7 @@ class MujocoWorld:
             self._mujoco.mj_forward(self.model, self.data)
         focal = 0.5 * height / float(np.tan(np.radians(fovy) / 2.0))
         self.camera = PinholeCamera(width, height, focal, focal, width / 2.0, height / 2.0)
-        self.bounds = self._box_of_geoms() if bounds is None else checked_bounds(np.reshape(bounds, (2, 3)))
+        self.bounds = self._box_of_geoms() if bounds is None else checked_bounds([bounds[:3], bounds[3:]])
         self._starts = self._found_starts() if start is None else [self._given_start(start)]
         self._drawing = _Drawing(self._mujoco, self.model, (_SAMPLES * width, _SAMPLES * height))
         self.reset(0)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
@@ -53,11 +52,8 @@ class SceneWorld:
         start_pose: np.ndarray,
         body_radius: float,
     ) -> None:
-        pose = np.array(start_pose, dtype=np.float64)
-        if pose.shape != (4, 4):
-            raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {pose.shape}")
-        check_start_pose(truth, pose, body_radius)
-        pose = unrounded_start(pose)
+        check_start_pose(truth, start_pose, body_radius)
+        pose = unrounded_start(np.array(start_pose, dtype=np.float64))
         self.truth = truth
         self.sensor = RGBDSensor(truth.scene, sensor, noise)
         self.start = Start(pose, float(truth.free_space.clearance_at(pose[:3, 3])[0]))

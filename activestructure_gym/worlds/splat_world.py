@@ -96,7 +96,7 @@ class SplatWorld:
             self.bounds = checked_bounds([low - _MARGIN_M, high + _MARGIN_M])
         else:
             self.bounds = checked_bounds([bounds[:3], bounds[3:]])
-        self._truth = None if collision is None else _truth_of(collision, up)
+        self._truth = None if collision is None else ground_truth_of(load_scene(f"mesh:{collision}", up=up))
         self.start = self._found_start() if start is None else self._given_start(start)
 
     def capture(self, world_from_camera: np.ndarray) -> Frame:
@@ -168,7 +168,3 @@ class SplatWorld:
         nearest = min(float(distance[hit].min(initial=np.inf)), float(self._tree.query(position)[0]))
         ahead = [float(np.median(side[side > 0.0])) if (side > 0.0).any() else 0.0 for side in depth[:4]]
         return min(nearest, 100.0), float(hit.mean()), _DIRECTIONS[int(np.argmax(ahead))]
-
-
-def _truth_of(collision: str, up: str) -> GroundTruth:
-    return ground_truth_of(load_scene(f"mesh:{collision}", up=up))

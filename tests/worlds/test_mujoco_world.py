@@ -216,6 +216,8 @@ def test_models_are_checked(mujoco_room: Path, tmp_path: Path) -> None:
         MujocoWorld(str(empty))
     with pytest.raises(InputError, match="an MJCF file or a mujoco.MjModel, got 3"):
         MujocoWorld(3)
+    with pytest.raises(InputError, match="lowest and the highest corner"):
+        MujocoWorld(str(mujoco_room), bounds=(0.0, 0.0, 0.0, 1.0))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no place with 0.3 m of clearance"):
         MujocoWorld(str(mujoco_room), bounds=(3.2, 2.5, 0.6, 3.4, 2.7, 0.8))
 

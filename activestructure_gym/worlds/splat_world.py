@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ground_truth import GroundTruth, check_start_pose, ground_truth_of
+from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
 from activestructure_gym.mapping.axes import turned_map
 from activestructure_gym.mapping.files import read_map
 from activestructure_gym.scenes import load_scene

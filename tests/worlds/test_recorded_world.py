@@ -64,6 +64,14 @@ def test_position_and_rotation_decide_together(folder: Path) -> None:
     assert world.nearest(asked) == int(np.argmin(apart + 0.1 / np.radians(10.0) * np.array(turned))) == 0
 
 
+def test_roll_does_not_count(tmp_path: Path) -> None:
+    place = np.array([2.0, 1.5, 1.2])
+    poses = np.stack([look_along(place, np.array(ahead)) for ahead in ((1.0, 0.0, 0.0), (1.0, 0.36, 0.0))])
+    poses[0, :3, :3] = poses[0, :3, :3] @ Rotation.from_euler("z", 40.0, degrees=True).as_matrix()
+    world = made(record(tmp_path / "rolled", poses))
+    assert world.nearest(levelled(world.views.world_from_camera[0])) == 0  # the other one is turned by 20 degrees
+
+
 def test_bounds_and_free_radius_come_from_the_depth(folder: Path) -> None:
     world = made(folder)
     size = np.array([3.0, 4.0, 2.5])  # the box is 4 x 3 x 2.5 m; its x is the recording's z, here y

@@ -76,6 +76,9 @@ def test_bounds_and_start_are_found(box: Path) -> None:
     place = world.start.pose[:3, 3]
     truth = float(np.minimum(place, np.array([4.0, 3.0, 2.5]) - place).min())
     assert 0.3 <= world.start.free_radius <= truth + 0.03
+    assert (made(box, bounds="-3,0,0,4,3,2.5").start.pose[:3, 3] > 0.3).all()  # inside, where all directions end
+    far = made(box, bounds="2.6,0,0,4,3,2.5")
+    np.testing.assert_allclose(far.start.pose[:3, 2], [-1.0, 0.0, 0.0], atol=1e-9)  # the way to the farthest wall
     given = made(box, start="1.0,1.5,1.2,90", bounds="0,0,0,4,3,2.5")
     np.testing.assert_allclose(given.start.pose[:3, 2], [0.0, 1.0, 0.0], atol=1e-9)
     assert 0.9 < given.start.free_radius < 1.03 and given.bounds[1].tolist() == [4.0, 3.0, 2.5]

@@ -78,6 +78,21 @@ def test_a_stored_episode_is_replayed_without_its_world(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.stack(env.reconstruction.trajectory), np.stack(other.reconstruction.trajectory))
 
 
+def test_a_robot_does_not_travel_to_what_is_stored(tmp_path: Path) -> None:
+    camera, sent = robot(), list[int]()
+    camera.travel = lambda path: sent.append(len(path))
+    world = StoredCaptures(tmp_path, camera)
+    pose = world.start.pose
+    for length in (1, 2):
+        world.travel(np.stack([pose] * length))
+        world.capture(pose)
+    again = StoredCaptures(tmp_path, camera)
+    for length in (1, 2, 3):
+        again.travel(np.stack([pose] * length))
+        again.capture(pose)
+    assert sent == [1, 2, 3]
+
+
 def test_other_settings_ask_for_other_poses_and_are_refused(tmp_path: Path) -> None:
     played(StoredCaptures(tmp_path, robot()))
     env = ReconstructionEnv(StoredCaptures(tmp_path), preset="fast", frame_budget=60)

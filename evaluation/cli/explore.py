@@ -27,8 +27,8 @@ class Explore:
     world: Annotated[str | None, option("WORLD", "")] = None
     (
         "Explore this world: a name (see `asg list worlds`) or package.module:factory, with options after a "
-        "question mark (simulated?scene=apartment). In every world, tries=N repeats failed captures, and timeout_s=T "
-        "limits their time in seconds."
+        "question mark (simulated?scene=apartment). With any world, tries=N takes a capture up to N times, and "
+        "timeout_s=T limits its time in seconds."
     )
     policy: Annotated[str, option("NAME")] = "activestructure"
     """Explore with this policy (see `asg list policies`)."""

@@ -79,9 +79,11 @@ def _described(name: str) -> str:
     return "\n".join(
         [
             name,
+            "",
             inspect.getdoc(feature) or "It has no description.",
             "",
             f"Columns: {columns_in_words(feature)}; unit: {units_in_words(feature)}; range: {ranges_in_words(feature)}",
+            "",
             f"Needed by: {', '.join(asking) or 'no registered policy'}",
         ]
     )

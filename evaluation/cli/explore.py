@@ -27,7 +27,7 @@ class Explore:
     world: Annotated[str | None, option("WORLD", "")] = None
     (
         "Explore this world: a name (see `asg list worlds`) or package.module:factory, with options after a "
-        "question mark (simulated?scene=apartment). With any world, tries=N takes a capture up to N times, and "
+        "question mark (simulated?scene=apartment). With any world, tries=N tries a capture up to N times, and "
         "timeout_s=T limits its time in seconds."
     )
     policy: Annotated[str, option("NAME")] = "activestructure"

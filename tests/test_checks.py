@@ -96,13 +96,26 @@ def test_faulty_sources() -> None:
             pose[:3, 3] += 100.0
             return Proposals(pose[None])
 
-    for kind, message in ((Random, "other views in an equal episode"), (Far, "proposed no view")):
+    class Writing(Source):
+        def propose(self, context: Any) -> Proposals:
+            context.volume.tsdf[:] += 0.5
+            return SOURCES.get("turns")().propose(context)
+
+    faults = (Random, "other views in an equal episode"), (Far, "proposed no view"), (Writing, "changed the map")
+    for kind, message in faults:
         SOURCES.register("faulty")(kind)
         try:
             with pytest.raises(AssertionError, match=message):
                 check_source("faulty", "box")
         finally:
             del SOURCES._entries["faulty"]
+
+
+class Noisy(SimulatedRobot):
+    def capture(self, world_from_camera: np.ndarray) -> Any:
+        frame = super().capture(world_from_camera)
+        frame.rgb[:] = np.random.default_rng().integers(0, 256, frame.rgb.shape)
+        return frame
 
 
 def test_faulty_worlds() -> None:
@@ -112,6 +125,16 @@ def test_faulty_worlds() -> None:
             frame.depth[:] = 0.0
             return frame
 
+    class Elsewhere(SimulatedRobot):
+        def capture(self, world_from_camera: np.ndarray) -> Any:
+            frame = super().capture(world_from_camera)
+            frame.world_from_camera[0, 3] += 0.6
+            return frame
+
+    with pytest.raises(AssertionError, match="0.60 m away"):
+        check_world(Elsewhere("box", width=48, height=36))
+    with pytest.raises(AssertionError, match="two fresh worlds"):
+        check_world(f"{__name__}:Noisy?scene=box&width=48&height=36")
     with pytest.raises(AssertionError, match="no depth"):
         check_world(Blind("box", width=48, height=36))
     with pytest.raises(AssertionError, match="members"):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.envs.reconstruction_env import SceneSpec
+from activestructure_gym.envs.inputs import SceneSpec
 from activestructure_gym.features import FEATURES, column_names, evaluate_features
 from activestructure_gym.planes.record import graph_arrays
 from activestructure_gym.policies import Policy, make_env_and_policy

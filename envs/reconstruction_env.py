@@ -14,24 +14,22 @@ from gymnasium import spaces
 
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.exclusive_access import ExclusiveAccess
+from activestructure_gym.envs.inputs import Scenes, as_pose, as_truth, only_world, table_of
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
 from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
-from activestructure_gym.geometry import look_along
-from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
-from activestructure_gym.motion import is_level, unrounded_start
+from activestructure_gym.ground_truth import GroundTruth
+from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, StepResult
-from activestructure_gym.scenes import Scene, load_scene
+from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame
 from activestructure_gym.streams import write_line
-from activestructure_gym.worlds import World, is_world, load_world, names_world, with_camera
+from activestructure_gym.worlds import World, is_world, names_world, with_camera
 
 if TYPE_CHECKING:
     from activestructure_gym.viewer import LiveView
 
-SceneSpec = str | PathLike[str] | Scene | GroundTruth | World
-Scenes = SceneSpec | Sequence[SceneSpec]
 RenderMode = Literal["human", "rgb_array"]
 
 
@@ -149,7 +147,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if not isinstance(preset, str):
             raise InputError(f"preset must be a name, got {short_repr(preset)}")
         if not isinstance(config, ReconstructionConfig):
-            config = configure(preset, _fields("config", config))
+            config = configure(preset, table_of("config", config))
         changes: dict[str, Any] = {}
         if frame_budget is not None:
             changes["frame_budget"] = frame_budget
@@ -165,10 +163,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
                 f"scene must be a name, a path, a Scene, a World, or a sequence of them, got {short_repr(scene)}"
             )
         config = replaced(config, changes)
-        self._world = self._only_world(start_pose)
+        self._world = only_world(self._scenes, start_pose)
         self.config = config if self._world is None else with_camera(config, self._world.camera)
         self.reward_config = (
-            reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), _fields("reward", reward))
+            reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), table_of("reward", reward))
         )
         self.render_mode = render_mode
         self.coverage_target = coverage_target
@@ -194,7 +192,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         """Begin an episode and return what `reset` returns."""
         super().reset(seed=seed)
         self._ended = True  # if an error is raised below, `step` must not continue the previous episode
-        options = dict(_fields("options", options))
+        options = dict(table_of("options", options))
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
@@ -360,21 +358,6 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             return False
         return self._coverage.share >= self.coverage_target
 
-    def _only_world(self, start_pose: Any) -> World | None:
-        """Return the world that the environment explores; None if it explores scenes."""
-        worlds = [one for one in self._scenes if names_world(one) or is_world(one)]
-        if not worlds:
-            return None
-        if len(self._scenes) > 1:
-            raise InputError("an environment explores one world; a sequence may hold scenes only")
-        if start_pose is not None:
-            raise InputError("a world has its own start pose: leave out start_pose")
-        (world,) = worlds
-        if isinstance(world, str):
-            return load_world(world)
-        assert is_world(world)
-        return world
-
     def _draw_scene(self) -> GroundTruth:
         """Draw the scene of an episode."""
         index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0
@@ -404,55 +387,3 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             **({"ground_truth": False} if self._coverage is None else {"is_success": self._covered}),
             **terms,
         }
-
-
-def as_truth(scene: SceneSpec) -> GroundTruth:
-    """Return the ground truth of a scene or scene spec; warn if only little of its surface can be seen."""
-    if isinstance(scene, GroundTruth):
-        return scene
-    if names_world(scene) or not isinstance(scene, str | PathLike | Scene):
-        raise InputError(f"a world has no scene to load, got {short_repr(scene)}")
-    truth = ground_truth_of(load_scene(scene))
-    warn_if_hardly_seen(truth)
-    return truth
-
-
-def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-    """Convert a start pose to a ``world_from_camera`` matrix.
-
-    ``value`` is a 4x4 matrix, or (x, y, z, yaw) with a horizontal view direction. Positions are in metres. The yaw is
-    in degrees, 0 for +x. Raises `InputError` for other values.
-    """
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {short_repr(value)}") from error
-    if not np.isfinite(array).all():
-        raise InputError(f"a start pose must be finite numbers, got {short_repr(value)}")
-    if array.shape == (4, 4):
-        return _rigid(array)
-    if array.shape == (4,):
-        yaw = np.radians(array[3])
-        return look_along(array[:3], np.array([np.cos(yaw), np.sin(yaw), 0.0]))
-    raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got shape {array.shape}")
-
-
-def _rigid(pose: np.ndarray) -> np.ndarray:  # [4, 4]
-    """Re-orthonormalise a rotation that was rounded to few digits; return other matrices unchanged.
-
-    Raises `InputError` if the last row is not (0, 0, 0, 1).
-    """
-    if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
-        raise InputError(f"the last row of a start pose's 4x4 matrix is (0, 0, 0, 1), got {pose[3].tolist()}")
-    rotation = pose[:3, :3]
-    nearly = np.abs(rotation @ rotation.T - np.eye(3)).max() <= POSE_ROUNDING and np.linalg.det(rotation) > 0
-    return unrounded_start(pose) if nearly else pose
-
-
-def _fields(what: str, value: Any) -> Mapping[str, Any]:
-    """Return a mapping with names as keys, {} for None; raise `InputError` for other values of the option ``what``."""
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise InputError(f"{what} must be a dictionary with names as keys, got {short_repr(value)}")
-    return value

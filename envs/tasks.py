@@ -8,7 +8,8 @@ from typing import Any, TypeVar, Unpack
 
 import numpy as np
 
-from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv, Scenes
+from activestructure_gym.envs.inputs import Scenes
+from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv
 from activestructure_gym.errors import InputError, short_repr, unknown_keyword
 from activestructure_gym.scenes.library import with_options
 from activestructure_gym.worlds import World, is_world

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.envs.reconstruction_env import as_pose
+from activestructure_gym.envs.inputs import as_pose
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.archive.jobs import TRAJECTORY
 from activestructure_gym.evaluation.trajectories.alignment import matched, trajectory_errors, umeyama

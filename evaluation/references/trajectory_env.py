@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.config import configure
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.envs.reconstruction_env import as_pose
+from activestructure_gym.envs.inputs import as_pose
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.references.trajectory import ResolvedTrajectory, TrajectorySpec
 from activestructure_gym.evaluation.trajectories.motion import motion_report

@@ -177,7 +177,7 @@ class Comparison:
 
     def _check_scene(self, spec: str, policies: Sequence[Spec]) -> Scene:
         from activestructure_gym.config import configure
-        from activestructure_gym.envs.reconstruction_env import as_pose
+        from activestructure_gym.envs.inputs import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
         from activestructure_gym.volume.voxel_volume import grid_shape
 

@@ -13,11 +13,8 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import observation_keys, observation_table
-from activestructure_gym.envs.reconstruction_env import as_pose, as_truth
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.features import FEATURES
-from activestructure_gym.geometry import look_along
-from activestructure_gym.motion import is_level
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -327,34 +324,6 @@ def test_table_of_the_observation_names_every_key(env: ReconstructionEnv) -> Non
     assert all(f"`{name}`" in table for name in keys)
 
 
-def test_as_pose() -> None:
-    np.testing.assert_array_equal(as_pose(np.eye(4)), np.eye(4))
-    np.testing.assert_allclose(as_pose((1, 2, 3, 0))[:3, 2], (1, 0, 0), atol=1e-12)
-
-
-ROUNDED = np.array([[0.5, 0, 0.866, 2], [-0.866, 0, 0.5, 1.5], [0, -1, 0, 1.4], [0, 0, 0, 1]])
-
-
-def test_a_pose_written_with_three_decimals_is_the_nearest_rotation() -> None:
-    rotation = as_pose(ROUNDED)[:3, :3]
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(rotation, ROUNDED[:3, :3], atol=1e-4)
-    np.testing.assert_array_equal(as_pose(ROUNDED)[:3, 3], ROUNDED[:3, 3])
-
-
-def test_a_pitched_pose_written_with_few_decimals_is_no_rolling_one(box_options: dict[str, Any]) -> None:
-    level = look_along(np.array([2, 1.5, 1.25]), np.array([0.7, 0.4, -0.3]))
-    for digits in (3, 4):
-        written = np.round(level, digits)
-        assert is_level(as_pose(written))
-        env = ReconstructionEnv(**box_options, start_pose=written)
-        env.reset(seed=0)
-        np.testing.assert_allclose(env.reconstruction.pose, level, atol=2e-3)
-        reconstruction = env.reconstruction
-        reconstruction.start(as_truth("box"), 0, written)  # without the env
-        np.testing.assert_array_equal(reconstruction.pose, as_pose(written))
-
-
 @pytest.mark.parametrize("y", [0.30, 0.33])
 def test_an_accepted_start_in_a_narrow_place_has_views(box_options: dict[str, Any], y: float) -> None:
     env = ReconstructionEnv(**box_options, start_pose=(2.0, y, 1.25, 90.0))
@@ -371,31 +340,3 @@ def test_who_is_offered_nothing_at_the_start_is_told(box_options: dict[str, Any]
     with pytest.warns(InputWarning, match="no candidate view at the start: none of the views that 'frontier_facing"):
         observation, _ = env.reset(seed=0)
     assert not observation["action_mask"].any()
-
-
-def test_a_pose_of_the_callers_stays_the_callers(box_options: dict[str, Any]) -> None:
-    given = ROUNDED.copy()
-    env = ReconstructionEnv(**box_options, start_pose=given)
-    given[:3, 3] = 1.0
-    assert env.reset(seed=0)[0]["pose"][:3] == pytest.approx(ROUNDED[:3, 3])
-    assert as_pose(given) is not given
-
-
-def test_a_matrix_that_is_no_rigid_motion_is_refused_by_its_last_row(box_options: dict[str, Any]) -> None:
-    given = np.eye(4)
-    given[3, 3] = 2.0
-    with pytest.raises(InputError, match=r"last row of a start pose's 4x4 matrix is \(0, 0, 0, 1\), got"):
-        ReconstructionEnv(**box_options, start_pose=given).reset(seed=0)
-
-
-def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -> None:
-    env = ReconstructionEnv(**{**box_options, "frame_budget": 1})
-    env.reset(seed=0)
-    *_, truncated, info = env.step(env.action_space.n - 1)
-    assert truncated and info["frames"] == 1
-
-
-def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
-    with pytest.warns(FutureWarning, match="gains is now called features"):
-        env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
-    assert env.config.features == ("hole_area",)

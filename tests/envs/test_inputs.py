@@ -55,16 +55,3 @@ def test_a_matrix_that_is_no_rigid_motion_is_refused_by_its_last_row(box_options
     given[3, 3] = 2.0
     with pytest.raises(InputError, match=r"last row of a start pose's 4x4 matrix is \(0, 0, 0, 1\), got"):
         ReconstructionEnv(**box_options, start_pose=given).reset(seed=0)
-
-
-def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -> None:
-    env = ReconstructionEnv(**{**box_options, "frame_budget": 1})
-    env.reset(seed=0)
-    *_, truncated, info = env.step(env.action_space.n - 1)
-    assert truncated and info["frames"] == 1
-
-
-def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
-    with pytest.warns(FutureWarning, match="gains is now called features"):
-        env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
-    assert env.config.features == ("hole_area",)

@@ -340,3 +340,16 @@ def test_who_is_offered_nothing_at_the_start_is_told(box_options: dict[str, Any]
     with pytest.warns(InputWarning, match="no candidate view at the start: none of the views that 'frontier_facing"):
         observation, _ = env.reset(seed=0)
     assert not observation["action_mask"].any()
+
+
+def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**{**box_options, "frame_budget": 1})
+    env.reset(seed=0)
+    *_, truncated, info = env.step(env.action_space.n - 1)
+    assert truncated and info["frames"] == 1
+
+
+def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
+    with pytest.warns(FutureWarning, match="gains is now called features"):
+        env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
+    assert env.config.features == ("hole_area",)

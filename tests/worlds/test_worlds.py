@@ -155,7 +155,7 @@ def test_names_of_worlds() -> None:
 
 
 def test_the_environment_refuses_what_a_world_decides() -> None:
-    with pytest.raises(InputError, match="leave start_pose out"):
+    with pytest.raises(InputError, match="leave out start_pose"):
         ReconstructionEnv(WORLD, start_pose=(1.0, 1.0, 1.0, 0.0))
     with pytest.raises(InputError, match="one world"):
         ReconstructionEnv([WORLD, "box"])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.envs.observation import feature_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.recording import replay_env
@@ -62,7 +63,6 @@ class ExplainedRow:
 class Explanation:
     """Hold one decision of a run: its rows by rank, the policy's own numbers, and the number of candidates."""
 
-    run: Run
     decision: int  # number of the decision, from 0
     frame: int  # frames used before the decision
     candidates: int
@@ -146,12 +146,10 @@ def _explained(
     policies[own].act(observation)  # for its trace
     rows = list(dict.fromkeys([*ranked, *choices.values()]))
     episode = env.reconstruction
-    seen = {row: area for row, area in zip(rows, _new_areas(run, episode, rows))}
-    candidates, named = policies[own].candidates(observation), policies[own].required_features
-    columns = [name for name in env.config.features if any(name.startswith(wanted) for wanted in named)]
-    table = observation["candidates"]
+    new_areas = _new_areas(episode, rows)
+    candidates, columns = policies[own].candidates(observation), feature_columns(*policies[own].required_features)
+    look = candidates.view_direction
     return Explanation(
-        run=run,
         decision=decision,
         frame=episode.frames,
         candidates=int(observation["action_mask"].sum()),
@@ -159,13 +157,13 @@ def _explained(
             ExplainedRow(
                 row=row,
                 rank=ranked.index(row) + 1 if row in ranked else None,
-                position=tuple(float(value) for value in table[row, 0:3]),  # type: ignore[arg-type]
-                yaw_deg=float(np.degrees(np.arctan2(table[row, 4], table[row, 3]))),
-                pitch_deg=float(np.degrees(np.arcsin(np.clip(table[row, 5], -1.0, 1.0)))),
+                position=tuple(float(value) for value in candidates.xyz[row]),  # type: ignore[arg-type]
+                yaw_deg=float(np.degrees(np.arctan2(look[row, 1], look[row, 0]))),
+                pitch_deg=float(np.degrees(np.arcsin(np.clip(look[row, 2], -1.0, 1.0)))),
                 metres=float(candidates.path_length[row]),
                 frames=int(candidates.frames[row]),
                 features={name: float(candidates[name][row]) for name in columns},
-                new_m2=seen[row],
+                new_m2=new_areas.get(row),
                 chosen_by=tuple(name for name, choice in choices.items() if choice == row),
             )
             for row in rows
@@ -190,20 +188,18 @@ def ranked_rows(policy: Policy, observation: dict[str, np.ndarray], count: int) 
     return rows
 
 
-def _new_areas(run: Run, episode: Reconstruction, rows: Sequence[int]) -> list[float | None]:
-    """Return the unseen true surface in m^2 that the path to each row would show; None without ground truth."""
-    if not run.has_truth:
-        return [None] * len(rows)
-    from activestructure_gym.evaluation.references.oracle_gains import TrueSurface
-    from activestructure_gym.evaluation.running.surroundings import scene_surroundings
+def _new_areas(episode: Reconstruction, rows: Sequence[int]) -> dict[int, float]:
+    """Return the unseen true surface in m^2 that the path to each row would show.
 
-    known = scene_surroundings(run.job).known
-    assert known is not None
-    surface = TrueSurface(known)
+    Rows without a path are left out; all rows are without ground truth.
+    """
+    from activestructure_gym.evaluation.references.oracle_gains import TrueSurface
+    from activestructure_gym.worlds import SceneWorld
+
+    if not isinstance(episode.world, SceneWorld):
+        return {}
+    surface = TrueSurface(episode.world.truth)
     surface.follow(episode)
     valid = [row for row in rows if row < len(episode.candidates)]
     paths = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[valid])
-    found = {
-        row: None if path is None else surface.new_area(episode, path.keyframes) for row, path in zip(valid, paths)
-    }
-    return [found.get(row) for row in rows]
+    return {row: surface.new_area(episode, path.keyframes) for row, path in zip(valid, paths) if path is not None}

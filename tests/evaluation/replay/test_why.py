@@ -43,6 +43,12 @@ def test_a_decision_is_explained(run: Run) -> None:
     assert first.frame == 1 and max(row.new_m2 or 0.0 for row in first.rows) > 0.1
 
 
+def test_features_of_other_policies_are_left_out(tmp_path: Path) -> None:
+    conditions = Conditions(preset="fast", frame_budget=2, protocol=SMALL.protocol)
+    (run,) = compare(["box"], ["fisherrf"], tmp_path / "runs", conditions=conditions, engine="inline").runs
+    assert list(explain(run, 0, ["fisherrf_path"]).rows[0].features) == ["fisherrf"]
+
+
 def test_rows_are_ranked_by_asking_again_and_the_policy_does_not_change() -> None:
     policy = make_policy("pixel_only")
     policy.bind(("pixel",))

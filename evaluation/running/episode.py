@@ -6,6 +6,7 @@ import dataclasses
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -132,21 +133,19 @@ def _play(
     begun: Callable[[ReconstructionEnv], None],
 ) -> None:
     """Play the episode of ``job`` and store it in ``directory``, completely or not at all."""
-    began = time.perf_counter()
-    policy, env = build(job, where.explored)
-    loading += time.perf_counter() - began
-    try:
-        begun(env)
-        episode = _Episode(job, env, policy, truth, notify, where.is_over)
-        episode.run()
+    with closing(where):
         began = time.perf_counter()
-        with played.written_episode(directory, job) as part:
-            _write_episode(part, job, where, env, episode, own, loading)
-            _write_files(part, env.reconstruction)
-            if where.world is not None:
-                played.link_folder(where.world.folder, part / store.CAPTURES)
-    finally:
-        env.close()
+        policy, env = build(job, where.explored)
+        loading += time.perf_counter() - began
+        with closing(env):
+            begun(env)
+            episode = _Episode(job, env, policy, truth, notify, where.is_over)
+            episode.run()
+            with played.written_episode(directory, job) as part:
+                _write_episode(part, job, where, env, episode, own, loading)
+                _write_files(part, env.reconstruction)
+                if where.world is not None:
+                    played.link_folder(where.world.folder, part / store.CAPTURES)
     if where.world is not None:  # the run holds the captures now
         shutil.rmtree(captures_in_progress(directory), ignore_errors=True)  # those of a replay stay
 

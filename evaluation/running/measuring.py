@@ -21,7 +21,7 @@ from activestructure_gym.evaluation.archive.picture_record import captured_pictu
 from activestructure_gym.evaluation.archive.temporary import atomic_files
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
-from activestructure_gym.evaluation.protocols.metrics import MetricContext, get_metric, measure_metrics
+from activestructure_gym.evaluation.protocols.metrics import MetricContext, added_metrics, measure_metrics
 from activestructure_gym.evaluation.protocols.metrics.without_truth import NO_TRUTH, WITHOUT_TRUTH, unmeasured
 from activestructure_gym.evaluation.running.surroundings import Surroundings, stored_surroundings
 from activestructure_gym.npz import write_npz
@@ -51,9 +51,10 @@ def measure(job: Job, place: Path, directory: Path, where: Surroundings, truth: 
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
     described: list[dict[str, Any]]
     if truth is None or where.known is None:
+        unknown = added_metrics(job.conditions.metrics, metrics)
         described = [metric.as_dict() for metric in WITHOUT_TRUTH]
-        described += [get_metric(name).as_dict() | {"reason": NO_TRUTH} for name in job.conditions.metrics]
-        metrics |= {get_metric(name).name: None for name in job.conditions.metrics}
+        described += [metric.as_dict() | {"reason": NO_TRUTH} for metric in unknown]
+        metrics |= dict.fromkeys(metric.name for metric in unknown)
         pictures = captured_pictures(gaussians, StoredCaptures(place / store.CAPTURES), path)
     else:
         context = MetricContext(gaussians, truth, where.known, job.conditions.protocol, path, poses, dict(metrics))

@@ -7,9 +7,10 @@ from activestructure_gym.evaluation.protocols.metrics.base import (
     METRICS,
     Metric,
     MetricContext,
+    added_metrics,
     get_metric,
     get_metrics,
     measure_metrics,
 )
 
-__all__ = ["METRICS", "Metric", "MetricContext", "get_metric", "get_metrics", "measure_metrics"]
+__all__ = ["METRICS", "Metric", "MetricContext", "added_metrics", "get_metric", "get_metrics", "measure_metrics"]

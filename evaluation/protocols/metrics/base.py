@@ -148,22 +148,32 @@ def get_metrics(names: Sequence[str]) -> list[Metric]:
     return [metric for _, metric in found.values()]
 
 
+def added_metrics(names: Sequence[str], numbers: Mapping[str, Any]) -> list[Metric]:
+    """Return the named metrics that a run with these ``numbers`` gets in addition.
+
+    A metric with the name of another number of the run is left out with an `InputWarning`.
+    """
+    added = dict[str, Metric]()
+    for metric in map(get_metric, names):
+        if metric.name in numbers or metric.name in added:
+            text = f"metric '{metric.name}' is left out, since the run has another number of that name: rename it"
+            warnings.warn(text, InputWarning, stacklevel=3)
+        else:
+            added[metric.name] = metric
+    return list(added.values())
+
+
 def measure_metrics(
     names: Sequence[str], context: MetricContext
 ) -> tuple[dict[str, float | None], list[dict[str, Any]]]:
-    """Compute the named metrics of a finished run.
+    """Compute the named metrics of a finished run, see `added_metrics`.
 
     Return two results: the values by metric name, and the descriptions of the metrics for ``metrics.json``. An
-    undefined metric has the value None, and its description has a ``reason``. A metric with the name of another number
-    of the run is left out with an `InputWarning`.
+    undefined metric has the value None, and its description has a ``reason``.
     """
     values: dict[str, float | None] = {}
     described = list[dict[str, Any]]()
-    for metric in map(get_metric, names):
-        if metric.name in context.numbers or metric.name in values:
-            text = f"metric '{metric.name}' is left out, since the run has another number of that name: rename it"
-            warnings.warn(text, InputWarning, stacklevel=2)
-            continue
+    for metric in added_metrics(names, context.numbers):
         assert metric.compute is not None
         reason = "it is not defined for this map"
         try:

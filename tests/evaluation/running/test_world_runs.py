@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation import Conditions, compare
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.store import CAPTURES, Run, read_run
@@ -54,6 +54,31 @@ def test_the_report_says_that_there_is_no_ground_truth(runs: list[Run], capsys: 
     assert "known" in page and "captured view" in page and "known volume [m³]" in page
     assert said in (folder / "summary.md").read_text(encoding="utf-8")
     assert "known" in capsys.readouterr().out
+
+
+def test_a_metric_does_not_replace_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "from activestructure_gym.evaluation import Metric\n"
+    code += "".join(f"{name} = Metric('{name}', best='lowest', compute=len)\n" for name in ("frames", "counted"))
+    (tmp_path / "metrics_of_a_world_test.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    names = tuple(f"metrics_of_a_world_test:{name}" for name in ("frames", "counted"))
+    conditions = Conditions(preset="fast", frame_budget=2, metrics=names)
+    with pytest.warns(InputWarning, match="'frames' is left out"):
+        (run,) = compare([WORLD], ["random"], tmp_path / "runs", conditions=conditions, engine="inline").runs
+    assert run.metrics["metrics"]["frames"] == 2 and run.metrics["metrics"]["counted"] is None
+    assert run.metrics["own_metrics"][-1]["reason"] == "no ground truth"
+
+
+def test_a_world_is_released_if_its_episode_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = list[SimulatedRobot]()
+    monkeypatch.setattr(SimulatedRobot, "close", lambda self: closed.append(self))
+    monkeypatch.setattr("activestructure_gym.reconstruction.checked_start", _refused)
+    result = compare([WORLD], ["random"], tmp_path / "runs", conditions=SMALL, engine="inline")
+    assert "start is refused" in result.failed[0].error and closed
+
+
+def _refused(*_: Any) -> Any:
+    raise InputError("the start is refused")
 
 
 def test_a_run_is_replayed_and_verified_from_its_captures(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:

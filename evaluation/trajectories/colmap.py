@@ -15,12 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import invert_rigid
-from activestructure_gym.scenes.loaders.pose_text import (
-    MAX_COORDINATE_M,
-    MAX_POSES,
-    checked_quaternions,
-    poses_of_quaternions,
-)
+from activestructure_gym.scenes.loaders.pose_text import MAX_COORDINATE_M, MAX_POSES, poses_of_quaternions
 
 _MAX_BYTES = 1 << 30  # largest size of a file, 1 GiB; the image points that follow each pose take most of it
 _MAX_NAME = 4096  # bytes; longest name of an image
@@ -48,8 +43,8 @@ def colmap_poses(path: Path) -> np.ndarray:  # [T, 4, 4] world_from_camera
     rows = np.array([numbers for _, numbers in sorted(images, key=lambda image: in_number_order(image[0]))])
     if not (np.abs(rows[:, 4:]) <= MAX_COORDINATE_M).all():
         raise InputError(f"'{path}' holds a translation over {MAX_COORDINATE_M:g} m, or one that is no number")
-    xyzw = checked_quaternions(np.roll(rows[:, :4], -1, axis=1), path)
-    return invert_rigid(poses_of_quaternions(rows[:, 4:], xyzw))
+    xyzw = np.roll(rows[:, :4], -1, axis=1)
+    return invert_rigid(poses_of_quaternions(rows[:, 4:], xyzw, path))
 
 
 def in_number_order(name: str) -> list[tuple[int, str]]:

@@ -54,9 +54,8 @@ def habitat_poses(path: Path) -> np.ndarray:  # [T, 4, 4]
         wanted = 'a list of {"position": [x, y, z], "rotation": [x, y, z, w]}'
         raise InputError(f"'{path}' is no trajectory of Habitat, {wanted}: {error}") from error
     rotations = np.array([pose["rotation"] for pose in given], dtype=np.float64)
-    if not (np.abs(np.linalg.norm(rotations, axis=1) - 1.0) <= 1e-2).all():
-        raise InputError(f"'{path}' holds a rotation that is no unit quaternion [x, y, z, w]")
-    return poses_of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
+    positions = np.array([pose["position"] for pose in given], dtype=np.float64)
+    return poses_of_quaternions(positions, rotations, path)
 
 
 def scannetpp_poses(path: Path) -> np.ndarray:  # [T, 4, 4]; infinite where tracking was lost

@@ -78,7 +78,7 @@ def tum_poses(
     path: Path,
 ) -> np.ndarray:  # [T, 4, 4]
     """Return the poses of a TUM file; raise `InputError` for a wrong quaternion or time stamp."""
-    xyzw = checked_quaternions(rows[:, 4:], path)
+    poses = poses_of_quaternions(rows[:, 1:4], rows[:, 4:], path)
     if (unsorted := ~(np.diff(rows[:, 0]) >= 0)).any():
         raise InputError(
             f"pose {int(np.argmax(unsorted)) + 2} of '{path}' has an earlier time stamp than the one before, or none: "
@@ -86,18 +86,7 @@ def tum_poses(
         )
     if not np.isfinite(rows[:, 0]).all():
         raise InputError(f"a time stamp of '{path}' is no finite number")
-    return poses_of_quaternions(rows[:, 1:4], xyzw)
-
-
-def checked_quaternions(quaternions: np.ndarray, path: Path) -> np.ndarray:  # [T, 4] -> [T, 4]
-    """Return the quaternions; raise `InputError` if the length of one differs from 1 by more than 0.01."""
-    with np.errstate(over="ignore"):
-        lengths = np.linalg.norm(quaternions, axis=1)
-    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, expected 1")
-    return quaternions
+    return poses
 
 
 def matrices_of(rows: np.ndarray) -> np.ndarray:  # [T, 12 or 16] -> [T, 4, 4]
@@ -107,8 +96,18 @@ def matrices_of(rows: np.ndarray) -> np.ndarray:  # [T, 12 or 16] -> [T, 4, 4]
     return poses
 
 
-def poses_of_quaternions(positions: np.ndarray, xyzw: np.ndarray) -> np.ndarray:  # [T, 3], [T, 4] -> [T, 4, 4]
-    """Return the poses of positions in metres and quaternions in the order x, y, z, w."""
+def poses_of_quaternions(
+    positions: np.ndarray,  # [T, 3] metres
+    xyzw: np.ndarray,  # [T, 4]
+    path: Path,
+) -> np.ndarray:  # [T, 4, 4]
+    """Return the poses; raise `InputError` if the length of a quaternion differs from 1 by more than 0.01."""
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(xyzw, axis=1)
+    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, expected 1")
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(xyzw).as_matrix()
     poses[:, :3, 3] = positions

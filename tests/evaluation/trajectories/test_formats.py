@@ -105,7 +105,7 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("redwood", "# nothing\n", "not a Redwood trajectory"),
         ("redwood", LINES["redwood"].replace("-1", "x"), "not a trajectory of numbers"),
         ("habitat", '[{"position": [0, 0]}]', "no trajectory of Habitat"),
-        ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "no unit quaternion"),
+        ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "quaternion of length 0.5"),
         ("auto", " \n", "is empty: expected 8 numbers per line"),
         ("auto", "# a comment\n", "got comments only"),
         ("auto", '{"camera_model": "OPENCV", "poses": []}', "got JSON with the names camera_model, poses"),

@@ -169,7 +169,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     seeds = len(results.seeds)
     missing = [f"- {escaped(without_folders(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] or 0 for run in results.runs)
-    crossed = f"Executed steps through the true mesh: {collisions}{' (must be 0!)' if collisions else ''}."
+    crossed = f" Executed steps through the true mesh: {collisions}{' (must be 0!)' if collisions else ''}."
     crossed = crossed if any(run.has_truth for run in results.runs) else ""
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in metric_definitions(results).items()]
@@ -184,7 +184,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         f"[{TABLES}](./{TABLES}/).",
         "",
         markdown(overview(table_rows(results.runs), overview_columns(results.runs))),
-        f"{spread}; the first three of each scene are marked. {crossed}",
+        f"{spread}; the first three of each scene are marked.{crossed}",
         "",
         *meaning,
         "",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.protocols.metrics.without_truth import measured_without_truth
+from activestructure_gym.evaluation.running.actors import Actor, build
 from activestructure_gym.evaluation.running.measuring import measure
 from activestructure_gym.evaluation.running.surroundings import (
     Surroundings,
@@ -35,10 +36,9 @@ from activestructure_gym.planes.record import graph_arrays, graph_summary
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.protocols import Truth
-    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
-    from activestructure_gym.worlds import StoredCaptures, World
+    from activestructure_gym.worlds import StoredCaptures
 
 CHECKPOINTS = 20  # points of the convergence curve after the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
@@ -49,19 +49,6 @@ SURFACE_CHECKPOINTS = 4
 
 
 Stage = Literal["loading", "exploring", "measuring", "done"]
-
-
-class Actor(Protocol):
-    """Define the interface of a policy or a reference: choose a row of the candidate table at every decision."""
-
-    def reset(self, seed: int) -> None:
-        """Begin an episode."""
-
-    def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Return the chosen row of the candidate table."""
-
-    def trace(self) -> dict[str, Any]:
-        """Return the numbers that led to the last choice."""
 
 
 @dataclass(frozen=True)
@@ -148,34 +135,6 @@ def _play(
                     played.link_folder(where.world.folder, part / store.CAPTURES)
     if where.world is not None:  # the run holds the captures now
         shutil.rmtree(captures_in_progress(directory), ignore_errors=True)  # those of a replay stay
-
-
-def build(job: Job, explored: GroundTruth | World) -> tuple[Actor, ReconstructionEnv]:
-    """Create the actor of a job (policy, reference or trajectory) and its environment with the required features.
-
-    Only a reference receives the ground truth.
-    """
-    from activestructure_gym.envs import ReconstructionEnv
-    from activestructure_gym.ground_truth import GroundTruth
-    from activestructure_gym.policies import make_policy
-
-    if job.policy.kind == "reference":
-        assert isinstance(explored, GroundTruth)
-        from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
-
-        changes = dict(job.conditions.overrides) | {"views.max_candidates": WHOLE_POOL}
-        env = ReconstructionEnv(scene=explored, features=(), **job.conditions.env_options(changes))
-        return make_reference(job.policy, env, explored, job.conditions.protocol), env
-    if job.policy.kind == "trajectory":
-        from activestructure_gym.evaluation.references.trajectory_env import trajectory_policy_and_env
-
-        assert isinstance(explored, GroundTruth)
-        return trajectory_policy_and_env(job, explored)
-    policy = make_policy(job.policy)
-    options = job.conditions.env_options(job.conditions.changes(policy))
-    env = ReconstructionEnv(scene=explored, features=tuple(policy.required_features), **options)
-    policy.bind(env)
-    return policy, env
 
 
 def episode_metrics(scene: Scene | None, reconstruction: Reconstruction, episode: _Episode) -> dict[str, Any]:

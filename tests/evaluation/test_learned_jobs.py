@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.archive.jobs import Job, policy_label
 from activestructure_gym.evaluation.archive.store import read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
-from activestructure_gym.evaluation.running.episode import build
+from activestructure_gym.evaluation.running.actors import build
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint

@@ -11,7 +11,7 @@ from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.episode import build
+from activestructure_gym.evaluation.running.actors import build
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import planar_graph
 from activestructure_gym.policies import POLICIES, NativeSettings, Policy, make_env_and_policy

@@ -72,7 +72,7 @@ def test_a_metric_does_not_replace_a_number(tmp_path: Path, monkeypatch: pytest.
 def test_a_world_is_released_if_its_episode_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = list[SimulatedRobot]()
     monkeypatch.setattr(SimulatedRobot, "close", lambda self: closed.append(self))
-    monkeypatch.setattr("activestructure_gym.reconstruction.checked_start", _refused)
+    monkeypatch.setattr("activestructure_gym.reconstruction.episode.checked_start", _refused)
     result = compare([WORLD], ["random"], tmp_path / "runs", conditions=SMALL, engine="inline")
     assert "start is refused" in result.failed[0].error and closed
 

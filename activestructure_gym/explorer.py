@@ -94,7 +94,7 @@ class Explorer:
     Raises
     ------
     InputError
-        For an unknown policy, or an invalid pose, bounds or configuration.
+        For an unknown policy, or an invalid camera, pose, bounds or configuration.
 
     Examples
     --------
@@ -128,6 +128,8 @@ class Explorer:
         seed: int = 0,
         directory: str | os.PathLike[str] | None = None,
     ) -> None:
+        if not isinstance(camera, PinholeCamera):
+            raise InputError(f"an explorer needs the PinholeCamera of its pictures as camera, got {camera!r}")
         corners = checked_bounds(bounds)
         begin = checked_start(Start(start, free_radius), corners)
         conditions = Conditions(preset=preset, frame_budget=frame_budget, overrides=config or {}, setup=setup)
@@ -209,6 +211,8 @@ class Explorer:
         target = self.directory if directory is None else Path(directory)
         if target != self.directory and target.exists():
             raise InputError(f"'{target}' exists already: choose another directory for the run")
+        if self._asked_for() is not None and getattr(self.reconstruction, "chosen", None) is None:
+            raise InputError("there is no picture to save a run of: call observe() first")
         self.stop()
         if self._error is not None:
             raise self._error

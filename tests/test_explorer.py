@@ -168,6 +168,18 @@ def test_wrong_arguments() -> None:
         explorer_of(camera, "hole_aera")
     with pytest.raises(InputError, match="outside the world's bounds"):
         Explorer(camera=camera.camera, bounds=camera.bounds + 20.0, start=camera.start.pose)
+    with pytest.raises(InputError, match="PinholeCamera"):
+        Explorer("random", camera=None, bounds=[[0, 0, 0], [4, 3, 2.5]], start=np.eye(4))  # type: ignore[arg-type]
+
+
+def test_an_exploration_without_a_picture_is_not_saved(tmp_path: Path) -> None:
+    camera = robot()
+    explorer = explorer_of(camera, directory=tmp_path / "run")
+    with pytest.raises(InputError, match="no picture to save"):
+        explorer.save()
+    observe(explorer, camera, camera.start.pose)
+    assert explorer.save().is_dir()
+    explorer.close()
 
 
 def test_an_error_of_the_policy_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ class StoredCaptures:
     Raises
     ------
     InputError
-        If the folder's files are damaged, or it is empty and no world is given.
+        If files of the folder are damaged or missing, or it is empty and no world is given.
     """
 
     def __init__(self, folder: str | os.PathLike[str], world: World | None = None) -> None:
@@ -65,6 +65,11 @@ class StoredCaptures:
         if (self.folder / _VIEWS_FILE).exists():
             arrays = _read_arrays(self.folder / _VIEWS_FILE, ("world_from_camera", "free_radius"))
             self._views = Views(arrays["world_from_camera"], arrays["free_radius"])
+        if later := [number for number in self._numbers() if number > self.stored]:
+            raise InputError(
+                f"'{self.folder}' has no capture {self.stored}, but later ones up to {max(later)}: restore it, or "
+                "delete the later ones and resume"
+            )
         while world is not None and self._failure(self.stored - 1).exists():
             self._failure(self.stored - 1).unlink()  # the world is asked again
 
@@ -85,6 +90,11 @@ class StoredCaptures:
         while self._is_stored(count):
             count += 1
         return count
+
+    def _numbers(self) -> list[int]:
+        """Return the numbers of all files of captures, failed ones included."""
+        files = [file for end in ("npz", "failed") for file in self.folder.glob(f"{'[0-9]' * _DIGITS}.{end}")]
+        return [int(file.stem) for file in files]
 
     def _is_stored(self, number: int) -> bool:
         return self._file(number).exists() or self._failure(number).exists()

@@ -123,7 +123,12 @@ def test_damaged_captures_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no captures to replay"):
         StoredCaptures(tmp_path)
     played(StoredCaptures(tmp_path, robot()))
-    (tmp_path / "000002.npz").write_bytes(b"PK")
+    third = (tmp_path / "000002.npz").read_bytes()
+    (tmp_path / "000002.npz").unlink()
+    for world in (None, robot()):
+        with pytest.raises(InputError, match="no capture 2, but later ones"):
+            StoredCaptures(tmp_path, world)
+    (tmp_path / "000002.npz").write_bytes(third[:2])
     with pytest.raises(InputError, match=r"000002.npz' is damaged.*delete it"):
         played(StoredCaptures(tmp_path))
     (tmp_path / "world.json").write_text('{"format": 9}')

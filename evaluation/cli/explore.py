@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli.compare import Compare, compare_with
 from activestructure_gym.evaluation.cli.fields import Changes, Count, DryRun, Out, Switch, option
 from activestructure_gym.policies.native_settings import Setup
@@ -57,6 +58,8 @@ class Explore:
         """Explore the world; return 0 if the episode ended, 1 if it failed, 130 if it was stopped."""
         if self.world is None and not self.resume:
             raise InputError("--world names the world to explore, for example --world simulated")
+        if self.resume and self.world is None and not (self.out and (Path(self.out) / COMPARISON).is_file()):
+            raise InputError("--resume continues the run in --out, and there is none: check --out, or give --world")
         directory = self.out or time.strftime("runs/%Y%m%d-%H%M%S")
         asked = Compare(
             scenes=() if self.world is None else (PREFIX + self.world.removeprefix(PREFIX),),

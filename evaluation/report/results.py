@@ -31,6 +31,7 @@ T = TypeVar("T")
 _ON_A_SCREEN = 7  # largest number of policies next to each other
 _DIGITS = 8  # number of digits of a content hash that are shown
 _RESULT = "completion_ratio"  # key of the metric by which the runs with images are selected
+_RESULT_WITHOUT_TRUTH = "known_m3"
 # The default baseline is the first of these policies with a run.
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
@@ -159,7 +160,7 @@ class Results:
 
         Candidates are the seeds with the most finished policies. Of these, the seed with the median completion ratio is
         taken, where the ratio is averaged over the policies. For an even number of seeds, it is the lower of the middle
-        two.
+        two. Runs without ground truth are compared by their known volume instead.
         """
         by_seed: dict[int, list[Run]] = {}
         for policy in self.policies:
@@ -167,18 +168,23 @@ class Results:
                 by_seed.setdefault(run.job.seed, []).append(run)
         most = max(map(len, by_seed.values()), default=0)
         means = [
-            (float(np.mean([value_of(run, _RESULT) or 0.0 for run in runs])), seed)
+            (float(np.mean([_result(run) for run in runs])), seed)
             for seed, runs in by_seed.items()
             if len(runs) == most
         ]
         return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
 
     def foremost(self, scene: str) -> list[Run]:
-        """Return at most seven of the `shown` runs: the baseline, and the runs with the highest completion ratio."""
+        """Return at most seven of the `shown` runs: the baseline, and the runs with the best result."""
         runs = self.shown(scene)
-        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, _RESULT) or 0.0)))
+        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -_result(run)))
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
         return [run for run in runs if run.policy in kept]
+
+
+def _result(run: Run) -> float:
+    """Return the completion ratio of a run, or its known volume if it has no ground truth."""
+    return value_of(run, _RESULT if run.has_truth else _RESULT_WITHOUT_TRUTH) or 0.0
 
 
 def opened(runs: Sequence[Run]) -> list[Run]:

@@ -80,14 +80,19 @@ def protocol_text(results: Results) -> str:
         if protocol.view_source == "free_space"
         else "the views recorded with the scene"
     )
+    time = "Time: wall clock of the episode without loading and evaluation."
+    if not any(run.has_truth for run in results.runs):
+        return (
+            f"Protocol `{protocol.name}`, version {protocol.version}. There is no ground truth. The known volume "
+            f"is that of the agent's grid. Image quality is measured at the keyframes, which were mapped. {time}"
+        )
     return (
         f"Protocol `{protocol.name}`, version {protocol.version}. Reconstructed points are the means of Gaussians "
         f"with opacity of at least {protocol.opacity_threshold:g}. The true surface is the part visible from free "
         f"space (of {protocol.surface_samples:,} samples on the whole mesh). "
         "PSNR is pooled over the channels, the depth error is the mean absolute error. Both are measured "
         f"in {views}, {protocol.view_width} x {protocol.view_height} pixels, "
-        f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy. "
-        "Time: wall clock of the episode without loading and evaluation."
+        f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy. {time}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.store import CAPTURES, Run, read_run
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.replay.recording import play_again
+from activestructure_gym.evaluation.report.page.scene_section import seed_text
+from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.reproduction.remeasure import measure_again
 from activestructure_gym.evaluation.reproduction.verifying import verify
 from activestructure_gym.geometry.frame import Frame
@@ -50,7 +53,8 @@ def test_the_report_says_that_there_is_no_ground_truth(runs: list[Run], capsys: 
     assert main(["report", str(folder)]) == 0
     page = (folder / "report.html").read_text(encoding="utf-8")
     said = "No ground truth: Acc, Com., C.R., C.R. surface, observed, Prec., F, PSNR"
-    assert said in page and "steps through the mesh" not in page
+    assert said in page and not any(words in page for words in ("steps through the", "true surface", "median C.R."))
+    assert "steps through the" not in (folder / "tables" / "costs.md").read_text(encoding="utf-8")
     assert "known" in page and "captured view" in page and "known volume [m³]" in page
     assert said in (folder / "summary.md").read_text(encoding="utf-8")
     assert "known" in capsys.readouterr().out
@@ -79,6 +83,16 @@ def test_a_world_is_released_if_its_episode_cannot_begin(tmp_path: Path, monkeyp
 
 def _refused(*_: Any) -> Any:
     raise InputError("the start is refused")
+
+
+def test_the_seed_of_the_images_is_chosen_by_known_volume(runs: list[Run]) -> None:
+    less = {"known_m3": 0.5}
+    others = [
+        replace(run, job=replace(run.job, seed=1), metrics=run.metrics | {"metrics": run.metrics["metrics"] | less})
+        for run in runs
+    ]
+    text = seed_text(Results([*runs, *others], ()), runs[0].scene)
+    assert "of seed 1, so" in text and "median known volume" in text
 
 
 def test_a_run_is_replayed_and_verified_from_its_captures(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,6 +167,8 @@ def test_asg_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     (run,) = open_comparison(tmp_path / "runs")
     assert run.policy == "random" and run.metrics["metrics"]["frames"] == 20
     assert main(["explore", "--resume", "--out", str(tmp_path / "runs")]) == 0
+    assert main(["explore", "--resume", "--out", str(tmp_path / "typo")]) == 2
+    assert "give --world" in capsys.readouterr().err
     assert main(["explore", "--out", str(tmp_path / "other")]) == 2
     assert "--world names the world" in capsys.readouterr().err
 

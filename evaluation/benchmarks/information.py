@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from activestructure_gym.evaluation.benchmarks.splatting import make_workload
+from activestructure_gym.evaluation.benchmarks.workload import make_workload
 from activestructure_gym.features.keyframe_information import RENDERS, KeyframeInformation
 from activestructure_gym.geometry import se3_exp
 from activestructure_gym.geometry.frame import Frame

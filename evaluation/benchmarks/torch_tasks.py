@@ -13,7 +13,7 @@ from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.splatting.api import parameter_rows, rasterize
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.benchmarks.splatting import Workload
+    from activestructure_gym.evaluation.benchmarks.workload import Workload
 
 
 def torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:

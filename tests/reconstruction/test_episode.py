@@ -140,7 +140,7 @@ def test_the_start_is_the_one_asked_for_and_is_checked(box: Scene) -> None:
     for bad in ((0.02, 1.5, 1.3), (9.0, 1.5, 1.3)):
         with pytest.raises(InputError):
             run.start(ground_truth_of(box), 0, look_along(np.array(bad), np.array([0.0, 1.0, 0.0])))
-    with pytest.raises(InputError, match="4x4"):
+    with pytest.raises(InputError, match="4 x 4"):
         run.start(ground_truth_of(box), 0, np.eye(3))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from activestructure_gym.evaluation.benchmarks.splatting import make_workload
+from activestructure_gym.evaluation.benchmarks.workload import make_workload
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import fisher_kernels, layout, render
 from activestructure_gym.splatting.fisher import DIAGONAL, depth_information, full_blocks, view_information

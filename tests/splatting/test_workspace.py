@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.benchmarks.splatting import make_workload
+from activestructure_gym.evaluation.benchmarks.workload import make_workload
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp
 from activestructure_gym.splatting import counters, kernels, layout
 from activestructure_gym.splatting.workspace import Workspace, inverse_of_pose, make_grid, make_view

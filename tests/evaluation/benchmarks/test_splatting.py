@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.benchmarks.splatting import count_work, make_workload, run_splatting_benchmark
+from activestructure_gym.evaluation.benchmarks.splatting import count_work, run_splatting_benchmark
+from activestructure_gym.evaluation.benchmarks.workload import make_workload
 from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
@@ -12,6 +13,7 @@ from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_colu
 from activestructure_gym.errors import InputError, renamed, short_repr
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.policies.native_settings import NativeSettings
+from activestructure_gym.policies.scored import record_scores
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import Spec, typed_options
 
@@ -203,10 +205,30 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
     return 1.0 / (1.0 + Candidates(observation).frames / scale_frames)
 
 
-def best_valid(scores: np.ndarray, observation: Observation) -> int:
-    """Return the valid row with the highest of ``scores`` [K]; the first of equal ones.
+def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str, np.ndarray] | None = None) -> int:
+    """Return the valid row with the highest score; the first of equal ones.
 
-    Raises `ValueError` if no row is valid, or if the score of a valid row is NaN.
+    A run stores the scores of the last call that returned the policy's choice. ``asg why`` and the replay show them.
+
+    Parameters
+    ----------
+    scores
+        [K] score of every row; -inf in rows that are not compared.
+    observation
+        The observation; its ``action_mask`` names the valid rows.
+    terms
+        Terms of the scores by name, [K] each, to explain the choice. A score is the sum of the terms, times those
+        whose name begins with "× ". Default: the features explain the choice.
+
+    Returns
+    -------
+    int
+        The row.
+
+    Raises
+    ------
+    ValueError
+        If no row is valid, or if the score of a valid row is NaN.
     """
     valid = Candidates(observation).valid
     if not valid.any():
@@ -214,16 +236,26 @@ def best_valid(scores: np.ndarray, observation: Observation) -> int:
     masked = np.where(valid, scores, -np.inf)
     if np.isnan(masked).any():  # np.argmax treats NaN as the maximum
         raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(masked).argmax()}")
-    return int(np.argmax(masked))
+    row = int(np.argmax(masked))
+    record_scores(row, masked, terms)
+    return row
 
 
-def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: float = 0.0) -> int:
+def nearest_of_best(
+    scores: np.ndarray,
+    observation: Observation,
+    tolerance: float = 0.0,
+    terms: Mapping[str, np.ndarray] | None = None,
+) -> int:
     """Return the valid row with the highest of ``scores`` [K]; of equal ones, the row with the fewest frames.
 
-    Scores are equal if they differ by at most the relative ``tolerance``.
+    Scores are equal if they differ by at most the relative ``tolerance``. ``terms`` are those of `best_valid`.
     """
     best = scores[best_valid(scores, observation)]
-    return best_valid(np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0), observation)
+    near = np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0)
+    row = best_valid(near, observation)
+    record_scores(row, np.where(Candidates(observation).valid, scores, -np.inf), terms)
+    return row
 
 
 def without_revisits(observation: Observation) -> Observation:

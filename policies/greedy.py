@@ -8,6 +8,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import Observation, Policy, best_valid, travel_discount
+from activestructure_gym.policies.scored import FACTOR
 
 Travel = Literal["native", "shared"]
 
@@ -43,6 +44,13 @@ class Planner(Policy):
         """
         return gain * self.native_travel(observation)
 
+    def score_terms(self, name: str, gain: np.ndarray, observation: Observation) -> dict[str, np.ndarray]:  # [K] each
+        """Return the terms of the scores that explain a choice (`best_valid`): the gain ``name`` and the travel factor.
+
+        Override this method together with `native_scores`.
+        """
+        return {name: gain, f"{FACTOR}travel": self.travel_factor(observation)}
+
     def travel_factor(self, observation: Observation) -> np.ndarray:  # [K]
         """Return the travel factor of each candidate: the shared one or the planner's own, by the option ``travel``."""
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
@@ -71,7 +79,8 @@ class Greedy(Planner):
         """Return the valid row with the highest score; the first of equal ones."""
         name = self.required_features[0]
         gain = self.candidates(observation)[name]
-        choice = best_valid(self.scores(gain, observation), observation)
+        terms = self.score_terms(name, gain, observation)
+        choice = best_valid(self.scores(gain, observation), observation, terms)
         self._trace = {name: float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice
 

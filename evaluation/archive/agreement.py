@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.decisions import Row
 from activestructure_gym.evaluation.archive.picture_record import STORED_VIEWS, pixel_size, plan_scale
 from activestructure_gym.evaluation.archive.schema import Mismatch
 
@@ -88,6 +89,14 @@ def check_planes(graph: Arrays, steps: Sequence[Mapping[str, Any]]) -> None:
     structural = {"graph.npz": int(graph["structural"].sum()), "steps.jsonl": summary.get("structural")}
     _agree("structural planes", structural)
     _agree("holes", {"graph.npz": len(graph["deficiency_areas"]), "steps.jsonl": summary.get("deficiency_centres")})
+
+
+def check_choices(decisions: Sequence[Sequence[Row]], steps: Sequence[Mapping[str, Any]]) -> None:
+    """Raise `Mismatch` unless ``decisions.npz`` begins each decision with the row that ``steps.jsonl`` logs."""
+    _agree("decisions", {"decisions.npz": len(decisions), "steps.jsonl": len(steps)})
+    for number, (rows, step) in enumerate(zip(decisions, steps)):
+        chosen = {"decisions.npz": rows[0].row, "steps.jsonl": step.get("action")}
+        _agree(f"row of decision {number}", chosen)
 
 
 def _agree(what: str, stored: Mapping[str, float | None]) -> None:

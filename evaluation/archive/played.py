@@ -2,7 +2,8 @@
 
 In addition to the files of a run (`store`), such a directory holds::
 
-    .played          the job's hash, then the SHA-256 of every file that measuring reads, as sha256sum prints it.
+    .played          the job's hash, then the SHA-256 of every file that measuring reads, and of decisions.npz, as
+                     sha256sum prints it.
     episode.json     the curve, the times, and the counts of the episode.
     plan.npz         the volume's plan and the map from above; see `picture_record.plan_arrays`.
 """
@@ -45,7 +46,7 @@ def written_episode(directory: Path, job: Job) -> Iterator[Path]:
     """Yield a temporary folder for a played episode; it replaces the run's directory when the block ends."""
     with completion.atomic_directory(directory) as part:
         yield part
-        completion.write_marker(part, completion.PLAYED, job, _READ)
+        completion.write_marker(part, completion.PLAYED, job, (*_READ, store.DECISIONS))
 
 
 def played_episode(
@@ -58,7 +59,7 @@ def played_episode(
     """
     for place in (directory, completion.aside_of(directory)):
         marker, digests = completion.marker_and_checksums(place, completion.PLAYED)
-        if not marker or (job is not None and marker != job.hash) or set(digests) != set(_READ):
+        if not marker or (job is not None and marker != job.hash) or set(digests) - {store.DECISIONS} != set(_READ):
             continue
         with suppress(InputError, OSError, ValueError):
             if any(completion.checksum_of(place / name) != digest for name, digest in digests.items()):
@@ -119,7 +120,7 @@ def link_files(place: Path, part: Path) -> None:
     """
     if (place / store.CAPTURES).is_dir():
         link_folder(place / store.CAPTURES, part / store.CAPTURES)
-    for name in (store.CONFIG, store.TRAJECTORY, store.GRAPH, store.MAP, store.PLY):
+    for name in (store.CONFIG, store.TRAJECTORY, store.GRAPH, store.MAP, store.PLY, store.DECISIONS):
         if (place / name).is_file():
             _link(place / name, part / name)
 

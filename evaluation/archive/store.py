@@ -14,6 +14,8 @@ A comparison's directory::
         timing.json              wall-clock seconds by stage, and the machine.
         steps.jsonl              one line per decision.
         trajectory.npz           every executed pose, keyframe indices, the camera.
+        decisions.npz            the best rows of every decision with scores and features; see `decisions`. Only of runs
+                                 of policies.
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer.
         graph.npz                the Plane Scene Graph at the end; see `planes.record.graph_arrays`.
         captures/                the frames of a world, so that the run can be replayed; see `worlds.StoredCaptures`.
@@ -47,6 +49,7 @@ from activestructure_gym.evaluation.archive.completion import (
     marker_and_checksums,
     write_marker,
 )
+from activestructure_gym.evaluation.archive.decisions import Row, rows_by_decision
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label, slug
 from activestructure_gym.evaluation.archive.json_files import read_json, unreadable, write_json
 from activestructure_gym.evaluation.archive.temporary import refuse_links, writing
@@ -64,9 +67,10 @@ COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 TABLES = "tables"  # sub-directory of a comparison: the report's tables, each as Markdown, CSV and LaTeX
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
+DECISIONS = "decisions.npz"  # absent from runs of references and trajectories, which compare no scores
 PLY = "map.ply"
 # Files with checksums. Pictures and the PLY can be made from them again and may be deleted.
-_READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
+_READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP, DECISIONS)
 CAPTURES = "captures"  # folder with the frames of a world; absent from runs in scenes
 REPLAY = "replay.html"  # the page that replays a run; optional
 _MAX_LOG_BYTES = 4096 * MAX_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB and at least one frame
@@ -163,6 +167,14 @@ class Run:
         return _read(self.directory, GRAPH, self.checksums, _arrays_that(run_files.check_graph))
 
     @cached_property
+    def decisions(self) -> list[list[Row]] | None:
+        """Return the best rows of every decision, the chosen one first; None if the run stores none."""
+        if DECISIONS not in self.checksums and not (self.directory / DECISIONS).exists():
+            return None
+        features = self.config["configuration"].get("features", ())
+        return _read(self.directory, DECISIONS, self.checksums, lambda path: rows_by_decision(read_npz(path), features))
+
+    @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
         """Return the arrays that the pictures are drawn from; see `picture_record`."""
         return _read(self.directory, PICTURES, self.checksums, _arrays_that(run_files.check_pictures))
@@ -216,6 +228,8 @@ def read_shown(run: Run) -> None:
         agreement.check_views(run.metrics, run.job.conditions.protocol, pictures)
         if graph is not None:
             agreement.check_planes(graph, steps)
+        if run.decisions is not None:
+            agreement.check_choices(run.decisions, steps)
     except schema.Mismatch as error:
         raise _damaged(run.directory / METRICS, f"it does not agree with the run's other files ({error})") from error
 

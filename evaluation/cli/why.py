@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 class Why:
     """Explain why a view was chosen.
 
-    The command plays a finished run again up to a decision. It prints the best candidates with their features, the true
-    surface that each would have shown for the first time, and the choices of other policies in the same state.
+    The command prints the best candidates of a decision of a finished run, with their scores and features. With --truth
+    or --policies it plays the run again up to the decision.
     """
 
     run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
@@ -32,7 +33,9 @@ class Why:
     decision: Count = None
     """Explain this decision, from 0 (default: the last one)."""
     policies: NoNames = ()
-    """Print the choices of these policies as well."""
+    """Print the choices of these policies in the same state as well."""
+    truth: Switch = False
+    """Print the true surface (m²) that each view would have shown for the first time."""
     json: Switch = False
     """Print JSON."""
     trust_code: Switch = False
@@ -46,52 +49,52 @@ class Why:
         use_trust(self.trust_code)
         console, run = make_console(), read_run(Path(self.run_directory))
         number = len(run.steps) - 1 if self.decision is None else self.decision
-        with working(console, "playing the run again") as say:
+        with working(console, "reading the run") as say:
             found = explain(
                 run,
                 number,
                 split_policies(self.policies),
                 lambda done, of: say(f"playing the run again: {done} of {of} decisions"),
+                truth=self.truth,
                 trusted=self.trust_code,
             )
         if self.json:
-            return print_json({
-                **{name: getattr(found, name) for name in ("decision", "frame", "candidates", "trace", "divergence")},
-                "run": run.job.title, "rows": list(map(dataclasses.asdict, found.rows)),
-            })  # fmt: skip
+            return print_json({"run": run.job.title, **dataclasses.asdict(found)})
         title = f"{run.job.title}: decision {number}, frame {found.frame}, {found.candidates} candidates"
         print_whole(console, _table(escape(title), found))
+        console.print(escape(found.reason))
         if found.trace:
             console.print(escape("policy: " + ", ".join(f"{key} {_said(value)}" for key, value in found.trace.items())))
         if found.divergence:
             console.print(f"[yellow]{escape(found.divergence)}: the code or the machine differs[/]")
-        if not run.has_truth:
+        if self.truth and not run.has_truth:
             console.print("There is no ground truth, so the surface that each view would have shown is unknown.")
         return 0
 
 
 def _table(title: str, found: Explanation) -> Any:
-    features = list(found.rows[0].features) if found.rows else []
-    heads = ["rank", "row", "x y z", "yaw", "pitch", "path", "frames", *features]
+    numbers = list(dict.fromkeys(name for row in found.rows for name in (*row.terms, *row.features)))
     truth = any(row.new_m2 is not None for row in found.rows)
+    heads = ["rank", "row", "score", "x y z", "yaw", "pitch", "path", "frames", *numbers]
     table = plain_table(title, *heads, *(["new m²"] if truth else []), "chosen by")
     for row in found.rows:
-        table.add_row(*map(escape, _cells(row, truth)))
+        table.add_row(*map(escape, _cells(row, numbers, truth)))
     return table
 
 
-def _cells(row: ExplainedRow, truth: bool) -> list[str]:
-    new = "-" if row.new_m2 is None else f"{row.new_m2:.2f}"
+def _cells(row: ExplainedRow, numbers: Sequence[str], truth: bool) -> list[str]:
+    known = {**row.features, **row.terms}
     return [
-        "-" if row.rank is None else str(row.rank),
+        _said(row.rank),
         str(row.row),
+        _said(row.score),
         " ".join(f"{value:.2f}" for value in row.position),
         f"{row.yaw_deg:.0f}°",
         f"{row.pitch_deg:.0f}°",
         f"{row.metres:.2f} m",
         str(row.frames),
-        *(f"{value:.4g}" for value in row.features.values()),
-        *([new] if truth else []),
+        *(_said(known.get(name)) for name in numbers),
+        *(["-" if row.new_m2 is None else f"{row.new_m2:.2f}"] if truth else []),
         ", ".join(row.chosen_by),
     ]
 
@@ -99,4 +102,4 @@ def _cells(row: ExplainedRow, truth: bool) -> list[str]:
 def _said(value: Any) -> str:
     if isinstance(value, dict):
         return "(" + ", ".join(f"{key} {_said(entry)}" for key, entry in value.items()) + ")"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -6,6 +6,8 @@ import base64
 import zlib
 from typing import Any
 
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.replay.reasons import compared, reason
 from activestructure_gym.evaluation.replay.recording import Recording
 from activestructure_gym.viewer import film_parts, packed
 
@@ -29,6 +31,7 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
             "number": first + 1,
             "phase": (run.steps[first].get("trace") or {}).get("phase"),
             "metres": round(run.steps[following - 1]["metres"], 2),  # path length at the next decision on the page
+            "why": _why(run, first),
         }
         for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
@@ -41,6 +44,18 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
         "steps": steps,
         "decisions": len(run.steps),
         "warning": "; ".join(filter(None, [recording.divergence, *_left_out(recording, len(shown), every)])),
+    }
+
+
+def _why(run: Run, decision: int) -> dict[str, Any] | None:
+    """Return the reason of a decision, and a table of the chosen row and the runner-up; None if no rows are stored."""
+    if run.decisions is None:
+        return None
+    rows = run.decisions[decision]
+    return {
+        "reason": reason(run.policy, rows),
+        "table": compared(rows),
+        "runner_up": rows[1].row if len(rows) > 1 else -1,
     }
 
 

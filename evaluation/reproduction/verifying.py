@@ -31,7 +31,7 @@ from activestructure_gym.worlds import StoredCaptures
 # Files that depend only on the job. Times are not compared. Images and pages are not compared either, because they are
 # drawn from these files.
 COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP,
-            store.PLY)  # fmt: skip
+            store.PLY, store.DECISIONS)  # fmt: skip
 # Tolerances between the numbers of one map on two processors: own choice, far above rounding. So agreement within them
 # does not confirm a run.
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute

@@ -15,6 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive import completion, json_files, played, store
+from activestructure_gym.evaluation.archive.decisions import DecisionLog
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
@@ -32,6 +33,7 @@ from activestructure_gym.evaluation.running.surroundings import (
 )
 from activestructure_gym.npz import write_npz
 from activestructure_gym.planes.record import graph_arrays, graph_summary
+from activestructure_gym.policies.scored import recorded_scores
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -185,6 +187,7 @@ class _Episode:
         self.job, self.env, self.policy, self.truth, self.notify = job, env, policy, truth, notify
         self._is_over = is_over
         self.steps: list[dict[str, Any]] = []
+        self.decisions = None if job.policy.kind in ("reference", "trajectory") else DecisionLog()
         self.curve: list[dict[str, float | None]] = []
         self.ended = ""
         self.evaluation_seconds = 0.0
@@ -207,8 +210,11 @@ class _Episode:
         truncated = stopped = False
         while not (ended or truncated):
             began = time.perf_counter()
-            action = self._chosen(policy.act(observation))
+            with recorded_scores() as comparisons:
+                action = self._chosen(policy.act(observation))
             self._policy_seconds += time.perf_counter() - began
+            if self.decisions is not None:
+                self.decisions.add(observation, action, comparisons)
             step = self._describe(observation, action)
             observation, _, ended, truncated, info = env.step(action)
             stopped = self._is_over()
@@ -335,6 +341,8 @@ def _write_episode(
     json_files.write_json(part / played.EPISODE, content)
     with open(part / store.STEPS, "w", encoding="utf-8") as file:
         file.writelines(json_files.json_line(step) for step in episode.steps)
+    if episode.decisions is not None:
+        write_npz(part / store.DECISIONS, episode.decisions.arrays())
 
 
 def _write_files(part: Path, reconstruction: Reconstruction) -> None:

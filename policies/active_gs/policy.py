@@ -42,7 +42,18 @@ class ActiveGS(Greedy):
 
     def native_scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
         """Return U / sum U - 0.5 L / sum L for the gain U and the path length L (m); the sums are over valid rows."""
+        share, path = self._shares(gain, observation)
+        return share + path
+
+    def score_terms(self, name: str, gain: np.ndarray, observation: Observation) -> dict[str, np.ndarray]:
+        """Return the terms of the scores: both shares, or with the shared travel term the gain and the factor."""
+        if self.travel == "shared":
+            return super().score_terms(name, gain, observation)
+        return dict(zip((f"{name} share", "path share"), self._shares(gain, observation)))
+
+    def _shares(self, gain: np.ndarray, observation: Observation) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
+        """Return U / sum U and -0.5 L / sum L."""
         candidates = self.candidates(observation)
         valid, length = candidates.valid, candidates.path_length.astype(np.float64)
         sums = max(float(gain[valid].sum()), 1e-300), max(float(length[valid].sum()), 1e-12)
-        return gain.astype(np.float64) / sums[0] - self.path_weight * length / sums[1]
+        return gain.astype(np.float64) / sums[0], -(self.path_weight * length / sums[1])

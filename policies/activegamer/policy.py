@@ -126,7 +126,7 @@ class ActiveGAMER(Planner):
         # so the stage goes on for PATIENCE decisions.
         rich = pool & (gain >= POOL_SHARE)
         scored = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
-        scores = np.where(scored, self._scores(observation, gain, scored), -1.0)
+        scores = np.where(scored, self._scores(observation, gain, scored), -np.inf)
         choice = best_valid(scores, observation)
         self._trace |= {"uncovered": float(gain[choice]), "score": float(scores[choice])}
         self._visits[keys[choice]] += 1
@@ -149,7 +149,7 @@ class ActiveGAMER(Planner):
             self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
             self._lowest = min(self._lowest, best)
             if rich.any() and self._stagnant < STAGNATION:
-                scores = np.where(rich, self._scores(observation, gain, rich), -1.0)
+                scores = np.where(rich, self._scores(observation, gain, rich), -np.inf)
                 choice = best_valid(scores, observation)
                 self._trace = {"stage": STAGES[self._stage], "pool": int(rich.sum()), "uncovered": float(gain[choice])}
                 return choice

@@ -12,6 +12,7 @@ from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto.policy import forward
 from activestructure_gym.policies.native_settings import SPLATAM
+from activestructure_gym.policies.scored import record_scores
 
 UNARRIVED_M = 0.65  # metres from the path travelled (10 steps of 6.5 cm); a node farther away is unarrived
 AT_NODE = 0.5  # metres; a view or the agent within this distance is at a node
@@ -81,7 +82,7 @@ class ActiveSplat(Planner):
         nodes = self._nodes(candidates, valid)
         self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
         if not nodes.rows:  # no floor plan yet, or no candidate at a node
-            choice = best_valid(np.where(valid, self.scores(show, observation), -1.0), observation)
+            choice = best_valid(np.where(valid, self.scores(show, observation), -np.inf), observation)
             self._leave(xyz[choice])
             return choice
         if self.travel == "shared":
@@ -100,13 +101,14 @@ class ActiveSplat(Planner):
         if self._local_views < LOCAL_VIEWS and local.any() and not repeated:
             self._local_views += 1
             self._trace["mode"] = "local"
-            return best_valid(np.where(local, show, -1.0), observation)
+            return best_valid(np.where(local, show, -np.inf), observation)
         nodes = self._update_late(nodes)
         scores = node_scores(nodes, self._late)
         node = choose_node(nodes, scores, self.rng if self._late else None)
         rows = nodes.rows[node]
         self._trace |= {"score": int(scores[node]), "region": int(nodes.region[node]), "late": self._late}
         choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
+        record_scores(choice, np.where(np.isin(np.arange(len(show)), rows), show, -np.inf))
         if not repeated:
             self._stops = np.vstack([self._stops, self._stop])
         self._leave(xyz[choice], even_if_near=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import plane_columns
 from activestructure_gym.policies.candidates import Observation, check_observation
+from activestructure_gym.policies.scored import FACTOR
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,19 @@ class GainTerms:
         """Return the terms of one candidate for a trace; ``discovery`` is the name of the gain used as IG_px."""
         names = {"pixel": discovery, "floor": "visibility floor"}
         return {names.get(name, name): float(values[index]) for name, values in vars(self).items()}
+
+    def summands(self, discovery: str, weights: Weights) -> dict[str, np.ndarray]:  # [K] each
+        """Return the weighted terms of Eq. 14, which add up to IG before the factor of `suppression`, and that factor.
+
+        ``discovery`` is the name of the gain used as IG_px.
+        """
+        return {
+            discovery: self.pixel * (1.0 - self.discount),
+            "planes": weights.coupling * self.structure,
+            "weighted deficiency": weights.coupling * weights.deficiency * self.deficiency,
+            "visibility floor": weights.coupling * self.floor,
+            f"{FACTOR}suppression": self.suppressed,
+        }
 
 
 VISIBILITY_FLOOR = 1e-4  # added to the gain of a view that sees any tracked plane (Sec. 3.4)

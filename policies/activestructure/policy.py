@@ -29,6 +29,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy, bes
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.native_settings import SPLATAM
 from activestructure_gym.policies.pixel_only.policy import PixelOnly
+from activestructure_gym.policies.scored import FACTOR
 from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
@@ -84,7 +85,7 @@ class StructurePolicy(Policy):
     def act(self, observation: Observation) -> int:
         """Return the valid row with the largest product of information gain and travel discount."""
         terms = self.terms(observation, plane_view(observation), self._weights)
-        return self._choose(without_revisit_gain(terms.total, observation), terms, observation, {})
+        return self._choose(without_revisit_gain(terms.total, observation), terms, observation, {}, self._weights)
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> GainTerms:
         """Return the terms of Eqs. 12 to 14 for all candidates; the deficiency IG_def is 0 in variants A to C."""
@@ -96,15 +97,24 @@ class StructurePolicy(Policy):
         deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
         return information_gain(unseen, deficiency, planes, weights)
 
-    def _choose(self, gain: np.ndarray, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
+    def _choose(
+        self,
+        gain: np.ndarray,
+        terms: GainTerms,
+        observation: Observation,
+        more: dict[str, Any],
+        weights: Weights | None = None,
+    ) -> int:
         """Return the valid row with the largest product of ``gain`` [K] and travel discount.
 
-        The trace records ``more``, and the ``terms`` of the chosen and of the second best view.
+        The trace records ``more``, and the ``terms`` of the chosen and of the second best view. With ``weights``, the
+        weighted terms explain the gain.
         """
         travel = travel_discount(observation)
         # The lower bound leaves the choice to the travel discount if no view has a gain.
         scores = np.maximum(gain, 1e-6) * travel
-        choice = best_valid(scores, observation)
+        summands = {} if weights is None else terms.summands(self._discovery, weights)
+        choice = best_valid(scores, observation, {**summands, f"{FACTOR}travel": travel})
         others = observation["action_mask"].astype(bool)
         others[choice] = False
         self._trace = {**more, "chosen": {**terms.row(choice, self._discovery), "travel": float(travel[choice])}}
@@ -193,7 +203,7 @@ class ActiveStructure(StructurePolicy):
         if machine.phase.refines:
             return self._refine(terms, observation, more)
         gain = np.where(pool, terms.total, 0.0) if pool.any() else terms.total
-        return self._choose(without_revisit_gain(gain, observation), terms, observation, more)
+        return self._choose(without_revisit_gain(gain, observation), terms, observation, more, machine.phase.weights)
 
     def _refine(self, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
         """Return the nearest of the offered keyframes that was not revisited yet.
@@ -212,7 +222,8 @@ class ActiveStructure(StructurePolicy):
             self._trace = more
             return int(ending[0])
         if settled:
-            return self._choose(without_revisit_gain(terms.total, observation), terms, observation, more)
+            gain, weights = without_revisit_gain(terms.total, observation), self._machine.phase.weights
+            return self._choose(gain, terms, observation, more, weights)
         choice = self._choose(open_.astype(np.float64), terms, observation, more)
         self._revisited.add(views[choice])
         return choice

@@ -25,6 +25,7 @@ class Gavis(Planner):
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; of equal ones the one with the fewest frames."""
         gain = self.candidates(observation)["gavis"]
-        choice = nearest_of_best(self.scores(gain, observation), observation)
+        terms = self.score_terms("gavis", gain, observation)
+        choice = nearest_of_best(self.scores(gain, observation), observation, terms=terms)
         self._trace = {"gavis": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice

@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
+from activestructure_gym.policies.scored import first_best
 
 # The paper has no values for these constants. Gains are shares of the frustum's volume, plus the weighted loss.
 QUALITY_WEIGHT = 0.1  # weight of the mean loss (metres); the share of unobserved volume has weight 1
@@ -98,13 +99,13 @@ class GSPlanner(Planner):
         rows = valid[best_per_viewpoint(views[valid, :3], lengths[valid], gain[valid])]
         rows = rows[gain[rows] >= MIN_GAIN]
         if len(rows):
-            choice = int(rows[np.argmax(gain[rows])])
+            choice = first_best(rows, gain)
             self._forget(views[[choice]])
             self._store(views[rows[(gain[rows] > STORED_GAIN) & (rows != choice)]])
             return choice, "near"
         found = self._offered(views[valid], gain[valid])
         if len(found):
-            choice = int(valid[found[np.argmax(gain[valid[found]])]])
+            choice = first_best(valid[found], gain)
             self._forget(views[[choice]])
             return choice, "library"
         return best_valid(gain, observation), "all"

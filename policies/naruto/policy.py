@@ -73,9 +73,9 @@ class Naruto(Planner):
         if not rows.any():
             return None
         if self.travel == "shared":
-            return best_valid(np.where(rows, count * travel_discount(observation), -1.0), observation)
+            return best_valid(np.where(rows, count * travel_discount(observation), -np.inf), observation)
         turn = candidates.view_direction @ forward(observation["pose"][3:])
-        return best_valid(np.where(rows, turn, -2.0), observation)
+        return best_valid(np.where(rows, turn, -np.inf), observation)
 
     def _next_goal(self, observation: Observation, candidates: Candidates) -> int:
         """Choose the goal with the largest score, store its look-at list, and return a candidate at the goal.

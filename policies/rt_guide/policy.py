@@ -42,6 +42,6 @@ class RTGuide(Planner):
             # Logarithm of the score, since e^d overflows for a long path.
             score = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
             inside = valid & (cuboid == cuboid[best_valid(score, observation)])
-            choice = int(np.argmax(np.where(inside, xi, -np.inf)))
+            choice = best_valid(np.where(inside, xi, -np.inf), observation)
         self._trace = {"rt_guide": float(xi[choice]), "region": float(region[choice]), "cuboid": int(cuboid[choice])}
         return choice

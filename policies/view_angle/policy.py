@@ -22,6 +22,7 @@ class ViewAngle(Planner):
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; of equal ones the one with the fewest frames."""
         gain = self.candidates(observation)["view_angle"]
-        choice = nearest_of_best(self.scores(gain, observation), observation)
+        terms = self.score_terms("view_angle", gain, observation)
+        choice = nearest_of_best(self.scores(gain, observation), observation, terms=terms)
         self._trace = {"view_angle": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice

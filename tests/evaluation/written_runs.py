@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.evaluation.archive import completion, json_files, store
+from activestructure_gym.evaluation.archive.decisions import DecisionLog
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.policies.scored import Scored
 from tests.evaluation.report import conftest as made_up
 
 JOB = Job("room", "random", 0, scene_hash="ab" * 32)
@@ -47,6 +49,11 @@ def write_run(directory: Path, job: Job = JOB, *, checksums: bool = True, **numb
     mapped = {"keyframe_rounds": np.ones(4, np.int64), "legs": legs, "max_range": np.array(10.0)}
     np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera, **mapped)
     np.savez_compressed(directory / store.GRAPH, **run.graph)
+    log = DecisionLog()
+    for _ in steps:
+        table = {"candidates": np.zeros((2, 9)), "candidate_features": np.zeros((2, 0))}
+        log.add(table, 0, [Scored(0, np.array([1.0, 0.5]))])
+    np.savez_compressed(directory / store.DECISIONS, **log.arrays())
     protocol = job.conditions.protocol
     shown = np.zeros((len(views), protocol.view_height, protocol.view_width, 3), np.uint8)
     np.savez_compressed(directory / store.PICTURES, **run.pictures | {"rendered": shown, "true": shown})

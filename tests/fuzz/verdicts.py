@@ -21,7 +21,16 @@ from tests.fuzz._archives import Files, comparison, damage, in_folder, runs_of, 
 
 CI_CASES = 20
 
-_CHANGED = ("metrics.json", "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz", "map.ply")
+_CHANGED = (
+    "metrics.json",
+    "steps.jsonl",
+    "trajectory.npz",
+    "graph.npz",
+    "pictures.npz",
+    "map.npz",
+    "map.ply",
+    "decisions.npz",
+)
 _EXIT_CODES = {"identical": 0, "differs": 1, "damaged": 1, "not comparable here": 3}
 
 

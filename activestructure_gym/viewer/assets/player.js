@@ -2,7 +2,7 @@
 // Play one or two episodes on one clock, which counts frames used. A live episode grows while it is shown.
 
 const COLOURS = { path: [0.84, 0.37, 0.0], structural: [0.0, 0.45, 0.7], object: [0.8, 0.47, 0.65], tree: [0.0, 0.62, 0.45],
-  unknown: [0.5, 0.5, 0.5] };
+  unknown: [0.5, 0.5, 0.5], runnerUp: [0.34, 0.71, 0.91] };
 const RUN_CLASSES = ["first", "second"]; // classes of the curves' colours
 const MANY = 20000; // maps with more Gaussians are drawn coarsely while the view is dragged
 const find = (id) => document.getElementById(id);
@@ -29,13 +29,14 @@ class Run {
     this.true = element("img", { alt: "camera image" });
     this.rendered = element("img", { alt: "map rendered at the same pose" });
     this.facts = element("dl");
+    this.why = element("section", { className: "why", ariaLabel: "why this view was chosen", hidden: true });
     const side = element("div", { className: "side" },
       element("figure", {}, this.true, element("figcaption", {}, "last keyframe of the camera")),
       element("figure", {}, this.rendered, element("figcaption", {}, "map rendered at the same pose, at that time")),
       this.facts);
     const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: `name ${RUN_CLASSES[number]}` }, film.title),
       element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: zoom"));
-    this.element = element("section", { className: "run" }, stage, side);
+    this.element = element("section", { className: "run" }, stage, this.why, side);
     if (film.warning) side.prepend(element("p", { className: "warning" }, film.warning));
     this.orbit = new Orbit(film.bounds);
     this.images = new Map();
@@ -119,15 +120,15 @@ class Run {
       }
     }
     if (shown.candidates && (a.rows[now] >= 0 || this.film.chooses)) { // none after the last decision
-      const first = a.candidate_starts[now], chosen = first + a.rows[now];
+      const first = a.candidate_starts[now], chosen = first + a.rows[now], second = shown.why && this.reason(now) ? first + this.reason(now).runner_up : -1;
       for (let k = first; k < a.candidate_starts[now + 1]; k++) {
         const p = a.candidates.subarray(6 * k, 6 * k + 6), score = a.scores[k];
         if (p[2] > cut) continue;
-        const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : score === 255 ? COLOURS.unknown : viridis(score / 254);
-        const reach = k === chosen || k - first === shown.pointed ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
+        const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : k === second ? COLOURS.runnerUp : score === 255 ? COLOURS.unknown : viridis(score / 254);
+        const reach = k === chosen || k === second || k - first === shown.pointed ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
         const tip = [p[0] + reach * p[3], p[1] + reach * p[4], p[2] + reach * p[5]];
         line([p[0], p[1], p[2]], tip, tint, alpha);
-        if (k === chosen) points.push(p[0], p[1], p[2], ...tint, 1);
+        if (k === chosen || k === second) points.push(p[0], p[1], p[2], ...tint, 1);
         if (this.film.chooses && now === a.frames.length - 1) points.push(...tip, ...(k - first === shown.pointed ? COLOURS.path : tint), 1);
       }
     }
@@ -171,6 +172,18 @@ class Run {
     return this.images.get(number);
   }
 
+  reason(now) { return (this.film.steps[now] || {}).why; } // undefined or null if the run stores none
+
+  explain(now) { // show why the view of this decision was chosen
+    const why = this.reason(now);
+    this.why.hidden = !why || !find("show-why").checked;
+    if (this.why.hidden || this.explained === now) return;
+    this.explained = now;
+    const heads = ["", "chosen", "runner-up"].slice(0, why.table[0].length);
+    const line = (kind, [name, ...values]) => element("tr", {}, element("th", {}, name), ...values.map((value) => element(kind, {}, value)));
+    this.why.replaceChildren(element("p", {}, why.reason), element("table", {}, line("th", heads), ...why.table.map((row) => line("td", row))));
+  }
+
   update(frame) {
     const now = this.moment(frame), step = this.film.steps[now], before = this.film.steps[now - 1];
     for (const [place, number] of [[this.true, 2 * now], [this.rendered, 2 * now + 1]]) {
@@ -182,6 +195,7 @@ class Run {
     if (step && step.phase) rows.push(["phase", step.phase]);
     rows.push(["Gaussians", this.scene.countAt(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
       ["candidates", this.arrays.rows[now] < 0 && !this.film.chooses ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["path length", `${this.film.episode ? step.metres : before ? before.metres : 0} m`]);
+    this.explain(now);
     this.facts.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, String(value))]));
   }
 }
@@ -235,7 +249,7 @@ class Player {
     find("back").addEventListener("click", () => this.step(-1));
     find("on").addEventListener("click", () => this.step(1));
     find("home").addEventListener("click", () => { for (const run of this.runs) run.orbit.reset(); this.dirty = true; });
-    for (const name of ["show-map", "show-planes", "show-candidates", "show-path", "cut", "eye"])
+    for (const name of ["show-map", "show-planes", "show-candidates", "show-path", "show-why", "cut", "eye"].filter(find))
       find(name).addEventListener("input", () => { this.dirty = true; });
     window.addEventListener("resize", () => { this.dirty = true; });
     document.addEventListener("keydown", (event) => {
@@ -280,7 +294,7 @@ class Player {
   shown() { // which layers are drawn
     const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
     return { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
-      path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye,
+      path: find("show-path").checked, why: find("show-why") !== null && find("show-why").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye,
       coarse: this.coarse, playing: this.playing, pointed: this.pointed };
   }
 

@@ -120,13 +120,13 @@ def test_a_finished_run_is_read(tmp_path):
     assert run.metrics["metrics"]["psnr"] == 20.0 and len(run.steps) == 3 and run.gaussians.count == 0
     assert run.trajectory["world_from_camera"].shape == (20, 4, 4) and len(run.graph["ids"]) == 2
     assert store.damage_of(tmp_path / "run", ARCHIVED) is None
-    assert len((tmp_path / "run" / completion.DONE).read_text().splitlines()) == 1 + 8
+    assert len((tmp_path / "run" / completion.DONE).read_text().splitlines()) == 1 + 9
     assert store.damage_of(write_run(tmp_path / "older", checksums=False), ARCHIVED) is None
 
 
 READ_AGAIN = (
     "config.json", "metrics.json", "timing.json", "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz",
-    "map.npz",
+    "map.npz", "decisions.npz",
 )  # fmt: skip
 
 

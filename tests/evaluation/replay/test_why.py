@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import Conditions, compare
+from activestructure_gym.evaluation.archive.decisions import BEST
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.replay.why import BEST, explain, ranked_rows
-from activestructure_gym.policies import make_policy
+from activestructure_gym.evaluation.replay import why
+from activestructure_gym.evaluation.replay.why import explain
 
 SMALL = Conditions(preset="fast", frame_budget=40, protocol=StandardProtocol(views=2, surface_samples=2000))
 
@@ -25,22 +26,53 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return compare(["box"], ["hole_area"], folder / "runs", conditions=SMALL, engine="inline").runs[0]
 
 
-def test_a_decision_is_explained(run: Run) -> None:
+@pytest.fixture
+def no_replay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a replay fail."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("the run is played again")
+
+    monkeypatch.setattr(why, "replay_env", refuse)
+
+
+@pytest.mark.usefixtures("no_replay")
+def test_a_decision_is_explained_from_the_files_alone(run: Run) -> None:
     last = len(run.steps) - 1
-    found = explain(run, last, ["random", "pixel_only"])
-    assert not found.divergence and found.frame == run.steps[-2]["frames"] and found.decision == last
-    assert found.candidates == run.steps[last]["candidates"]
+    found = explain(run, last)
+    assert found.frame == run.steps[-2]["frames"] and found.candidates == run.steps[last]["candidates"]
     best = found.rows[0]
-    assert best.rank == 1 and best.row == run.steps[last]["action"] and "hole_area" in best.chosen_by
+    assert best.rank == 1 and best.row == run.steps[last]["action"] and best.chosen_by == ("hole_area",)
     assert best.features["hole_area"] == pytest.approx(run.steps[last]["features"]["hole_area"])
+    assert best.metres == run.steps[last]["view"]["path_length"]
     assert found.trace["hole_area"] == pytest.approx(best.features["hole_area"])
-    ranks = [row.rank for row in found.rows if row.rank is not None]
-    assert ranks == list(range(1, min(BEST, found.candidates) + 1))
-    chosen = {name for row in found.rows for name in row.chosen_by}
-    assert chosen == {"hole_area", "random", "pixel_only"}
-    assert all(row.new_m2 is None or row.new_m2 >= 0.0 for row in found.rows) and best.new_m2 is not None
-    first = explain(run, 0)
-    assert first.frame == 1 and max(row.new_m2 or 0.0 for row in first.rows) > 0.1
+    assert [row.rank for row in found.rows] == list(range(1, min(BEST, found.candidates) + 1))
+    scores = [row.score for row in found.rows]
+    assert scores == sorted(scores, reverse=True)
+    for row in found.rows:
+        assert row.score == pytest.approx(row.terms["hole_area"] * row.terms["× travel"])
+    assert found.reason.startswith(f"Higher score: row {best.row} scores ") and "The term " in found.reason
+    assert all(row.new_m2 is None for row in found.rows)
+    assert explain(run, 0).frame == 1
+
+
+def test_the_truth_and_other_policies_are_played(run: Run) -> None:
+    last = len(run.steps) - 1
+    found = explain(run, last, ["random", "pixel_only"], truth=True)
+    assert not found.divergence
+    assert {name for row in found.rows for name in row.chosen_by} == {"hole_area", "random", "pixel_only"}
+    assert all(row.new_m2 is None or row.new_m2 >= 0.0 for row in found.rows) and found.rows[0].new_m2 is not None
+    assert [row.row for row in found.rows if row.rank] == [row.row for row in explain(run, last).rows]
+    for row in found.rows:
+        assert (row.rank is None) == (row.score is None) and list(row.features) == ["hole_area"]
+    assert max(row.new_m2 or 0.0 for row in explain(run, 0, truth=True).rows) > 0.1
+
+
+def test_a_replay_that_offers_other_views_is_reported(run: Run) -> None:
+    moved = [[replace(row, view=row.view | {"x": row.view["x"] + 1.0}) for row in rows] for rows in run.decisions or ()]
+    other = replace(run)
+    other.__dict__["decisions"] = moved
+    assert "the replay offers other views" in explain(other, 0, truth=True).divergence
 
 
 def test_features_of_other_policies_are_left_out(tmp_path: Path) -> None:
@@ -49,31 +81,23 @@ def test_features_of_other_policies_are_left_out(tmp_path: Path) -> None:
     assert list(explain(run, 0, ["fisherrf_path"]).rows[0].features) == ["fisherrf"]
 
 
-def test_rows_are_ranked_by_asking_again_and_the_policy_does_not_change() -> None:
-    policy = make_policy("pixel_only")
-    policy.bind(("pixel",))
-    observation = {
-        "candidates": np.tile(np.array([0, 0, 1, 1, 0, 0, 1.0, 5, 0], np.float32), (4, 1)),
-        "candidate_features": np.array([[0.2], [0.9], [0.5], [0.7]], np.float32),
-        "action_mask": np.array([1, 1, 1, 0], np.int8),
-    }
-    assert ranked_rows(policy, observation, 5) == [1, 2, 0]
-    assert ranked_rows(policy, observation, 2) == [1, 2]
-    assert observation["action_mask"].tolist() == [1, 1, 1, 0]
-
-
 def test_what_cannot_be_explained(run: Run) -> None:
     for decision in (-1, len(run.steps)):
         with pytest.raises(InputError, match="there is no decision"):
             explain(run, decision)
     with pytest.raises(InputError, match="unknown policy"):
         explain(run, 0, ["hole_aera"])
+    without = replace(run)
+    without.__dict__["decisions"] = None
+    with pytest.raises(InputError, match="lacks decisions.npz"):
+        explain(without, 0)
 
 
 def test_asg_why(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["why", str(run.directory), "--decision", "0", "--policies", "random"]) == 0
+    assert main(["why", str(run.directory), "--decision", "0", "--policies", "random", "--truth"]) == 0
     said = capsys.readouterr().out
     assert "decision 0, frame 1" in said and "new m²" in said and "policy: hole_area" in said
+    assert "Higher score: row" in said
     assert main(["why", str(run.directory), "--json"]) == 0
     said = capsys.readouterr().out
     content = json.loads(said[said.index("{") :])
@@ -87,6 +111,6 @@ def test_a_run_in_a_world_has_no_truth_to_show(tmp_path: Path, capsys: pytest.Ca
     (run,) = compare([world], ["hole_area"], tmp_path / "runs", conditions=conditions, engine="inline").runs
     found = explain(run, 0, ["random"])
     assert all(row.new_m2 is None for row in found.rows)
-    assert main(["why", str(run.directory)]) == 0
+    assert main(["why", str(run.directory), "--truth"]) == 0
     said = capsys.readouterr().out
     assert "no ground truth" in said and "new m²" not in said

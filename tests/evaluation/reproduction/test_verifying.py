@@ -115,7 +115,7 @@ def test_an_untouched_run_is_identical(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["metrics.json", "steps.jsonl", "map.npz", "trajectory.npz", "pictures.npz", "graph.npz"]
+    "name", ["metrics.json", "steps.jsonl", "map.npz", "trajectory.npz", "pictures.npz", "graph.npz", "decisions.npz"]
 )
 def test_one_changed_byte_is_refused_with_the_files_name(run: Run, name: str) -> None:
     def turned(data: bytes) -> bytes:
@@ -261,7 +261,7 @@ def test_numbers_and_curves_better_than_the_map_are_refuted_on_any_processor(
     assert verify(claimed(run)).verdict in ("differs", "damaged")
 
 
-_OF_THE_PLAY = (store.MAP, store.TRAJECTORY, store.PICTURES, store.GRAPH, store.STEPS)
+_OF_THE_PLAY = (store.MAP, store.TRAJECTORY, store.PICTURES, store.GRAPH, store.STEPS, store.DECISIONS)
 
 
 @pytest.mark.parametrize("names", [(name,) for name in (*_OF_THE_PLAY, store.PLY)] + [_OF_THE_PLAY])

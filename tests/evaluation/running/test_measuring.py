@@ -82,7 +82,7 @@ def _check_equal(one: Path, other: Path) -> None:
 
 def test_what_was_played_is_kept_and_is_no_finished_run(kept, job):
     names = {path.name for path in kept.iterdir()}
-    assert {"config.json", "steps.jsonl", "trajectory.npz", "map.npz", "map.ply", "graph.npz"} <= names
+    assert {"config.json", "steps.jsonl", "trajectory.npz", "map.npz", "map.ply", "graph.npz", "decisions.npz"} <= names
     assert completion.DONE not in names and not completion.is_done(kept, job) and played.is_played(kept)
     with pytest.raises(InputError, match="was played but not measured; `asg evaluate .*` measures it"):
         store.read_run(kept)

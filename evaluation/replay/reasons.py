@@ -1,0 +1,86 @@
+"""Say why a policy chose a view: compare the scores, terms and features of the best rows of a decision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from activestructure_gym.evaluation.archive.decisions import Row
+from activestructure_gym.policies.scored import FACTOR
+
+_MOST_FEATURES = 6  # features shown of each row
+_CLOSE = 1e-5  # relative difference up to which the terms reproduce a score: rounding of 32-bit features
+
+
+def reason(policy: str, rows: Sequence[Row]) -> str:
+    """Return one or two sentences on the choice of the first of ``rows``; ``policy`` is the name of the policy."""
+    chosen, runner_up = rows[0], rows[1] if len(rows) > 1 else None
+    if chosen.score is None:
+        return f"{policy} chose row {chosen.row} without comparing scores."
+    if runner_up is None or runner_up.score is None:
+        return f"{policy} compared no other row with row {chosen.row}."
+    scores = f"row {chosen.row} scores {short(chosen.score)}, row {runner_up.row} {short(runner_up.score)}"
+    if chosen.score <= runner_up.score:
+        return f"Equal scores: {scores}. The path or the order of the rows decided."
+    leads = _leads(chosen, runner_up)
+    name = max(leads, key=leads.__getitem__, default="")
+    if leads.get(name, 0.0) <= 0.0:
+        return f"Higher score: {scores}."
+    decided = "decided" if leads[name] >= chosen.score - runner_up.score else "has the largest lead"
+    values = f"{short(chosen.terms[name])} against {short(runner_up.terms[name])}"
+    return f"Higher score: {scores}. The term {name.removeprefix(FACTOR)} {decided}: {values}."
+
+
+def compared(rows: Sequence[Row]) -> list[list[str]]:
+    """Return a table of the chosen row and of the runner-up: lines of a name and one or two values.
+
+    The lines are the row, the score, the terms or, without terms, the first features, and the path. Terms without
+    effect in both rows (0, or a factor of 1) are left out. So are equal features if there are too many.
+    """
+    pair = rows[:2]
+    lines = [["row", *(str(row.row) for row in pair)]]
+    if pair[0].score is not None:
+        lines.append(["score", *(short(row.score) for row in pair)])
+    effective = [name for name in pair[0].terms if {row.terms[name] for row in pair} != {float(name[:2] == FACTOR)}]
+    names = effective if pair[0].terms else _shown_features(pair)
+    lines += [[name, *(short({**row.features, **row.terms}[name]) for row in pair)] for name in names]
+    lines.append(["path", *(f"{row.view['path_length']:.2f} m" for row in pair)])
+    lines.append(["frames", *(f"{row.view['frames']:.0f}" for row in pair)])
+    return lines
+
+
+def short(value: Any) -> str:
+    """Return a number with four significant digits; other values as text."""
+    return f"{value:.4g}".replace("-", "−") if isinstance(value, float) else str(value)
+
+
+def _leads(chosen: Row, runner_up: Row) -> dict[str, float]:
+    """Return by how much each term raises the score of the chosen row, compared with the runner-up's value.
+
+    The result is empty if the terms do not reproduce both scores.
+    """
+    for row in (chosen, runner_up):
+        assert row.score is not None
+        if not row.terms or not math.isclose(combined(row.terms), row.score, rel_tol=_CLOSE):
+            return {}
+    total = combined(chosen.terms)
+    return {
+        name: total - combined({**chosen.terms, name: runner_up.terms[name]})
+        for name, value in chosen.terms.items()
+        if value != runner_up.terms[name]
+    }
+
+
+def combined(terms: Mapping[str, float]) -> float:
+    """Return the sum of the terms times the factors; 1 times the factors if there are only factors."""
+    summands = [value for name, value in terms.items() if not name.startswith(FACTOR)]
+    factors = [value for name, value in terms.items() if name.startswith(FACTOR)]
+    return (math.fsum(summands) if summands else 1.0) * math.prod(factors)
+
+
+def _shown_features(pair: Sequence[Row]) -> list[str]:
+    names = list(pair[0].features)
+    if len(names) > _MOST_FEATURES:
+        names = [name for name in names if len({row.features[name] for row in pair}) > 1] or names
+    return names[:_MOST_FEATURES]

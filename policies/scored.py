@@ -1,0 +1,61 @@
+"""Record the scores by which a policy compares the candidates, so that its decisions can be explained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+import numpy as np
+
+FACTOR = "× "  # begins the name of a term that multiplies the sum of the others
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Hold one comparison of K candidates.
+
+    Attributes
+    ----------
+    row
+        The row with the best score.
+    scores
+        [K] scores; -inf in rows that were not compared.
+    terms
+        Terms of the scores by name, [K] each. A score is the sum of the terms, times those that begin with `FACTOR`.
+    """
+
+    row: int
+    scores: np.ndarray
+    terms: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+_RECORD: ContextVar[list[Scored] | None] = ContextVar("record", default=None)
+
+
+@contextmanager
+def recorded_scores() -> Iterator[list[Scored]]:
+    """Yield a list that receives every comparison made in the block, in order."""
+    record: list[Scored] = []
+    token = _RECORD.set(record)
+    try:
+        yield record
+    finally:
+        _RECORD.reset(token)
+
+
+def first_best(rows: np.ndarray, scores: np.ndarray) -> int:
+    """Return the first of ``rows`` [n] with the highest of ``scores`` [K], and record the comparison."""
+    row = int(rows[np.argmax(scores[rows])])
+    compared = np.full(len(scores), -np.inf)
+    compared[rows] = scores[rows]
+    record_scores(row, compared)
+    return row
+
+
+def record_scores(row: int, scores: np.ndarray, terms: Mapping[str, np.ndarray] | None = None) -> None:
+    """Append a comparison to the list of the innermost `recorded_scores`, if there is one."""
+    record = _RECORD.get()
+    if record is not None:
+        record.append(Scored(row, scores, dict(terms or {})))

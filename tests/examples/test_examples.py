@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,16 +57,46 @@ def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
     assert [line for line in shown[number].splitlines() if line.strip()] == program(text)
 
 
+def shown_for(library: str) -> str:
+    """The block of the page on training that imports a library, with a box for a room."""
+    text = (ROOT / "docs" / "guide" / "training.md").read_text(encoding="utf-8")
+    (block,) = (one for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if library in one)
+    return re.sub(r'preset="fast"(, frame_budget=30)?', 'preset="fast", scene="box", frame_budget=10', block)
+
+
 def test_minari_writes_and_reads_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari", reason='pip install "minari[create]" h5py')
     pytest.importorskip("jax", reason='pip install "minari[create]"')
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    text = (ROOT / "docs" / "guide" / "training.md").read_text(encoding="utf-8")
-    (block,) = (one for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "minari" in one)
     with pytest.warns(UserWarning):
-        exec(compile(block, "training.md", "exec"), {"__name__": "example"})
+        exec(compile(shown_for("minari"), "training.md", "exec"), {"__name__": "example"})
     episodes = list(minari.load_dataset("activestructure/room-v0").iterate_episodes())
     assert len(episodes) == 2 and all(len(one.observations["rgb"]) == len(one.actions) + 1 for one in episodes)
+
+
+def test_torchrl_plays_with_the_mask() -> None:
+    pytest.importorskip("torchrl", reason="pip install torchrl")
+    names: dict[str, Any] = {"__name__": "example"}
+    exec(compile(shown_for("torchrl"), "training.md", "exec"), names)
+    rollout = names["rollout"]
+    taken = rollout["action_mask"].gather(-1, rollout["action"][..., None])
+    assert taken.all()
+
+
+def test_tianshou_collects_with_the_mask(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("tianshou", reason="pip install tianshou")
+    names: dict[str, Any] = {"__name__": "example"}
+    exec(compile(shown_for("tianshou"), "training.md", "exec"), names)
+    taken, _ = names["collector"].buffer.sample(0)
+    assert capsys.readouterr().out.endswith("8 steps\n") and len(taken) == 8
+    assert taken.obs.mask[np.arange(8), taken.act].all()
+
+
+def test_a_flat_vector_environment_resets_in_the_same_step(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, Any] = {"__name__": "example"}
+    exec(compile(shown_for("AutoresetMode"), "training.md", "exec"), names)
+    assert names["observation"].shape == names["envs"].observation_space.shape and len(names["observation"]) == 2
+    assert not names["info"]["invalid_action"].any() and "[" in capsys.readouterr().out  # an episode has ended
 
 
 def test_any_policy_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,6 +53,7 @@ def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_pat
     assert (numbers["steps_too_long"], numbers["turns_too_wide"], numbers["poses_outside"]) == (0, 0, 0)
     kept = compare(["box"], [spec], tmp_path / "runs", resume=True, **USUAL)
     assert kept.skipped == 1 and not kept.failed
+    assert again.decisions is None and played.decisions is not None  # a trajectory compares no scores
 
 
 def write(place: Path, poses: np.ndarray) -> Path:

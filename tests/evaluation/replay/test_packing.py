@@ -98,3 +98,21 @@ def test_a_page_shows_an_even_choice_of_what_is_too_much(
         f"{len(header['steps'])} of {decisions} decisions are shown; one of {header['every']} of the "
         f"{len(recording.added):,} Gaussians is shown"
     )
+
+
+def test_each_decision_has_its_reason_and_the_runner_up(recordings: list[Recording]) -> None:
+    greedy, chance = (unpacked(pack(recording))[0]["steps"] for recording in recordings)
+    for step, decision in zip(greedy, recordings[0].run.steps):
+        why, rows = step["why"], recordings[0].run.decisions[step["number"] - 1]
+        assert why["table"][0] == ["row", str(decision["action"]), str(rows[1].row)]
+        assert why["runner_up"] == rows[1].row and f"row {rows[0].row} scores" in why["reason"]
+        assert {line[0] for line in why["table"]} == {"row", "score", "hole_area", "× travel", "path", "frames"}
+    assert all(step["why"]["reason"].endswith("without comparing scores.") for step in chance)
+    assert all(step["why"]["runner_up"] == -1 for step in chance)
+
+
+def test_a_run_without_stored_rows_shows_no_reason(recordings: list[Recording]) -> None:
+    run = replace(recordings[0].run)
+    run.__dict__["decisions"] = None
+    header, _ = unpacked(pack(replace(recordings[0], run=run)))
+    assert all(step["why"] is None for step in header["steps"])

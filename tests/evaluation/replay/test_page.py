@@ -143,3 +143,31 @@ def test_the_command_writes_a_page_and_says_what_it_takes(
     assert main(["replay", str(tmp_path)]) == 2
     assert "neither a finished run nor a comparison" in capsys.readouterr().err
     assert main(["replay", one, "--out", "nowhere/replay.html"]) == 2
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_reason_of_the_current_decision_is_shown(
+    page: Page, recordings: list[Recording], tmp_path: Path, width: int
+) -> None:
+    write_replay(recordings[:1], tmp_path / "replay.html")
+    page.ask("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=False)
+    page.open((tmp_path / "replay.html").as_uri())
+    page.until("window.player && player.drawn > 0")
+    panel = "document.querySelector('.why')"
+    for moment in recordings[0].moments[:2]:
+        page.value(f"player.to({moment.frame}); 1")
+        page.until("player.dirty === false")
+        row = recordings[0].run.steps[moment.decision]["action"]
+        assert f"row {row} scores" in page.value(f"{panel}.textContent")
+    assert page.value("document.documentElement.scrollWidth") == width
+    box = f"{panel}.getBoundingClientRect()"
+    assert page.value(f"{box}.left >= 0 && {box}.right <= {width} && {box}.height < 320")
+    page.value("document.getElementById('show-why').click(), 1")
+    page.until("player.dirty === false")
+    assert page.value(f"{panel}.hidden") is True
+    page.value("document.getElementById('show-why').click(), player.to(player.end), 1")
+    page.until("player.dirty === false")
+    assert page.value(f"{panel}.hidden") is True  # no decision follows the last keyframe
+    assert page.errors == []
+    page.ask("Emulation.clearDeviceMetricsOverride")

@@ -27,6 +27,7 @@ from activestructure_gym.evaluation.reproduction.verifying import (
     remeasured_evaluations,
     verify,
 )
+from activestructure_gym.npz import read_npz, write_npz
 
 
 @pytest.fixture(scope="module")
@@ -280,6 +281,8 @@ def test_files_of_another_run_are_never_confirmed(
 def test_a_whole_other_run_under_this_job_is_not_confirmed(run: Run, both: tuple[Run, Run], as_made: None) -> None:
     for name in (*_OF_THE_PLAY, store.PLY, store.METRICS, "timing.json"):
         shutil.copy(both[1].directory / name, run.directory / name)
+    rows = read_npz(run.directory / store.DECISIONS)  # this job has no features
+    write_npz(run.directory / store.DECISIONS, {**rows, "features": rows["features"][:, :0]})
     found = verify(seal(run))
     assert found.verdict == "differs" and "other bytes in metrics.json, steps.jsonl, " in found.why[0]
     found = verify(claimed(run))  # it agrees with itself: only its processor could tell

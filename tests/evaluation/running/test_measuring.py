@@ -223,3 +223,17 @@ def test_arrays_of_another_width_are_damage(kept, job, name, array):
         wider = file[array].astype("u2")
     with pytest.raises(InputError, match=f"{name}' is damaged: {array}: expected .* its episode is played again"):
         measuring.measure_played(_sealed(kept, job, name, **{array: wider}))
+
+
+def test_the_rows_of_the_decisions_are_those_of_the_steps_and_equal_however_the_run_was_finished(kept, job, finished):
+    written = (kept / "decisions.npz").read_bytes()
+    run = episode.run_job(job, kept)
+    assert run.decisions is not None and (kept / "decisions.npz").read_bytes() == written
+    assert (finished / "decisions.npz").read_bytes() == written
+    assert [rows[0].row for rows in run.decisions] == [step["action"] for step in run.steps]
+    assert "decisions.npz" in run.checksums and store.without_checksum(run) == []
+
+
+def test_a_played_episode_with_damaged_rows_is_played_again(kept, job):
+    (kept / "decisions.npz").write_bytes(b"damaged")
+    assert played.played_episode(kept, job) is None

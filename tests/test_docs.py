@@ -8,6 +8,7 @@ import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 
 from activestructure_gym.config import configure
 from activestructure_gym.features import FEATURES
+from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.policies import POLICIES, make_env_and_policy
 from activestructure_gym.sources import SOURCES
+from tests.bare_jobs import bare_jobs
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -27,20 +30,21 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/guide/own_policy.md, own_feature.md and own_scene.md, importable."""
-    pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_scene")]
+    """The files of docs/guide/own_policy.md, own_feature.md, own_planner.md and own_scene.md, importable."""
+    pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_planner", "own_scene")]
     for page, block in [(name, block) for name in pages for block in blocks(name)]:
         name = re.match(r"# (\w+\.py)\n", block)
         assert name, f"a block of {page} does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)
         filled = [line for line in block.splitlines() if line.strip()]
-        assert len(filled) <= (20 if name[1] != "my_planner.py" else 59)
+        assert len(filled) <= (20 if name[1] != "my_planner.py" else 55)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
-    for name in ("thin_cover", "gap"):
+    for name in ("thin_cover", "entropy"):
         FEATURES._entries.pop(name, None)
-    for name in ("area_first", "gap_first"):
+    for name in ("area_first", "most_entropy"):
         POLICIES._entries.pop(name, None)
+    SOURCES._entries.pop("rings", None)
     for module in ("my_policy", "my_feature", "my_planner", "my_scene"):
         sys.modules.pop(module, None)
 
@@ -89,28 +93,57 @@ def test_an_own_candidate_source_is_one_short_file(tmp_path: Path, monkeypatch: 
         sys.modules.pop("my_source", None)
 
 
-def test_a_planner_with_a_feature_of_its_own_is_one_file(plugins: Path) -> None:
-    lines = (plugins / "my_planner.py").read_text().splitlines()
-    assert len(lines) < 60
-    small: dict[str, Any] = {"config": {"sensor": {"width": 48, "height": 27}, "views.max_candidates": 24}}
+def test_a_planner_with_feature_source_and_schedule_is_one_file(plugins: Path) -> None:
+    small: dict[str, Any] = {"config": {"sensor": {"width": 48, "height": 27}, "views.max_candidates": 128}}
     choices = {}
-    for spec in ("my_planner:GapFirst", "my_planner:GapFirst?travel=shared&straight=0"):
-        env, policy = make_env_and_policy(spec, scene="box", preset="fast", frame_budget=40, **small)
-        policy.reset(0)
-        observation, info = env.reset(seed=0)
-        assert info["features"] == ("gap_share", "gap_x", "gap_y", "gap_z")
-        seen = policy.candidates(observation)
-        direction = seen.feature("gap")[seen.valid, 1:]
-        np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
-        chosen, ended = [], False
-        while not ended:
-            chosen.append(policy.act(observation))
-            assert observation["action_mask"][chosen[-1]] and 0.0 <= policy.trace()["share"] <= 1.0
-            observation, _, terminated, truncated, info = env.step(chosen[-1])
-            ended = terminated or truncated
-        choices[spec] = chosen
-        assert info["keyframes"] > 1
-    assert len(set(map(tuple, choices.values()))) == 2
+    for spec in ("my_planner:MostEntropy", "my_planner:MostEntropy?gain=unseen&patience=3"):
+        for setup in ("shared", "native"):
+            env, policy = make_env_and_policy(spec, scene="box", preset="fast", frame_budget=40, setup=setup, **small)
+            policy.reset(0)
+            observation, info = env.reset(seed=0)
+            assert info["features"] == ("entropy_bits", "entropy_unseen")
+            assert (env.unwrapped.config.keyframe_every == 8) == (setup == "native")
+            chosen, ended = [], False
+            while not ended:
+                chosen.append(policy.act(observation))
+                assert observation["action_mask"][chosen[-1]] and min(policy.trace().values()) >= 0.0
+                observation, _, terminated, truncated, info = env.step(chosen[-1])
+                ended = terminated or truncated
+            choices[spec, setup] = chosen
+            assert info["keyframes"] > 1
+    assert len(set(map(tuple, choices.values()))) > 2
+
+
+def test_the_one_file_planner_passes_the_checks_and_is_compared_natively(plugins: Path, tmp_path: Path) -> None:
+    from activestructure_gym import compare
+    from activestructure_gym.checks import check_feature, check_source
+    from activestructure_gym.evaluation import Conditions, StandardProtocol
+
+    assert check_feature("my_planner:entropy").decisions and check_source("my_planner:Rings").decisions
+    conditions = Conditions(
+        preset="fast",
+        frame_budget=20,
+        setup="native",
+        overrides={"sensor.width": 48, "sensor.height": 27},
+        protocol=StandardProtocol(views=1, surface_samples=2000, points_source="means"),
+    )
+    with bare_jobs():
+        result = compare(["box"], ["my_planner:MostEntropy"], tmp_path / "runs", conditions=conditions, engine="inline")
+    assert not result.failed and "rings" in str(result.runs[0].directory.joinpath("config.json").read_text())
+
+
+def test_entropy_of_the_one_file_planner_is_that_of_its_formula(plugins: Path) -> None:
+    """In unknown space of p = 1/2, a ray of n voxels meets sum of 2^-i = 2 bits; in free space none."""
+    from activestructure_gym.volume import VoxelVolume
+
+    feature = FEATURES.get("my_planner:entropy")
+    volume, camera = VoxelVolume(np.array([[0.0, 0, 0], [4.0, 3, 2.5]])), PinholeCamera.from_size(32, 18)
+    pose = look_along(np.array([2.0, 1.5, 1.2]), np.array([1.0, 0.2, 0.0]))[None]
+    context = SimpleNamespace(volume=volume, camera=camera, world_from_camera=pose, max_range=2.0)
+    bits, unseen = feature(context)[0]  # type: ignore[arg-type]
+    assert bits == pytest.approx(2.0, abs=0.01) and 15 < unseen < 35
+    volume.mark_free_sphere(np.array([2.0, 1.5, 1.2]), 5.0)
+    assert feature(context)[0] == pytest.approx([0.0, 0.0], abs=1e-3)  # type: ignore[arg-type]
 
 
 def readme_with(policy: str, scene: str) -> str:

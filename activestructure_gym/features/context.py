@@ -15,6 +15,7 @@ from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.views.visibility import visible_planes
 from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.volume.rays import rays_of_pixels
 
 T = TypeVar("T")
 
@@ -92,13 +93,11 @@ def grid_rays(
     volume: VoxelVolume,
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [K, 4, 4]
-    stride: int,  # pixels between rays
+    stride: int | None = None,  # pixels between rays; None: about 40 rays per image row
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Return the geometric arguments of the kernels that trace pixel rays through the voxel grid.
 
-    They are the corner of voxel (0, 0, 0) in metres [3], the voxel size in metres, the camera poses [K, 4, 4], and the
-    rays [h, w, 3] of every ``stride``-th pixel. The rays are in the camera frame and have depth 1.
+    They are the corner of voxel (0, 0, 0) in metres [3], the voxel size in metres, and the results of `rays_of_pixels`.
     """
-    poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
-    rays = camera.rays()[::stride, ::stride].astype(np.float64)
-    return volume.origin.astype(np.float64), float(volume.config.voxel_size), poses, rays
+    poses, rays = rays_of_pixels(camera, world_from_camera, stride)
+    return volume.origin.astype(np.float64), float(volume.voxel_size), poses, rays

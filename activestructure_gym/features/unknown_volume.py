@@ -18,7 +18,6 @@ from activestructure_gym.volume import OCCUPIED, UNKNOWN
 MEAN_DEPTH = 1.0  # metres, mean free path of a ray in unknown space
 REACH = 6.0  # metres, length of a ray
 SHORTLIST = 24  # number of views whose paths are evaluated
-_COLUMNS = 40  # approximate number of rays per image row
 _SHELL = 2  # voxels; unknown voxels this near to an occupied one are not counted, since views do not make them free
 _MIN_CHANCE = 0.02  # probability of visibility below which a ray ends
 _HALF_TIME = 5.0  # frames of travel at which a view's score for the shortlist is halved, as in the shared travel term
@@ -66,8 +65,7 @@ def opened_volume(
     The poses of a group are consecutive. A voxel that several views of a group see counts once.
     """
     volume = context.volume
-    stride = max(1, round(context.camera.width / _COLUMNS))
-    origin, voxel_size, poses, rays = grid_rays(volume, context.camera, world_from_camera, stride)
+    origin, voxel_size, poses, rays = grid_rays(volume, context.camera, world_from_camera)
     space = _Space(volume.state, context.once(target_voxels), origin, voxel_size)
     views = _Views(poses, np.asarray(starts, np.int64), rays, min(REACH, context.max_range))
     result = np.zeros(len(starts) - 1)

@@ -2,90 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import invert_rigid, rotation_angle
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, rotation_angle
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ranges import MAX_COORDINATE_M, check_ranges
 from activestructure_gym.volume import distance_field, integration
+from activestructure_gym.volume.config import VolumeConfig, grid_shape
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
-
-# A larger grid would need gigabytes. Its usual cause is a wrong unit, such as a mesh in millimetres.
-_MAX_VOXELS = 60_000_000
-_RANGES = {
-    "voxel_size": "[0.0001, 100]",
-    "max_range": "(0, 1000]",
-    **dict.fromkeys(("margin", "margin_growth", "unknown_slack"), "[0, 100]"),
-    **dict.fromkeys(("thinnest", "truncation"), "(0, 100]"),
-    "max_miss_chance": "[0, 1)",
-    **dict.fromkeys(("hit_gain", "hit_ceiling"), "[1, 30000]"),
-    "max_weight": "(0, 1e6]",
-}
-
-
-@dataclass(frozen=True)
-class VolumeConfig:
-    """Configure the resolution and the safety margins of the voxel grid."""
-
-    voxel_size: float = 0.1
-    """Side length of a voxel, metres. (0.1 m costs 5 to 10 times less than 0.05 m, and 0.8 m doors remain passable.)"""
-    max_range: float = 5.0
-    """Largest depth used, metres. Beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
-    margin: float = 0.02
-    """Metres by which a ray must end behind a voxel to prove it free, at depth 0."""
-    margin_growth: float = 0.006
-    """Growth of the margin, metres per square metre of depth: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
-    thinnest: float = 0.03
-    """Width in metres of the thinnest structure (lamp pole, chair leg) that rays must not miss."""
-    max_miss_chance: float = 0.05
-    """A voxel is free if the probability that all views missed such a structure is at most this.
-
-    0 = near views only.
-    """
-    hit_gain: int = 5
-    """Number of observations of a voxel as free that cancel one hit (noise). Fewer would erase very thin structures."""
-    hit_ceiling: int = 50
-    """Largest value of the hit counter of a voxel, in observations as free, so that wrong hits can be cleared."""
-    unknown_slack: float = 0.05
-    """Metres by which unknown space may be closer to the agent than an occupied voxel.
-
-    Without it, a camera with a field of view of 60 degrees hardly leaves its start, since the observed cone is too
-    narrow there. Measured in 100 frames of random exploration: 1.6 m of path without it, 6.6 m with it.
-    """
-    truncation: float = 0.3
-    """Truncation distance of the TSDF in metres; at least 3 voxels are used."""
-    max_weight: float = 64.0
-    """Number of observations of a voxel after which its TSDF value becomes a moving average."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, _RANGES)
-        if self.hit_gain > self.hit_ceiling:
-            raise InputError(f"hit_ceiling must be at least hit_gain ({self.hit_gain}), got {self.hit_ceiling}")
-
-
-def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
-    """Return the number of voxels along each axis of a grid over ``bounds`` [2, 3] in metres, with a border of one.
-
-    Raises `InputError` for too many voxels or a scene too far from the origin.
-    """
-    away = float(np.abs(bounds).max())
-    if away > MAX_COORDINATE_M:
-        raise InputError(
-            f"the scene is {away:,.0f} m from the origin, and at most {MAX_COORDINATE_M:,.0f} m is allowed: move it"
-        )
-    extent = np.asarray(bounds[1], dtype=np.float64) - bounds[0]
-    cells = np.ceil(extent / voxel_size - 1e-9) + 2.0
-    if cells.prod() > _MAX_VOXELS:
-        sides = " x ".join(f"{side:.0f}" for side in extent)
-        raise InputError(
-            f"expected a workspace of building size, got {sides} m: {cells.prod():.1e} voxels of {voxel_size} m; "
-            "check the units of the mesh, or raise voxel_size"
-        )
-    return int(cells[0]), int(cells[1]), int(cells[2])
+from activestructure_gym.volume.occupancy import occupancy
+from activestructure_gym.volume.rays import PixelRays, rays_of_pixels
 
 
 class VoxelVolume:
@@ -121,6 +47,7 @@ class VoxelVolume:
         self._images = 0
         self._last_view: np.ndarray | None = None
         self._clearance: np.ndarray | None = None
+        self._occupancy: np.ndarray | None = None
 
     # -- updates --------------------------------------------------------------------------------------------------
 
@@ -214,7 +141,7 @@ class VoxelVolume:
         return lower.astype(np.int64), upper.astype(np.int64)
 
     def _changed(self) -> None:
-        self._clearance = None
+        self._clearance = self._occupancy = None
 
     # -- the grid -------------------------------------------------------------------------------------------------
 
@@ -233,12 +160,36 @@ class VoxelVolume:
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
         """Return the state of the voxel that contains each point (metres, world); UNKNOWN outside the grid."""
+        return self._at(points, self.state, UNKNOWN)
+
+    def occupancy_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] float32
+        """Return the occupancy of the voxel that contains each point (metres, world); 0.5 outside the grid."""
+        return self._at(points, self.occupancy, 0.5)
+
+    def _at(self, points: np.ndarray, values: np.ndarray, outside: float) -> np.ndarray:  # [N] of the type of values
         voxels, inside = self.voxel_of(points), self.contains(points)
-        return np.where(inside, self.state[tuple(np.where(inside[..., None], voxels, 0).T)], UNKNOWN).astype(np.uint8)
+        found = values[tuple(np.where(inside[..., None], voxels, 0).T)]
+        return np.where(inside, found, outside).astype(values.dtype)
 
     def _grid_coordinates(self, points: np.ndarray) -> np.ndarray:  # voxels, centre of voxel (0, 0, 0) at 0
         points = np.asarray(points, dtype=np.float64)
         return np.ascontiguousarray((points - self.origin) / self.voxel_size - 0.5)
+
+    @property
+    def states(self) -> np.ndarray:  # [X, Y, Z] uint8, read-only
+        """Return the state of each voxel: UNKNOWN (0), FREE (1) or OCCUPIED (2)."""
+        return _read_only(self.state)
+
+    @property
+    def occupancy(self) -> np.ndarray:  # [X, Y, Z] float32 in 0..1, read-only
+        """Return the probability that each voxel is occupied; computed at the first use after a change.
+
+        It is 0.5 to 0.97 in OCCUPIED voxels, exactly 0.5 in voxels without evidence, and at most 0.05 in voxels that
+        rays crossed, FREE or not. `volume.occupancy` has the formula.
+        """
+        if self._occupancy is None:
+            self._occupancy = occupancy(self._solidity, self._miss_chance, self._crossed, self.config.hit_gain)
+        return _read_only(self._occupancy)
 
     @property
     def unobserved(self) -> np.ndarray:  # [X, Y, Z] bool
@@ -249,12 +200,32 @@ class VoxelVolume:
         where several views are needed. More views of the surface do not prove the layer free, so it is not in this
         mask.
         """
-        return (self.state == UNKNOWN) & ~((self.weight > 0) & (self.tsdf > 0))
+        return (self.state == UNKNOWN) & ~self._crossed
+
+    @property
+    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: a ray crossed the voxel's centre
+        return (self.weight > 0) & (self.tsdf > 0)
 
     @property
     def observed_share(self) -> float:
         """Return the fraction of the grid's voxels that are free or occupied."""
         return float(np.count_nonzero(self.state)) / self.state.size
+
+    # -- rays -----------------------------------------------------------------------------------------------------
+
+    def rays(
+        self,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [K, 4, 4], or [4, 4] for one view
+        *,
+        stride: int | None = None,  # pixels from one ray to the next; None: about 40 rays per image row
+        reach: float | None = None,  # metres along a ray; None: `VolumeConfig.max_range`
+    ) -> PixelRays:
+        """Return the rays of every ``stride``-th pixel of K views."""
+        poses, rays = rays_of_pixels(camera, world_from_camera, stride)
+        unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        length = self.config.max_range if reach is None else float(reach)
+        return PixelRays(self.origin, float(self.voxel_size), self.occupied, poses, unit, length)
 
     # -- distances ------------------------------------------------------------------------------------------------
 
@@ -363,3 +334,10 @@ class VoxelVolume:
     def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3] voxels
         """Return points in voxel units; the lower corner of voxel (0, 0, 0) is at 0."""
         return self._grid_coordinates(points) + 0.5
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Return a view of the array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -179,7 +179,7 @@ class Comparison:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.inputs import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
-        from activestructure_gym.volume.voxel_volume import grid_shape
+        from activestructure_gym.volume.config import grid_shape
 
         scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
         known = ground_truth_of(scene)

@@ -20,7 +20,6 @@ BEAMS = 10  # N_b of the paper: number of plans kept in each step of the beam se
 STEPS = 10  # N_d of the paper: maximum number of views of a plan
 FRAMES_PER_STEP = 5  # maximum mean number of frames per view of a plan (own choice: the keyframe interval)
 CAP = 1.0  # metres by which planes are extended beyond their observed part (own choice)
-_COLUMNS = 40  # approximate number of rays per image row
 
 
 @FEATURES.register("magician", columns=("plan", "view"), unit="m^2", low=0.0)
@@ -84,8 +83,7 @@ def visible_cells(context: FeatureContext, surface: np.ndarray) -> np.ndarray:  
     """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels."""
     number = np.full(surface.shape, -1, np.int32)
     number[surface] = np.arange(surface.sum())
-    stride = max(1, round(context.camera.width / _COLUMNS))
-    origin, voxel_size, poses, rays = grid_rays(context.volume, context.camera, context.world_from_camera, stride)
+    origin, voxel_size, poses, rays = grid_rays(context.volume, context.camera, context.world_from_camera)
     visible = np.zeros((len(poses), int(surface.sum())), np.bool_)
     reach = min(context.max_range, context.volume.config.max_range)
     _mark_visible(context.volume.occupied, number, origin, voxel_size, poses, rays, reach, visible)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 REFERENCE = "reference:"  # prefix of the name of a reference, which uses the ground truth, in ``Job.policy``
 TRAJECTORY = "trajectory:"  # prefix of the path of a given trajectory in ``Job.policy``
-CELL = ("scene", "policy", "seed", "scene_hash")  # fields that differ between the jobs of a comparison
+CELL = ("scene", "policy", "seed", "scene_hash", "swept")  # fields that differ between the jobs of a comparison
 _HASH_DIGITS = 12
 MAX_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # digits of a content hash in a label
@@ -52,7 +52,10 @@ class Job:
     scene_hash
         Content hash of the loaded scene. A scene file with other content makes another job.
     conditions
-        Conditions that all jobs of a comparison share.
+        Conditions of this job. All jobs of a comparison share them, except the values of swept fields.
+    swept
+        Names of the swept fields: configuration fields that differ between the jobs of a comparison. The job's values
+        are in the overrides of ``conditions``.
     """
 
     scene: Spec
@@ -60,11 +63,13 @@ class Job:
     seed: int
     scene_hash: str = ""
     conditions: Conditions = field(default_factory=Conditions)
+    swept: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for kind, text in (("scene", self.scene), ("policy", self.policy)):
             object.__setattr__(self, kind, Spec(text))
             check_in_one_line(kind, text)
+        check_in_one_line("swept value", self.swept_text)
         if not 0 <= self.seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {short_repr(self.seed)}")
 
@@ -79,18 +84,43 @@ class Job:
     def name(self) -> str:
         """Return the name of the job's run directory."""
         # The path of a checkpoint can be longer than a file name; the hash covers all of it.
-        scene, policy = slug(scene_label(self.scene))[-_MAX_NAME_CHARACTERS:], slug(self.policy)[-_MAX_NAME_CHARACTERS:]
+        policy = slug(self.policy + self.swept_text)[-_MAX_NAME_CHARACTERS:]
+        scene = slug(scene_label(self.scene))[-_MAX_NAME_CHARACTERS:]
         return f"{scene}--{policy}--seed{self.seed}--{self.hash}"
 
     @property
     def title(self) -> str:
-        """Return scene, policy and seed as a short text for messages and tables."""
-        return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
+        """Return scene, policy, swept values and seed as a short text for messages and tables."""
+        return f"{scene_label(self.scene)} · {self.label} · seed {self.seed}"
+
+    @property
+    def label(self) -> str:
+        """Return a short name of the policy and the swept values, as in ``naruto [mapper.seed_spacing=0.06]``."""
+        return policy_label(self.policy) + self.swept_text
+
+    @property
+    def swept_values(self) -> dict[str, Any]:
+        """Return the job's values of the swept fields, by field."""
+        return {name: self.conditions.overrides[name] for name in self.swept if name in self.conditions.overrides}
+
+    @property
+    def swept_text(self) -> str:
+        """Return the swept values as a suffix for the policy's name; empty without any."""
+        found = ", ".join(f"{name}={value_text(value)}" for name, value in self.swept_values.items())
+        return f" [{found}]" if found else ""
+
+    @property
+    def shared_conditions(self) -> Conditions:
+        """Return the conditions without the swept values: those that all jobs of a comparison share."""
+        kept = {name: value for name, value in self.conditions.overrides.items() if name not in self.swept}
+        return dataclasses.replace(self.conditions, overrides=kept) if self.swept else self.conditions
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the job as plain values for JSON."""
-        cell = {name: getattr(self, name) for name in CELL}
-        return cell | self.conditions.as_dict()
+        """Return the job as plain values for JSON; ``swept`` has the values by field, and is omitted if empty."""
+        cell = {name: getattr(self, name) for name in CELL} | {"swept": self.swept_values}
+        if not self.swept:
+            del cell["swept"]
+        return cell | self.shared_conditions.as_dict()
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
@@ -98,8 +128,17 @@ class Job:
         known = {*CELL, *(one.name for one in dataclasses.fields(Conditions))}
         if more := content.keys() - known:
             raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
+        cell = {name: content[name] for name in CELL if name in content}
+        swept = cell.pop("swept", {})
         shared = {name: value for name, value in content.items() if name not in CELL}
-        return cls(**{name: content[name] for name in CELL if name in content}, conditions=Conditions.from_dict(shared))
+        if swept:
+            shared["overrides"] = {**shared["overrides"], **swept}
+        return cls(**cell, conditions=Conditions.from_dict(shared), swept=tuple(swept))
+
+
+def value_text(value: Any) -> str:
+    """Return a value of a configuration field as ``--set`` takes it: a text as it is, and other values as JSON."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def check_in_one_line(kind: str, name: str) -> None:

@@ -44,7 +44,7 @@ JOB: Check = table(
         "start_pose": maybe(each(number(-MAX_COORDINATE_M, MAX_COORDINATE_M), length=4)), "protocol": PROTOCOL,
         "also": each(table({"name": text}, {"version": number(whole=True)})),
     },
-    {"setup": text, "metrics": each(text)},
+    {"setup": text, "metrics": each(text), "swept": table()},
 )  # fmt: skip
 COMPARISON: Check = table(
     {"jobs": table(others=JOB)},

@@ -109,7 +109,12 @@ class Run:
 
     @cached_property
     def policy(self) -> str:
-        """Return the short name of the policy; a checkpoint's name has no folders."""
+        """Return the short name of the policy with the swept values; a checkpoint's name has no folders."""
+        return self.job.label
+
+    @cached_property
+    def planner(self) -> str:
+        """Return the short name of the policy, without swept values."""
         return policy_label(self.job.policy)
 
     @cached_property

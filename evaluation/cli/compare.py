@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.cli.conditions import ConditionOptions, RunO
 from activestructure_gym.evaluation.cli.fields import NoNames, Switch, Text, Words, option
 from activestructure_gym.evaluation.cli.options import (
     parse_seeds,
+    parse_sweep,
     split_list,
     split_policies,
     split_scenes,
@@ -64,6 +65,11 @@ class GridOptions:
     (
         "Add upper bounds with ground truth: oracle (one-step choice by newly observed surface among all views of the "
         "pool), oracle-quality (then by image quality)."
+    )
+    sweep: Annotated[tuple[str, ...], option("FIELD=A,B [FIELD=A,B ...]", "")] = ()
+    (
+        "Run every policy with each of these values of a configuration field, e.g. mapper.seed_spacing=0.06,0.12; "
+        "several fields give their product."
     )
 
 
@@ -123,7 +129,6 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
     use_lpips_weights(options.lpips_weights)
 
-    from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.running.comparison import jobs_to_resume
     from activestructure_gym.evaluation.running.engines import ENGINES, Limits
     from activestructure_gym.evaluation.running.output_directory import check_output
@@ -144,18 +149,16 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     if options.engine != "ray" and not as_recorded:
         comparison.check_machine()
     if not options.resume and options.baseline is not None:  # checked before any scene is loaded
-        options = _with_baseline(options, comparison.participants())
+        options = _with_baseline(options, comparison.jobs(comparison.participants(), {}))
     if options.dry_run:
         recorded = recorded_jobs(directory) if as_recorded else None
         return _print_plan(console, comparison, recorded, shard, directory, demo=demo)
     with working(console, "loading") as notify:
         jobs = jobs_to_resume(directory, comparison, notify) if as_recorded else comparison.prepare(notify)
-    policies = list(dict.fromkeys(job.policy for job in jobs))
-    before = ((read_record(directory) or {}) if options.resume else {}).get("jobs", {}).values()
-    known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
-    options = _with_baseline(options, known)
+    before = recorded_jobs(directory) if options.resume else []
+    options = _with_baseline(options, [*jobs, *before])
     if not as_recorded:
-        _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
+        _announce(console, comparison, directory, len(jobs), len({job.policy for job in jobs}), demo=demo)
     return _run_and_report(options, console, jobs, directory, limits, shard, began)
 
 
@@ -233,9 +236,12 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
             f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
         )
     # Code that the user names in an option of this call is trusted; code that only the record names is not.
-    words = {"scene": "scenes", "world": "scenes", "policy": "policies", "protocol": "protocols", "metric": "metrics"}
+    words = {
+        "scene": ("scenes",), "world": ("scenes",), "policy": ("policies",), "protocol": ("protocols",),
+        "metric": ("metrics",),
+    }  # fmt: skip
     for kind, name in (code for job in jobs for code in code_of(job)):
-        if not _typed(options, words.get(kind, "set")):
+        if not _typed(options, *words.get(kind, ("set", "sweep"))):
             refuse_code(kind, name, directory / COMPARISON)
     begun = Comparison.of(jobs)
     changes = _typed_fields(options, begun)
@@ -244,16 +250,16 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
     return dataclasses.replace(begun, **changes)
 
 
-def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
+def _with_baseline(options: Compare, jobs: Sequence[Job]) -> Compare:
     """Return the options with ``baseline`` replaced by its canonical name.
 
-    ``known`` are the policies of the comparison. Raise `InputError` if the baseline is not among them.
+    It is a policy of the ``jobs``, or with swept values the label of a job. Raise `InputError` for any other.
     """
     from activestructure_gym.evaluation.references.trajectory import named_trajectory
     from activestructure_gym.policies import canonical_policy
 
-    given = options.baseline
-    if given is None or given in known:
+    given, known = options.baseline, list(dict.fromkeys(job.policy for job in jobs))
+    if given is None or given in known or given in (job.label for job in jobs if job.swept):
         return options
     with suppress(InputError):
         called = named_trajectory(given) if Spec(given).kind == "trajectory" else canonical_policy(given)
@@ -302,6 +308,8 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
         typed["references"] = split_list(options.references)
     if options.seeds is not None:
         typed["seeds"] = parse_seeds(options.seeds)
+    if options.sweep:
+        typed["sweep"] = {**begun.sweep, **parse_sweep(options.sweep)}
     if options.setup is not None:
         changes["setup"] = options.setup
     if options.start is not None:
@@ -322,13 +330,10 @@ def _print_plan(
 ) -> int:
     """Print the runs of a comparison, or only the runs of ``shard``, without loading a scene; return 0."""
     from activestructure_gym.evaluation.archive.completion import completion_markers
-    from activestructure_gym.evaluation.archive.jobs import Job
 
     policies = comparison.participants()
     comparison.check_scene_names()
-    jobs = recorded or [
-        Job(scene, policy, seed) for seed in comparison.seeds for scene in comparison.scenes for policy in policies
-    ]
+    jobs = recorded or comparison.jobs(policies, {})
     _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
     for job in jobs if shard is None else shard.part(jobs):
         console.print(escape(job.title))
@@ -345,11 +350,15 @@ def _announce(
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
     shared = comparison.conditions
-    frames = shared.frame_budget or configure(shared.preset, shared.overrides).frame_budget
+    budgets = [
+        one.frame_budget or configure(one.preset, one.overrides).frame_budget for one in comparison.all_conditions
+    ]
+    frames = " or ".join(map(str, dict.fromkeys(budgets)))
     parts = [
         pluralised(len(comparison.scenes), "scene"),
         pluralised(policies, "policy", "policies"),
         pluralised(len(comparison.seeds), "seed"),
+        *(f"{pluralised(len(values), 'value')} of {escape(name)}" for name, values in comparison.sweep.items()),
     ]
     conditions = f"{shared.setup} setup, preset {shared.preset}, {frames} frames"
     what = f"[bold]{' x '.join(parts)}[/], {conditions} per run" if jobs > 1 else f"[bold]one run[/], {conditions}"

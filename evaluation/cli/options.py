@@ -128,19 +128,43 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
         key, equals, value = word.partition("=")
         if not (key and equals):
             raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got {short_repr(word)}")
-        try:
-            overrides[key] = json.loads(value)
-        except (RecursionError, ValueError) as error:
-            if not isinstance(error, json.JSONDecodeError):  # too deeply nested, or a number with thousands of digits
-                raise InputError(f"--set {short_repr(key)} takes no such value, got {short_repr(value)}") from None
-            if value[:1] in ("[", "{"):
-                raise InputError(
-                    f'--set {short_repr(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' '
-                    f"with all its quotes, got {short_repr(value)}"
-                ) from None
-            number = float(value) if _POINT.fullmatch(value) else value
-            overrides[key] = {"True": True, "False": False, "None": None}.get(value, number)
+        overrides[key] = _value("--set", key, value)
     return overrides
+
+
+def parse_sweep(words: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+    """Parse ``key=value,value`` words; commas separate values of the forms that `parse_overrides` takes."""
+    sweep: dict[str, tuple[Any, ...]] = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        if not (key and equals):
+            raise InputError(f"--sweep takes key=value,value, as in mapper.iterations=5,15, got {short_repr(word)}")
+        if key in sweep:
+            raise InputError(f"--sweep names {short_repr(key)} twice: give all its values once, separated by commas")
+        try:
+            sweep[key] = tuple(json.loads(f"[{text}]"))  # commas within lists and tables separate no values
+        except (RecursionError, ValueError):
+            parts = [text] if text[:1] in ("[", "{") else text.split(",")
+            sweep[key] = tuple(_value("--sweep", key, part) for part in parts)
+        if not all(value != "" for value in sweep[key]) or not sweep[key]:
+            raise InputError(f"--sweep {short_repr(key)} lacks a value, got {short_repr(text)}")
+    return sweep
+
+
+def _value(option: str, key: str, text: str) -> Any:
+    """Parse one value of the field ``key``; ``option`` is named in the `InputError` for a wrong one."""
+    try:
+        return json.loads(text)
+    except (RecursionError, ValueError) as error:
+        if not isinstance(error, json.JSONDecodeError):  # too deeply nested, or a number with thousands of digits
+            raise InputError(f"{option} {short_repr(key)} takes no such value, got {short_repr(text)}") from None
+        if text[:1] in ("[", "{"):
+            raise InputError(
+                f'{option} {short_repr(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' '
+                f"with all its quotes, got {short_repr(text)}"
+            ) from None
+        number = float(text) if _POINT.fullmatch(text) else text
+        return {"True": True, "False": False, "None": None}.get(text, number)
 
 
 def parse_labels(words: Sequence[str]) -> dict[str, str]:

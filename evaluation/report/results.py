@@ -50,7 +50,8 @@ class Source:
 class Results:
     """Hold the finished runs of a report, at most one per scene, policy and seed.
 
-    Raise `InputError` for no runs, for runs of different conditions, and for a baseline without runs.
+    In a sweep, a policy with other values of the swept fields counts as another policy. Raise `InputError` for no runs,
+    for runs of different conditions, and for a baseline without runs.
     """
 
     runs: Sequence[Run]
@@ -60,6 +61,9 @@ class Results:
     def __post_init__(self) -> None:
         if not self.runs:
             raise InputError("a report needs at least one finished run, got none")
+        if self.baseline is not None and self.baseline not in self.policies:
+            if rows := [run.policy for run in self.runs if run.planner == self.baseline]:
+                object.__setattr__(self, "baseline", rows[0])  # of a sweep: its first values
         if self.baseline is not None and self.baseline not in self.policies:
             raise InputError(
                 f"the baseline '{self.baseline}' is not among the policies of these runs: {listed(self.policies)}"
@@ -71,13 +75,24 @@ class Results:
                     "equal conditions, so write one report for each"
                 )
         if self.baseline is None and len(self.policies) > 1:
-            usual = [name for name in _BASELINES if name in self.policies]
+            usual = [run.policy for name in _BASELINES for run in self.runs if run.planner == name]
             object.__setattr__(self, "baseline", usual[0] if usual else self.policies[0])
 
     @cached_property
     def policies(self) -> list[str]:
         """Return the policies in the order of the runs."""
         return list(dict.fromkeys(run.policy for run in self.runs))
+
+    @cached_property
+    def sweep(self) -> dict[str, list[Any]]:
+        """Return the values of each swept field: numbers in ascending order, else in the order of the runs."""
+        found: dict[str, list[Any]] = {}
+        for run in self.runs:
+            for name, value in run.job.swept_values.items():
+                if value not in found.setdefault(name, []):
+                    found[name].append(value)
+        numeric = {name: all(isinstance(value, int | float) for value in values) for name, values in found.items()}
+        return {name: sorted(values) if numeric[name] else values for name, values in found.items()}
 
     @cached_property
     def palette(self) -> list[str]:
@@ -239,6 +254,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
 def _given_conditions(run: Run) -> dict[str, str]:
     job = run.job.as_dict()
     flat = {name: job[name] for name in ("preset", "frame_budget")} | {"setup": run.job.conditions.setup}
+    flat |= {"sweep": ", ".join(sorted(run.job.swept)) or "none"}
     flat |= {f"set {name}": value for name, value in job["overrides"].items()}
     flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
     return {name: str(value) for name, value in flat.items()}
@@ -299,9 +315,11 @@ def gather(
 def labelled(runs: Sequence[Run], labels: Mapping[str, str]) -> list[Run]:
     """Return the runs with the ``labels`` of policies and scenes in place of their names.
 
-    Raise `InputError` for a name that no run has, and for a label that two names would share.
+    In a sweep, the label of a policy is followed by the swept values, which may have a label of their own. Raise
+    `InputError` for a name that no run has, and for a label that two names would share.
     """
-    names = [name for kind in ("policy", "scene") for name in dict.fromkeys(getattr(run, kind) for run in runs)]
+    policies = dict.fromkeys(name for run in runs for name in (run.policy, run.planner))
+    names = [*policies, *dict.fromkeys(run.scene for run in runs)]
     if unknown := [name for name in labels if name not in names]:
         raise unknown_name("policy or scene", unknown[0], names)
     shown = [labels.get(name, name) for name in names]
@@ -309,9 +327,10 @@ def labelled(runs: Sequence[Run], labels: Mapping[str, str]) -> list[Run]:
         raise InputError(f"two names would have the label '{double[0]}': choose different labels")
     found = []
     for run in runs:
-        policy = labels.get(run.policy, run.policy)
+        planner = labels.get(run.planner, run.planner)
+        policy = labels.get(run.policy, planner + run.job.swept_text)
         found.append(dataclasses.replace(run, scene=labels.get(run.scene, run.scene)))
-        found[-1].__dict__["policy"] = policy  # replaces the cached name
+        found[-1].__dict__.update(policy=policy, planner=planner)  # replaces the cached names
     return found
 
 

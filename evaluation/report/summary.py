@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import TABLES, Run
 from activestructure_gym.evaluation.report.charts.convergence import chart_rows
 from activestructure_gym.evaluation.report.charts.plots import standalone
+from activestructure_gym.evaluation.report.charts.sweep import sweep_charts
 from activestructure_gym.evaluation.report.page.convergence_section import policy_panels
 from activestructure_gym.evaluation.report.page.document import html_page
 from activestructure_gym.evaluation.report.page.method_text import (
@@ -32,6 +33,7 @@ from activestructure_gym.evaluation.report.tables.overview import overview, runs
 from activestructure_gym.evaluation.report.tables.paper import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.tables.planning import planning_table
 from activestructure_gym.evaluation.report.tables.published import published_tables
+from activestructure_gym.evaluation.report.tables.sweep import sweep_lines, sweep_table
 from activestructure_gym.evaluation.report.text_filters import without_folders
 
 PAGE = "report.html"
@@ -44,7 +46,7 @@ def write_report(
 
     ``comparison`` is the content of ``compare.json``. If ``baseline`` has no finished run, the default one is used.
     """
-    baseline = baseline if any(run.policy == baseline for run in runs) else None
+    baseline = baseline if any(baseline in (run.policy, run.planner) for run in runs) else None
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
@@ -79,8 +81,10 @@ def _write_into(
     overall = [_curves(part / "convergence.svg", results, None)] if len(results.scenes) > 1 else []
     if panels := policy_panels(results):
         title = f"One panel for each of {len(results.policies)} policies, with all others in grey"
-        charts = standalone([[chart] for chart in panels], (), title=title)
-        overall.append(_written(part / "policies.svg", charts))
+        overall.append(_written(part / "policies.svg", standalone([[chart] for chart in panels], (), title=title)))
+    if charts := sweep_charts(results):
+        drawn = standalone([[chart for _, chart in charts]], [*sweep_lines(results)], title="Sweep")
+        overall.insert(0, _written(part / "sweep.svg", drawn))
     if overall:
         written += overall
         shown = "\n\n".join(f"![{path.stem}](./{path.name})" for path in overall)
@@ -96,6 +100,7 @@ def all_tables(results: Results) -> list[Table]:
     tables += [verdicts.aggregate_table(results), planning_table(results)]
     tables += [verdicts.area_table(results), verdicts.cost_table(results)]
     tables.append(overview(table_rows(results.runs), overview_columns(results.runs)))
+    tables.append(sweep_table(results))
     return [table for table in tables if table is not None]
 
 
@@ -174,6 +179,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in metric_definitions(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
+    compared += [sweep_table(results)]
     compared += [verdicts.difference_table(results), planning_table(results), verdicts.area_table(results)]
     compared.append(verdicts.cost_table(results))
     parts = [

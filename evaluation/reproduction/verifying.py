@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import completion, json_files, store
-from activestructure_gym.evaluation.archive.jobs import policy_label, refuse_code
+from activestructure_gym.evaluation.archive.jobs import refuse_code
 from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import planning_scores
@@ -66,10 +66,6 @@ def verify(run: Run, notify: Callable[[Progress], None] = lambda progress: None)
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
         return Verification("damaged", (str(error),))
-    if run.policy != policy_label(run.job.policy):
-        raise InputError(
-            f"'{run.job.policy}' named another policy when the run was made; that policy is now called '{run.policy}'"
-        )
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         captures = run.directory / store.CAPTURES

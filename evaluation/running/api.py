@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
@@ -41,6 +42,7 @@ def compare(
     *,
     seeds: Sequence[int] = (0,),
     conditions: Conditions | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
     engine: str = "local",
     limits: Limits | None = None,
     listener: Listener | None = None,
@@ -64,6 +66,9 @@ def compare(
         Whole numbers from 0.
     conditions
         Configuration, budget, start and protocols of all runs. Default: `Conditions()`.
+    sweep
+        Values by configuration field: every policy runs with each of them, on top of the conditions. Several fields
+        give their product. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
     engine
         ``"local"`` (a process per run), ``"inline"`` (this process) or ``"ray"``.
     limits
@@ -97,7 +102,9 @@ def compare(
     for name, given in (("scenes", scenes), ("policies", policies)):
         if isinstance(given, str):
             raise InputError(f"{name} are a list of names, as ['{given}'], got the text {short_repr(given)}")
-    comparison = Comparison([*map(Spec, scenes)], [*map(Spec, policies)], seeds, conditions=conditions or Conditions())
+    comparison = Comparison(
+        [*map(Spec, scenes)], [*map(Spec, policies)], seeds, conditions=conditions or Conditions(), sweep=sweep or {}
+    )
     directory = Path(out)
     check_output(directory, resume=resume)
     jobs = comparison.prepare()

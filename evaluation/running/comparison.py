@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +20,17 @@ from activestructure_gym.evaluation.archive.jobs import (
 )
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import get_protocol
 from activestructure_gym.evaluation.protocols.metrics import get_metrics
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Listener, Outcome
-from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.output_directory import already_begun
+from activestructure_gym.evaluation.running.record import Recording, new_record
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.surroundings import refuse_without_truth, world_hash
+from activestructure_gym.evaluation.running.sweep import check_sweep, combinations, sweep_of
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.specs import Spec
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Define a grid of jobs: scenes, policies, seeds, and the conditions that all of them share.
+    """Define a grid of jobs: scenes, policies, seeds, swept values, and the conditions that all of them share.
 
     Parameters
     ----------
@@ -56,6 +57,9 @@ class Comparison:
         Names of references, which use the ground truth.
     conditions
         Conditions of all runs.
+    sweep
+        Values by configuration field: every policy runs with each of them, on top of the conditions. Several fields
+        give their product. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
     recorded
         Content hash by scene, for scenes of a comparison that is resumed.
     """
@@ -65,9 +69,11 @@ class Comparison:
     seeds: Sequence[int] = (0,)
     references: Sequence[str] = ()
     conditions: Conditions = field(default_factory=Conditions)
+    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     recorded: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_sweep(self.sweep, self.conditions)
         object.__setattr__(self, "scenes", [Spec(absolute_spec(Spec(spec))) for spec in self.scenes])
         object.__setattr__(self, "policies", list(map(Spec, self.policies)))
         for name in ("scenes", "policies", "seeds", "references"):
@@ -78,13 +84,14 @@ class Comparison:
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
-        """Return the smallest comparison that contains all of these jobs, which share their conditions."""
+        """Return the smallest comparison that contains all of these jobs, which share conditions and swept fields."""
         return cls(
             scenes=[job.scene for job in jobs],
             policies=[job.policy for job in jobs if job.policy.kind != "reference"],
             references=[job.policy.removeprefix(REFERENCE) for job in jobs if job.policy.kind == "reference"],
             seeds=[job.seed for job in jobs],
-            conditions=jobs[0].conditions,
+            conditions=jobs[0].shared_conditions,
+            sweep=sweep_of(jobs),
             recorded={job.scene: job.scene_hash for job in jobs},
         )
 
@@ -95,7 +102,23 @@ class Comparison:
         from activestructure_gym.splatting.rasterizers import rasterizer
 
         check_compiling()
-        rasterizer(configure(self.conditions.preset, self.conditions.overrides).mapper.backend)
+        for one in self.all_conditions:
+            rasterizer(configure(one.preset, one.overrides).mapper.backend)
+
+    @cached_property
+    def all_conditions(self) -> list[Conditions]:
+        """Return the conditions with each combination of swept values; without a sweep, the conditions alone."""
+        return combinations(self.sweep, self.conditions)
+
+    def jobs(self, policies: Sequence[Spec], hashes: Mapping[Spec, str]) -> list[Job]:
+        """Return all jobs: by seed, then scene, policy and swept values; ``hashes`` has the content hash by scene."""
+        return [
+            Job(scene, policy, seed, hashes.get(scene, ""), conditions, tuple(self.sweep))
+            for seed in self.seeds
+            for scene in self.scenes
+            for policy in policies
+            for conditions in self.all_conditions
+        ]
 
     def participants(self, policies: Sequence[Spec] = ()) -> list[Spec]:
         """Return the ``policy`` of all jobs: the policies, then the references.
@@ -136,12 +159,7 @@ class Comparison:
                 else:
                     hashes[spec] = self._check_scene(spec, policies).content_hash
             notify("making sure that all kernels are compiled")
-        jobs = [
-            Job(scene, policy, seed, hashes[scene], self.conditions)
-            for seed in self.seeds
-            for scene in self.scenes
-            for policy in participants
-        ]
+        jobs = self.jobs(participants, hashes)
         _refuse_twins(jobs)
         for job in (job for job in jobs if names_world(job.scene)):
             refuse_without_truth(job)
@@ -153,24 +171,28 @@ class Comparison:
         from activestructure_gym.policies import canonical_policy, make_policy
 
         for spec in self.policies:  # before anything is imported
-            plugin_code_of(Job(Spec(""), spec, 0, conditions=self.conditions), first_checksum_of)
+            for conditions in self.all_conditions:
+                plugin_code_of(Job(Spec(""), spec, 0, conditions=conditions), first_checksum_of)
         list(map(get_protocol, self.conditions.also))
         get_metrics(self.conditions.metrics)
-        configure(self.conditions.preset, self.conditions.overrides)  # must be valid even where policies replace them
-        changes = dict(self.conditions.overrides)
-        if self.conditions.frame_budget is not None:
-            changes["frame_budget"] = self.conditions.frame_budget
+        preset, budget = self.conditions.preset, self.conditions.frame_budget
+        given = {} if budget is None else {"frame_budget": budget}
+        changes = [{**one.overrides, **given} for one in self.all_conditions]
+        for one in self.all_conditions:
+            configure(preset, one.overrides)  # must be valid even where policies replace them
         named = []
         for spec in self.policies:
             if spec.kind == "trajectory":
-                given = TrajectorySpec.of(spec)
-                configure(self.conditions.preset, given.changes(changes))
-                named.append(given.spec)
+                followed = TrajectorySpec.of(spec)
+                for own in changes:
+                    configure(preset, followed.changes(own))
+                named.append(followed.spec)
                 continue
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             native = native_settings_of(policy, self.conditions.setup).overrides()
-            configure(self.conditions.preset, native | changes | {"features": tuple(policy.required_features)})
+            for own in changes:
+                configure(preset, native | own | {"features": tuple(policy.required_features)})
         for seed in self.seeds:
             Job(Spec(""), Spec(""), seed)
         return list(dict.fromkeys(named))
@@ -183,15 +205,18 @@ class Comparison:
 
         scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
         known = ground_truth_of(scene)
-        config = configure(self.conditions.preset, self.conditions.overrides)
-        grid_shape(scene.bounds, config.volume.voxel_size)
+        configs = [configure(one.preset, one.overrides) for one in self.all_conditions]
+        for config in configs:
+            grid_shape(scene.bounds, config.volume.voxel_size)
         if not len(known.free_space.start_poses) and self.conditions.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.conditions.start_pose is not None:
-            check_start_pose(known, as_pose(self.conditions.start_pose), config.motion.body_radius)
+            widest = max(config.motion.body_radius for config in configs)
+            check_start_pose(known, as_pose(self.conditions.start_pose), widest)
         for policy in (policy for policy in policies if policy.kind == "trajectory"):
             given = TrajectorySpec.of(policy)
-            given.resolve(known, config.keyframe_every)
+            for every in dict.fromkeys(config.keyframe_every for config in configs):
+                given.resolve(known, every)
             if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":
                 raise InputError(
                     f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "
@@ -313,11 +338,11 @@ def run_comparison(
     todo = [job for job in jobs if not completion.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     before = read_record(directory)
-    record = _new_record(everything, before, engine=engine, slots=slots, command=command)
+    record = new_record(everything, before, engine=engine, slots=slots, command=command)
     if shard is None or before is None or len(before["jobs"]) < len(everything):
         json_files.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))
-    watch = _Recording(listener, directory, record)
+    watch = Recording(listener, directory, record)
     if todo:
         chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
     missing = [
@@ -326,57 +351,6 @@ def run_comparison(
         if job.name not in asked and not completion.is_done(run_directory(directory, job), job)
     ]
     return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
-
-
-def _new_record(
-    jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
-) -> dict[str, Any]:
-    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones."""
-    return {
-        "format": store.FORMAT_VERSION,
-        "command": before["command"] if before else command,
-        "resumed": [*before.get("resumed", []), command] if before else [],
-        "engine": engine,
-        "workers": slots,
-        "jobs": {job.name: job.as_dict() for job in jobs},
-        "failed": {},
-        "attempts": dict(before.get("attempts", {})) if before else {},
-        "versions": machine.versions(),
-        "hardware": machine.hardware(),
-    }
-
-
-class _Recording:
-    """Forward all events to a listener, and record failed jobs and repeated attempts."""
-
-    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
-        self._listener, self._directory, self._record = listener, directory, record
-        self.failed: list[Outcome] = []
-
-    def begin(self, jobs: Sequence[Job], finished: int) -> None:
-        """See `Listener`."""
-        self._listener.begin(jobs, finished)
-
-    def progress(self, job: Job, progress: Progress) -> None:
-        """See `Listener`."""
-        self._listener.progress(job, progress)
-
-    def on_retry(self, job: Job, error: str) -> None:
-        """See `Listener`."""
-        self._listener.on_retry(job, error)
-
-    def ended(self, outcome: Outcome) -> None:
-        """See `Listener`."""
-        if not outcome.finished:
-            self.failed.append(outcome)
-        if not outcome.finished or outcome.attempts > 1:
-            record = read_record(self._directory) or self._record  # another shard may have changed it
-            if not outcome.finished:
-                record.setdefault("failed", {})[outcome.job.title] = outcome.error
-            if outcome.attempts > 1:
-                record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
-            json_files.write_json(self._directory / store.COMPARISON, record)
-        self._listener.ended(outcome)
 
 
 def _refuse_twins(jobs: Sequence[Job]) -> None:

@@ -1,7 +1,7 @@
 """Resume a comparison: read its record, check its finished runs, and add further jobs.
 
-All jobs of a comparison share the conditions (preset, budget, overrides, start, protocols), the content of every scene
-and the version of this package. Jobs can be added, never removed.
+All jobs of a comparison share the conditions (preset, budget, overrides, start, protocols), the names of the swept
+fields, the content of every scene and the version of this package. Jobs can be added, never removed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import completion, json_files, plugin_code, store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
-from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
 from activestructure_gym.evaluation.archive.native_settings_diff import changed_native_settings
 
@@ -92,7 +91,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
     A scene that is asked for under a new path gets this path in all jobs.
     """
     if recorded and asked:
-        _check_conditions(recorded[0].conditions, asked[0].conditions, directory)
+        _check_conditions(recorded[0], asked[0], directory)
         hashes = {job.scene: job.scene_hash for job in recorded}
         for job in asked:
             if hashes.get(job.scene, job.scene_hash) != job.scene_hash:
@@ -102,8 +101,14 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
     return list({job.name: job for job in one_spec_each((*recorded, *asked))}.values())
 
 
-def _check_conditions(before: Conditions, asked: Conditions, directory: Path) -> None:
-    old, new = (_flat(json_files.as_read({"setup": one.setup} | one.as_dict())) for one in (before, asked))
+def _check_conditions(before: Job, asked: Job, directory: Path) -> None:
+    old, new = (
+        _flat(json_files.as_read(
+            {"setup": one.conditions.setup, "sweep": ", ".join(sorted(one.swept)) or None}
+            | one.shared_conditions.as_dict()
+        ))
+        for one in (before, asked)
+    )  # fmt: skip
     different = [
         f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"
         for name in dict.fromkeys((*old, *new))

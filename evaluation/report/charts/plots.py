@@ -7,7 +7,7 @@ attributes give the positions of the axes; the page uses them to show values at 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ _LABEL, _DIGIT = 24, 8  # width of the vertical axis label, and of a digit
 _PANEL = (184, 104)  # width and height of one policy's panel
 _LETTERS = 27  # largest number of characters of a policy's name in a chart
 _BETWEEN = (12, 30)  # horizontal and vertical gap between panels
+_PAD = 0.08  # space left and right of separate points, as a share of their range
 _EMPTY = 0.2  # largest share of the horizontal axis that may be empty before the first curve
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")  # SVG dash pattern by policy index
 
@@ -64,12 +65,19 @@ class Bar:
 
 
 def line_chart(
-    lines: Sequence[Line], *, title: str, x_label: str, y_label: str, y_includes: Sequence[float] = ()
+    lines: Sequence[Line],
+    *,
+    title: str,
+    x_label: str,
+    y_label: str,
+    y_includes: Sequence[float] = (),
+    x_labels: Mapping[float, str] | None = None,
 ) -> Markup:
     """Return a chart of ``lines`` with their confidence bands as SVG, with labelled axes.
 
     The vertical axis includes all values in ``y_includes``. The horizontal axis begins at 0, or near the first point if
-    more than a fifth of the axis would be empty.
+    more than a fifth of the axis would be empty. ``x_labels`` are the labels of its ticks by position, for lines whose
+    points are separate: every point then has a marker and a confidence interval.
     """
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
@@ -77,6 +85,11 @@ def line_chart(
     begin = 0.0 if first <= _EMPTY * right else max(tick for tick in ticks(0.0, right, 20) if tick < first)
     bottom, top = value_range(lines, y_includes)
     x_ticks = [tick for tick in ticks(begin, right) if begin <= tick <= right * (1 + 1e-9)]
+    texts = {tick: tick_text(tick, x_ticks) for tick in x_ticks}
+    if x_labels is not None:
+        texts = dict(x_labels)
+        pad = _PAD * (max(texts) - min(texts) or 1.0)
+        begin, right = min(texts) - pad, max(texts) + pad
     y_ticks = ticks(bottom, top)
     left = max(_LEFT, _LABEL + _DIGIT * max(len(tick_text(tick, y_ticks)) for tick in y_ticks))
     x_range = (begin, right)
@@ -92,9 +105,9 @@ def line_chart(
     for tick in y_ticks:
         parts.append(stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
         parts.append(label(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
-    for tick in x_ticks:
+    for tick, text in texts.items():
         parts.append(stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
-        parts.append(label(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
+        parts.append(label(text, x_of(tick), height - _BOTTOM + 17, "middle"))
     parts.append(stroke("axis", left, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
     parts.append(label(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
     middle = (_TOP + height - _BOTTOM) / 2
@@ -104,6 +117,9 @@ def line_chart(
         places = [x_of(float(x)) for x in line.x]
         own: list[Part] = []
         grey = is_grey(line.index)
+        if x_labels is not None:
+            groups.append(Group({"class": hue(line.index)}, _separate(line, places, y_of), tooltip=line.name))
+            continue
         if line.low is not None and line.high is not None and not grey:
             edge = [*zip(places, line.high), *reversed(list(zip(places, line.low)))]
             own.append(shape("band", path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
@@ -120,7 +136,20 @@ def line_chart(
         "data-y": f"{y_range[0]:g} {y_range[1]:g}",
         "data-unit": f"{x_label}|{y_label}",
     }
+    if x_labels is not None:
+        data = {}  # no values between the points
     return drawing("chart", (width, height), title, axes=parts, groups=groups, data=data)
+
+
+def _separate(line: Line, places: Sequence[float], y_of: Callable[[float], float]) -> list[Part]:
+    """Return the elements of a line with a marker and an interval at every point; ``places`` are its positions in x."""
+    heights = [y_of(float(y)) for y in line.y]
+    dashes = None if is_grey(line.index) else _DASHES[line.index] or None
+    parts: list[Part] = [shape("curve", path(list(zip(places, heights))), **{"stroke-dasharray": dashes})]
+    if line.low is not None and line.high is not None:
+        ends = zip(places, line.low, line.high)
+        parts += [stroke("interval", x, y_of(float(low)), x, y_of(float(high))) for x, low, high in ends]
+    return parts + [marker(line.index, x, y) for x, y in zip(places, heights)]
 
 
 def value_range(lines: Sequence[Line], further: Sequence[float] = ()) -> tuple[float, float]:

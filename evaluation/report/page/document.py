@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.report.page.table_sections import (
     differences_section,
     published_section,
     quality_section,
+    sweep_section,
 )
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
@@ -36,11 +37,14 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
     makes no links. ``published`` are tables of published values.
     """
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
-    policies = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
+    names = list(dict.fromkeys(run.planner for run in results.runs))
+    policies = _listed(names) if len(names) <= 6 else f"{len(names)} policies"
     title = f"{policies} on {pluralised(len(results.scenes), 'scene')}"
+    title += f", sweep of {_listed(list(results.sweep))}" if results.sweep else ""
     sections = [
         _header(results, title, anchors[0], directory),
         glance_section(results),
+        sweep_section(results),
         quality_section(results),
         differences_section(results),
         convergence_section(results),
@@ -49,7 +53,13 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
         method_section(results),
     ]
-    named = {"glance": "At a glance", "quality": "Quality", "against": "Differences", "convergence": "Convergence"}
+    named = {
+        "glance": "At a glance",
+        "sweep": "Sweep",
+        "quality": "Quality",
+        "against": "Differences",
+        "convergence": "Convergence",
+    }
     named |= {
         "costs": "Costs",
         "published": "Published values",
@@ -75,11 +85,18 @@ def _asset(name: str) -> Markup:
 
 def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
     first = results.runs[0]
+    policies = len({run.planner for run in results.runs})
+    budgets = sorted({run.config["configuration"]["frame_budget"] for run in results.runs})
+    counts = [
+        pluralised(len(results.scenes), "scene"),
+        pluralised(policies, "policy", "policies"),
+        pluralised(len(results.seeds), "seed"),
+        *(f"{pluralised(len(values), 'value')} of {name}" for name, values in results.sweep.items()),
+    ]
     facts = [
-        f"{pluralised(len(results.runs), 'finished run')}: {pluralised(len(results.scenes), 'scene')}, "
-        f"{pluralised(len(results.policies), 'policy', 'policies')}, {pluralised(len(results.seeds), 'seed')}",
+        f"{pluralised(len(results.runs), 'finished run')}: {', '.join(counts)}",
         f"{first.job.conditions.setup} setup, preset {first.job.conditions.preset}, "
-        f"{first.config['configuration']['frame_budget']} frames per run",
+        f"{' or '.join(map(str, budgets))} frames per run",
         f"protocol{'s' * (len(first.protocols) > 1)} {' and '.join(first.protocols)}",
     ]
     return render(

@@ -1,4 +1,4 @@
-"""Build the page's sections of tables: quality by scene, differences to the baseline, costs, published values."""
+"""Build the page's sections of tables: sweep, quality by scene, differences to the baseline, costs, published."""
 
 from __future__ import annotations
 
@@ -6,13 +6,38 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from activestructure_gym.evaluation.report.charts.plots import Bar, interval_chart
+from activestructure_gym.evaluation.report.charts.plots import Bar, interval_chart, legend_marker
+from activestructure_gym.evaluation.report.charts.sweep import sweep_charts
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.style import COLOURS
 from activestructure_gym.evaluation.report.tables import verdicts
 from activestructure_gym.evaluation.report.tables.columns import MAIN, Column, aspects, measured
 from activestructure_gym.evaluation.report.tables.layout import Table
 from activestructure_gym.evaluation.report.tables.paper import quality_table
+from activestructure_gym.evaluation.report.tables.sweep import sweep_lines, sweep_table
+
+
+def sweep_section(results: Results) -> Markup | None:
+    """Return the section of a sweep as HTML: charts and table with the first swept field as x; None without a sweep."""
+    table = sweep_table(results)
+    if table is None:
+        return None
+    first, *others = results.sweep
+    caption = (
+        f"Means over scenes and seeds at each value of {first}; bars: 95 % bootstrap intervals, with two seeds or more."
+    )
+    if others:
+        caption += f" Each line has one value of {' and '.join(others)}."
+    lines = list(sweep_lines(results))
+    return render(
+        "sweep.html.j2",
+        caption=caption,
+        legend=[(name, legend_marker(index)) for index, name in enumerate(lines[: len(COLOURS)])],
+        grey=len(lines[len(COLOURS) :]),
+        charts=sweep_charts(results),
+        table=html_table(table),
+    )
 
 
 def quality_section(results: Results) -> Markup | None:

@@ -76,6 +76,28 @@ def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
     assert Job.from_dict(job.as_dict()) == job
 
 
+def test_swept_values_are_part_of_a_job_and_an_unswept_job_is_as_it_was(monkeypatch):
+    monkeypatch.setattr(jobs, "__version__", "test")
+    plain = Job("box", "random", 0, scene_hash="0" * 64)
+    assert "swept" not in plain.as_dict() and plain.name == "box--random--seed0--51f1161c8d81"
+    changes = {"mapper.seed_spacing": 0.1, "sensor.width": 96}
+    job = replace(plain, conditions=Conditions(overrides=changes), swept=("mapper.seed_spacing",))
+    content = json.loads(json.dumps(job.as_dict()))
+    # The value is stored apart from the overrides, and acts as one of them.
+    assert content["swept"] == {"mapper.seed_spacing": 0.1} and content["overrides"] == {"sensor.width": 96}
+    assert Job.from_dict(content) == job and job.conditions.changes(None) == changes
+    assert job.shared_conditions.overrides == {"sensor.width": 96} and job.swept_values == content["swept"]
+    assert job.title == "box · random [mapper.seed_spacing=0.1] · seed 0"
+    assert job.name == f"box--random-mapper.seed_spacing-0.1--seed0--{job.hash}"
+    other = replace(job, conditions=Conditions(overrides=changes | {"mapper.seed_spacing": 0.2}))
+    assert len({plain.hash, job.hash, other.hash, replace(job, swept=()).hash}) == 4
+    two = replace(job, swept=("sensor.width", "mapper.seed_spacing"))
+    assert two.label == "random [sensor.width=96, mapper.seed_spacing=0.1]"
+    assert two.hash == replace(two, swept=two.swept[::-1]).hash  # the order of the fields does not matter
+    with pytest.raises(InputError, match="swept value .* has a line break"):
+        replace(job, conditions=Conditions(overrides={"a": "x\ny"}), swept=("a",))
+
+
 def test_wrong_numbers_are_refused():
     with pytest.raises(InputError, match="frame budget must be at least 1, got 0"):
         Job("box", "random", 0, conditions=Conditions(frame_budget=0))

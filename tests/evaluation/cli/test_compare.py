@@ -339,6 +339,36 @@ def test_the_baseline_must_take_part(asked, capsys):
     assert not asked  # neither prepared nor run
 
 
+def test_a_sweep_is_an_axis_of_the_comparison(asked, capsys):
+    words = "compare --scenes box --policies random --set sensor.width=96 --out here"
+    sweep = "--sweep mapper.seed_spacing=0.06,0.12 --sweep sensor.depth_noise=none,kinect"
+    assert main(f"{words} {sweep} --dry-run".split()) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 seed x 2 values of mapper.seed_spacing x 2 values of sensor.depth_noise, shared setup" in said
+    assert said.count("random [mapper.seed_spacing=0.06, sensor.depth_noise=") == 2
+    row = "random [mapper.seed_spacing=0.12, sensor.depth_noise=none]"
+    assert main([*f"{words} {sweep} --dry-run --baseline".split(), row]) == 0
+    assert main(f"{words} --sweep frame_budget=20,40 --dry-run".split()) == 0
+    assert "20 or 40 frames per run" in capsys.readouterr().out
+    for wrong, message in (
+        ("--sweep sensor.width=64,96", "sensor.width is swept and also set to one value for all runs"),
+        ("--frames 9 --sweep frame_budget=20,40", "frame_budget is swept and also set to one value"),
+        ("--sweep mapper.spacing=1,2", "did you mean 'seed_spacing'"),
+        ("--sweep sensor.height=54,54", "the sweep of sensor.height has a value twice: 54, 54"),
+    ):
+        assert main(f"{words} {wrong} --dry-run".split()) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_sweep_may_grow_when_it_is_resumed(asked, tmp_path):
+    jobs = Comparison(["box"], ["random"], sweep={"frame_budget": (20, 40)}).jobs(["random"], {})
+    write_comparison(tmp_path / "here", jobs)
+    assert main("compare --out here --resume --policies hole_area".split()) == 0
+    assert asked[0].sweep == {"frame_budget": (20, 40)} and asked[0].conditions == Conditions()
+    assert main("compare --out here --resume --sweep frame_budget=80".split()) == 0
+    assert asked[2].sweep == {"frame_budget": (80,)} and asked[2].policies == ("random",)
+
+
 def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
     (tmp_path / "here").mkdir()
     earlier = Job("box", "pixel_only", 0)

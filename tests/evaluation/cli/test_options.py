@@ -1,3 +1,5 @@
+import re
+
 import pytest
 
 from activestructure_gym.errors import InputError
@@ -6,6 +8,7 @@ from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
     parse_seeds,
     parse_start,
+    parse_sweep,
     split_list,
     split_policies,
     split_scenes,
@@ -85,6 +88,27 @@ def test_overrides():
     for word in ("sensor.width", "=3", "x" * 10_000):
         with pytest.raises(InputError, match="key=value"):
             parse_overrides([word])
+
+
+def test_the_values_of_a_sweep_have_the_forms_of_overrides():
+    words = ["mapper.seed_spacing=.06,0.12", "sensor.depth_noise=none,kinect", "a=True,2", "b=1"]
+    assert parse_sweep(words) == {
+        "mapper.seed_spacing": (0.06, 0.12), "sensor.depth_noise": ("none", "kinect"), "a": (True, 2), "b": (1,)
+    }  # fmt: skip
+    assert parse_sweep(['views.stages=[["pool", "turns"]],[["pool"]]']) == {
+        "views.stages": ([["pool", "turns"]], [["pool"]])
+    }
+    for words, message in (
+        (["sensor.width"], "--sweep takes key=value,value"),
+        (["=3"], "--sweep takes key=value,value"),
+        (["a="], "--sweep 'a' lacks a value, got ''"),
+        (["a=1,,2"], "--sweep 'a' lacks a value, got '1,,2'"),
+        (["a=1", "a=2"], "--sweep names 'a' twice"),
+        (["views.stages=[[pool]],[[turns]]"], "--sweep 'views.stages': lists and tables are JSON"),
+        (["a=" + "[" * 100_000], "--sweep 'a' takes no such value"),
+    ):
+        with pytest.raises(InputError, match=re.escape(message)):
+            parse_sweep(words)
 
 
 def test_groups_of_policies() -> None:

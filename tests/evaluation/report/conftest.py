@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, scene_label
 from activestructure_gym.evaluation.archive.store import Run
 
@@ -29,9 +30,10 @@ def maker(place: Path):
         seed: int = 0,
         seconds: float = 10.0,
         planes: bool = False,
+        swept: dict | None = None,
         **numbers,
     ) -> Run:
-        job = Job(scene, policy, seed)
+        job = Job(scene, policy, seed, "", Conditions(overrides=swept or {}), tuple(swept or ()))
         metrics = {
             "accuracy_cm": 1.0, "completion_cm": 5.0, "completion_ratio": 80.0, "precision": 99.0, "psnr": 20.0,
             "ssim": 0.7, "frames": 100, "metres": 12.0, "collisions": 0, "true_area_m2": 60.0,

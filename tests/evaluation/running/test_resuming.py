@@ -115,6 +115,7 @@ def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
         ({"protocol": StandardProtocol(views=3)}, "protocol.views was 64, asked for is 3"),
         ({"also": ("activegamer",)}, "also was none, asked for is activegamer"),
         ({"scene_hash": "b" * 64}, "scene 'box' has changed since"),
+        ({"swept": ("sensor.width",)}, "sweep was not given, asked for is sensor.width"),
     ],
 )  # fmt: skip
 def test_other_conditions_are_refused_by_name_and_the_record_stays(changes, words, ran, tmp_path):

@@ -1,0 +1,65 @@
+"""Write the record of a comparison, ``compare.json``: its jobs, commands, failed jobs and repeated attempts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym.evaluation.archive import json_files, store
+from activestructure_gym.evaluation.archive.comparison import read_record
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.evaluation.running.engines import Listener, Outcome
+from activestructure_gym.evaluation.running.episode import Progress
+
+
+def new_record(
+    jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
+) -> dict[str, Any]:
+    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones."""
+    return {
+        "format": store.FORMAT_VERSION,
+        "command": before["command"] if before else command,
+        "resumed": [*before.get("resumed", []), command] if before else [],
+        "engine": engine,
+        "workers": slots,
+        "jobs": {job.name: job.as_dict() for job in jobs},
+        "failed": {},
+        "attempts": dict(before.get("attempts", {})) if before else {},
+        "versions": machine.versions(),
+        "hardware": machine.hardware(),
+    }
+
+
+class Recording:
+    """Forward all events to a listener, and record failed jobs and repeated attempts."""
+
+    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
+        self._listener, self._directory, self._record = listener, directory, record
+        self.failed: list[Outcome] = []
+
+    def begin(self, jobs: Sequence[Job], finished: int) -> None:
+        """See `Listener`."""
+        self._listener.begin(jobs, finished)
+
+    def progress(self, job: Job, progress: Progress) -> None:
+        """See `Listener`."""
+        self._listener.progress(job, progress)
+
+    def on_retry(self, job: Job, error: str) -> None:
+        """See `Listener`."""
+        self._listener.on_retry(job, error)
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `Listener`."""
+        if not outcome.finished:
+            self.failed.append(outcome)
+        if not outcome.finished or outcome.attempts > 1:
+            record = read_record(self._directory) or self._record  # another shard may have changed it
+            if not outcome.finished:
+                record.setdefault("failed", {})[outcome.job.title] = outcome.error
+            if outcome.attempts > 1:
+                record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
+            json_files.write_json(self._directory / store.COMPARISON, record)
+        self._listener.ended(outcome)

@@ -1,0 +1,46 @@
+"""Check the sweep of a comparison, which varies configuration fields, and combine its values with the conditions."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.archive.jobs import Job, value_text
+
+
+def check_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> None:
+    """Raise `InputError` for a swept field that ``conditions`` set as well, and for missing or repeated values."""
+    for name, values in dict(sweep).items():
+        if name in conditions.overrides or (name == "frame_budget" and conditions.frame_budget is not None):
+            raise InputError(f"{name} is swept and also set to one value for all runs: leave one of the two out")
+        if isinstance(values, str) or not isinstance(values, Sequence) or not values:
+            raise InputError(f"the sweep of {name} is a list of values, as [1, 2], got {short_repr(values)}")
+        if len(_distinct(values)) < len(values):
+            raise InputError(f"the sweep of {name} has a value twice: {', '.join(map(value_text, values))}")
+
+
+def combinations(sweep: Mapping[str, Sequence[Any]], conditions: Conditions) -> list[Conditions]:
+    """Return the conditions with each combination of swept values; without a sweep, the conditions alone."""
+    return [
+        replace(conditions, overrides={**conditions.overrides, **dict(zip(sweep, values))})
+        for values in itertools.product(*sweep.values())
+    ]
+
+
+def sweep_of(jobs: Sequence[Job]) -> dict[str, tuple[Any, ...]]:
+    """Return the values of each swept field in the jobs of a comparison, in the order of the jobs."""
+    return {name: _distinct([job.swept_values[name] for job in jobs]) for name in jobs[0].swept}
+
+
+def _distinct(values: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the values without repetitions; True and 1 are different, and 1 and 1.0 are equal."""
+    found: dict[str, Any] = {}
+    for value in values:
+        whole = isinstance(value, float) and value.is_integer()
+        found.setdefault(json.dumps(int(value) if whole else value), value)
+    return tuple(found.values())

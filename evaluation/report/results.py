@@ -61,9 +61,8 @@ class Results:
     def __post_init__(self) -> None:
         if not self.runs:
             raise InputError("a report needs at least one finished run, got none")
-        if self.baseline is not None and self.baseline not in self.policies:
-            if rows := [run.policy for run in self.runs if run.planner == self.baseline]:
-                object.__setattr__(self, "baseline", rows[0])  # of a sweep: its first values
+        if self.baseline not in self.policies and (own := [r.policy for r in self.runs if r.planner == self.baseline]):
+            object.__setattr__(self, "baseline", own[0])  # of a sweep: the policy with its first values
         if self.baseline is not None and self.baseline not in self.policies:
             raise InputError(
                 f"the baseline '{self.baseline}' is not among the policies of these runs: {listed(self.policies)}"

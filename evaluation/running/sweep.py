@@ -34,7 +34,8 @@ def combinations(sweep: Mapping[str, Sequence[Any]], conditions: Conditions) -> 
 
 def sweep_of(jobs: Sequence[Job]) -> dict[str, tuple[Any, ...]]:
     """Return the values of each swept field in the jobs of a comparison, in the order of the jobs."""
-    return {name: _distinct([job.swept_values[name] for job in jobs]) for name in jobs[0].swept}
+    values = [job.swept_values for job in jobs]
+    return {name: _distinct([own[name] for own in values if name in own]) for name in jobs[0].swept}
 
 
 def _distinct(values: Sequence[Any]) -> tuple[Any, ...]:

@@ -53,14 +53,9 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
         method_section(results),
     ]
-    named = {
-        "glance": "At a glance",
-        "sweep": "Sweep",
-        "quality": "Quality",
-        "against": "Differences",
-        "convergence": "Convergence",
-    }
+    named = {"glance": "At a glance", "sweep": "Sweep", "quality": "Quality", "against": "Differences"}
     named |= {
+        "convergence": "Convergence",
         "costs": "Costs",
         "published": "Published values",
         **dict(zip(anchors, results.scenes)),

@@ -6,10 +6,11 @@ import base64
 import zlib
 from typing import Any
 
-from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.reasons import compared, reason
 from activestructure_gym.evaluation.replay.recording import Recording
 from activestructure_gym.viewer import film_parts, packed
+
+TRUTH = "new true surface"  # line of the true surface that each view would have shown for the first time
 
 
 def pack(recording: Recording) -> str:
@@ -31,7 +32,7 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
             "number": first + 1,
             "phase": (run.steps[first].get("trace") or {}).get("phase"),
             "metres": round(run.steps[following - 1]["metres"], 2),  # path length at the next decision on the page
-            "why": _why(run, first),
+            "why": _why(recording, first),
         }
         for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
@@ -47,14 +48,17 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
     }
 
 
-def _why(run: Run, decision: int) -> dict[str, Any] | None:
+def _why(recording: Recording, decision: int) -> dict[str, Any] | None:
     """Return the reason of a decision, and a table of the chosen row and the runner-up; None if no rows are stored."""
+    run = recording.run
     if run.decisions is None:
         return None
     rows = run.decisions[decision]
+    areas = recording.new_areas[decision] if decision < len(recording.new_areas) else {}
+    truth = [[TRUTH, *(f"{areas[row.row]:.2f} m²" if row.row in areas else "–" for row in rows[:2])]] if areas else []
     return {
         "reason": reason(run.policy, rows),
-        "table": compared(rows),
+        "table": compared(rows) + truth,
         "runner_up": rows[1].row if len(rows) > 1 else -1,
     }
 

@@ -6,7 +6,7 @@ plays the same episode. So the run directory need not contain the map at every d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import refuse_code
 from activestructure_gym.evaluation.archive.store import CONFIG, STEPS, Run
+from activestructure_gym.evaluation.replay.true_areas import TrueAreas
 from activestructure_gym.specs import Spec
 from activestructure_gym.viewer import Film, Recorder
 
@@ -33,12 +34,16 @@ class Recording(Film):
         The stored run.
     divergence
         Sentence on the first decision after which the replay differs from the stored run; empty without a difference.
+    new_areas
+        For each replayed decision, the true surface in m^2 that the views of the stored rows would have shown for the
+        first time, by row; empty without ground truth.
 
     The other fields are those of `activestructure_gym.viewer.Film`.
     """
 
     run: Run
     divergence: str = ""
+    new_areas: Sequence[Mapping[int, float]] = ()
 
 
 def play_again(
@@ -68,11 +73,21 @@ def play_again(
     """
     with replay_env(run, trusted=trusted) as env:
         recorder = Recorder(env.reconstruction, most_bytes=_MAX_BYTES)
-        divergence = replay_actions(run, env, recorder.note, report_progress)
+        areas, new_areas = TrueAreas(env.reconstruction), list[dict[int, float]]()
+
+        def note(row: int) -> None:
+            recorder.note(row)
+            compared = run.decisions[len(new_areas)][:2] if run.decisions else []
+            new_areas.append(areas.new([one.row for one in compared]))
+
+        divergence = replay_actions(run, env, note, report_progress)
         recorder.note(end=True)
         film = recorder.film()
     return Recording(
-        **{field.name: getattr(film, field.name) for field in fields(film)}, run=run, divergence=divergence
+        **{field.name: getattr(film, field.name) for field in fields(film)},
+        run=run,
+        divergence=divergence,
+        new_areas=new_areas,
     )
 
 

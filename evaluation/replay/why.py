@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,8 @@ from activestructure_gym.evaluation.archive.decisions import Row
 from activestructure_gym.evaluation.archive.store import DECISIONS, Run
 from activestructure_gym.evaluation.replay.reasons import reason
 from activestructure_gym.evaluation.replay.recording import replay_env
+from activestructure_gym.evaluation.replay.true_areas import TrueAreas
 from activestructure_gym.policies import Candidates, make_policy
-
-if TYPE_CHECKING:
-    from activestructure_gym.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ def _played(
         more = [_unscored(candidates, observation["candidates"][row], row, columns) for row in new]
         views = observation["candidates"][[row.row for row in best], : len(CANDIDATE_COLUMNS)]
         same = np.array_equal(views, np.array([list(row.view.values()) for row in best], np.float32))
-        areas = _new_areas(env.reconstruction, [row.row for row in [*best, *more]]) if truth else {}
+        areas = TrueAreas(env.reconstruction).new([row.row for row in [*best, *more]]) if truth else {}
     return more, areas, choices, "" if same else f"decision {decision}: the replay offers other views than the run"
 
 
@@ -201,20 +199,3 @@ def _explained(row: Row, rank: int | None, new_m2: float | None, choices: dict[s
         new_m2=new_m2,
         chosen_by=tuple(name for name, choice in choices.items() if choice == row.row),
     )
-
-
-def _new_areas(episode: Reconstruction, rows: Sequence[int]) -> dict[int, float]:
-    """Return the unseen true surface in m^2 that the path to each row would show.
-
-    Rows without a path are left out; all rows are without ground truth.
-    """
-    from activestructure_gym.evaluation.references.oracle_gains import TrueSurface
-    from activestructure_gym.worlds import SceneWorld
-
-    if not isinstance(episode.world, SceneWorld):
-        return {}
-    surface = TrueSurface(episode.world.truth)
-    surface.follow(episode)
-    valid = [row for row in rows if row < len(episode.candidates)]
-    paths = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[valid])
-    return {row: surface.new_area(episode, path.keyframes) for row, path in zip(valid, paths) if path is not None}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.evaluation.replay import Recording
-from activestructure_gym.evaluation.replay.packing import pack
+from activestructure_gym.evaluation.replay.packing import TRUTH, pack
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, QUATERNION
 
 
@@ -106,9 +106,16 @@ def test_each_decision_has_its_reason_and_the_runner_up(recordings: list[Recordi
         why, rows = step["why"], recordings[0].run.decisions[step["number"] - 1]
         assert why["table"][0] == ["row", str(decision["action"]), str(rows[1].row)]
         assert why["runner_up"] == rows[1].row and f"row {rows[0].row} scores" in why["reason"]
-        assert {line[0] for line in why["table"]} == {"row", "score", "hole_area", "× travel", "path", "frames"}
+        assert {"row", "score", "hole_area", "× travel", "path", "frames"} < {line[0] for line in why["table"]}
+        areas = recordings[0].new_areas[step["number"] - 1]
+        assert why["table"][-1] == [TRUTH, *(f"{areas[row.row]:.2f} m²" for row in rows[:2])]
     assert all(step["why"]["reason"].endswith("without comparing scores.") for step in chance)
     assert all(step["why"]["runner_up"] == -1 for step in chance)
+
+
+def test_a_replay_without_ground_truth_shows_no_true_surface(recordings: list[Recording]) -> None:
+    steps = unpacked(pack(replace(recordings[0], new_areas=[{} for _ in recordings[0].run.steps])))[0]["steps"]
+    assert TRUTH not in {line[0] for step in steps for line in step["why"]["table"]}
 
 
 def test_a_run_without_stored_rows_shows_no_reason(recordings: list[Recording]) -> None:

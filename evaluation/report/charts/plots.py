@@ -35,7 +35,7 @@ _LABEL, _DIGIT = 24, 8  # width of the vertical axis label, and of a digit
 _PANEL = (184, 104)  # width and height of one policy's panel
 _LETTERS = 27  # largest number of characters of a policy's name in a chart
 _BETWEEN = (12, 30)  # horizontal and vertical gap between panels
-_PAD = 0.08  # space left and right of separate points, as a share of their range
+_PAD = 0.15  # space left and right of separate points, as a share of their range
 _EMPTY = 0.2  # largest share of the horizontal axis that may be empty before the first curve
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")  # SVG dash pattern by policy index
 

@@ -9,7 +9,7 @@ from typing import Any
 from activestructure_gym.evaluation.archive.decisions import Row
 from activestructure_gym.policies.scored import FACTOR
 
-_MOST_FEATURES = 6  # features shown of each row
+_MOST_FEATURES = 4  # features shown of each row
 _CLOSE = 1e-5  # relative difference up to which the terms reproduce a score: rounding of 32-bit features
 
 
@@ -52,7 +52,7 @@ def compared(rows: Sequence[Row]) -> list[list[str]]:
 
 def short(value: Any) -> str:
     """Return a number with four significant digits; other values as text."""
-    return f"{value:.4g}".replace("-", "−") if isinstance(value, float) else str(value)
+    return f"{value + 0.0:.4g}".replace("-", "−") if isinstance(value, float) else str(value)  # + 0.0: no "−0"
 
 
 def _leads(chosen: Row, runner_up: Row) -> dict[str, float]:

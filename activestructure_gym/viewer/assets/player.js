@@ -29,7 +29,7 @@ class Run {
     this.true = element("img", { alt: "camera image" });
     this.rendered = element("img", { alt: "map rendered at the same pose" });
     this.facts = element("dl");
-    this.why = element("section", { className: "why", ariaLabel: "why this view was chosen", hidden: true });
+    this.why = element("details", { className: "why", ariaLabel: "why this view was chosen", hidden: true });
     const side = element("div", { className: "side" },
       element("figure", {}, this.true, element("figcaption", {}, "last keyframe of the camera")),
       element("figure", {}, this.rendered, element("figcaption", {}, "map rendered at the same pose, at that time")),
@@ -181,7 +181,7 @@ class Run {
     this.explained = now;
     const heads = ["", "chosen", "runner-up"].slice(0, why.table[0].length);
     const line = (kind, [name, ...values]) => element("tr", {}, element("th", {}, name), ...values.map((value) => element(kind, {}, value)));
-    this.why.replaceChildren(element("p", {}, why.reason), element("table", {}, line("th", heads), ...why.table.map((row) => line("td", row))));
+    this.why.replaceChildren(element("summary", {}, why.reason), element("table", {}, line("th", heads), ...why.table.map((row) => line("td", row))));
   }
 
   update(frame) {
@@ -269,7 +269,7 @@ class Player {
     const low = Math.min(...runs.map((run) => run.film.bounds[0][2])), high = Math.max(...runs.map((run) => run.film.bounds[1][2]));
     this.heights = [low, high];
     find("runs").replaceChildren(...runs.map((run) => run.element));
-    for (const run of runs) { run.start(); this.listen(run); }
+    for (const run of runs) { run.start(); this.listen(run); run.why.open = runs.length === 1; } // two tables would hide the maps
     this.plot();
     const feature = runs[0].film.feature;
     find("scores").textContent = feature ? `candidates by ${feature}, lowest to highest` : "candidates";

@@ -161,6 +161,7 @@ def test_the_reason_of_the_current_decision_is_shown(
         row = recordings[0].run.steps[moment.decision]["action"]
         assert f"row {row} scores" in page.value(f"{panel}.textContent")
     assert page.value("document.documentElement.scrollWidth") == width
+    assert page.value(f"{panel}.open") is True
     box = f"{panel}.getBoundingClientRect()"
     assert page.value(f"{box}.left >= 0 && {box}.right <= {width} && {box}.height < 320")
     page.value("document.getElementById('show-why').click(), 1")

@@ -36,6 +36,7 @@ def test_terms_that_do_not_make_up_the_score_decide_nothing() -> None:
 
 
 def test_scores_without_terms_equal_scores_and_no_scores() -> None:
+    assert reason("mine", [row(5, -0.0), row(8, -0.7)]) == "Higher score: row 5 scores 0, row 8 −0.7."
     assert reason("mine", [row(5, 0.9), row(8, -0.7)]) == "Higher score: row 5 scores 0.9, row 8 −0.7."
     assert reason("mine", [row(5, 0.9), row(8, 0.9)]).startswith("Equal scores: row 5 scores 0.9, row 8 0.9.")
     assert reason("mine", [row(5, 0.9)]) == "mine compared no other row with row 5."

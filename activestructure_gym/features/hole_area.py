@@ -32,9 +32,10 @@ def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     range. reach is 4 m. An area is used instead of a number of pixels, so that a hole has the same value from near and
     from afar.
 
-    A pixel counts 0 if all voxels on its ray are free. An open window or the missing ceiling of a scan is always
-    transparent. Once it has been observed, its voxels are free, and the view leaves the pool ("coupling pool dynamics
-    to reconstruction state", Sec. 3.4). A view close to a keyframe pose counts 0: its surfaces are mapped, and its
+    A pixel counts 0 if its ray meets neither an unknown nor an occupied voxel. Voxels that a ray without return crossed
+    (`VoxelVolume.no_return`) are left out; an occupied one of them ends the ray. An open window, a crack or a dark
+    surface is always transparent. Once it has been observed, the view leaves the pool ("coupling pool dynamics to
+    reconstruction state", Sec. 3.4). A view close to a keyframe pose counts 0: its surfaces are mapped, and its
     remaining holes have no depth return. The gain is derived from the unobserved volume of GS-Planner.
     """
     camera = context.camera
@@ -81,13 +82,14 @@ def hidden_distances(
     *,
     stride: int,  # pixels between neighbours in ``wanted``
     enough: float = np.inf,  # metres; a result above it is only a lower bound
-) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted, and where all voxels are free
+) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted, and without such a surface
     """Return the largest distance at which each pixel's ray can meet a surface that the map lacks.
 
     This is the distance to the first occupied voxel, or to the end of the ray if unknown voxels are on it.
     """
     return _march(
         volume.state,
+        volume.no_return,
         *grid_rays(volume, camera, world_from_camera, stride),
         float(max_range),
         float(enough),
@@ -98,6 +100,7 @@ def hidden_distances(
 @kernel
 def _march(
     state: np.ndarray,  # [X, Y, Z] uint8
+    no_return: np.ndarray,  # [X, Y, Z] bool: voxels that a ray without return crossed
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
     voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -111,6 +114,8 @@ def _march(
     The ray ends at the border of the volume or at the range. Its steps are half a voxel. Unknown space means that two
     consecutive steps are unknown: a single one can be the corner of a voxel that no earlier ray crossed. An occupied
     corner shorter than a step can be missed, which makes the estimate slightly less precise.
+
+    Voxels of ``no_return`` hide no surface: an unknown one counts as free, and an occupied one only ends the ray.
     """
     count, height, width = wanted.shape
     result = np.zeros((count, height, width))
@@ -137,9 +142,9 @@ def _march(
                     steps += 1
                     here = state[i, j, m]
                     if here == OCCUPIED:
-                        meets = True
+                        meets = meets or not no_return[i, j, m]
                         break
-                    unknown = 0 if here == FREE else unknown + 1
+                    unknown = 0 if here == FREE or no_return[i, j, m] else unknown + 1
                     meets = meets or unknown == 2
                     if meets and 0.5 * voxel_size * steps >= enough:
                         break

@@ -103,13 +103,14 @@ class _Notes(NamedTuple):
 def target_voxels(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
     """Return which voxels are targets: all unobserved ones, and those of unknown state far from occupied voxels.
 
-    Voxels of the second kind have been observed, but too poorly to be free, and are more than two voxels from any
-    occupied one. They block a passage that was seen only at grazing angles. No voxel behind them is unobserved, but the
-    agent cannot pass until better views make them free.
+    Voxels of the second kind have been observed, but too poorly to be free. They are more than two voxels from any
+    occupied one, and no ray without return crossed them (`VoxelVolume.no_return`). They block a passage that was seen
+    only at grazing angles. No voxel behind them is unobserved, but the agent cannot pass until better views make them
+    free.
     """
     volume = context.volume
     near_occupied = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
-    return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~near_occupied))
+    return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~near_occupied & ~volume.no_return))
 
 
 @kernel

@@ -10,6 +10,7 @@ from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.config import VolumeConfig, grid_shape
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
+from activestructure_gym.volume.no_return import mark_crossed
 from activestructure_gym.volume.occupancy import occupancy
 from activestructure_gym.volume.rays import PixelRays, rays_of_pixels
 
@@ -40,6 +41,7 @@ class VoxelVolume:
         # Signed distance / truncation distance; 1 is far in front of a surface. Valid where weight > 0.
         self.tsdf = np.zeros(self.shape, dtype=np.float32)
         self.weight = np.zeros(self.shape, dtype=np.float32)  # number of observations, limited to max_weight
+        self.no_return = np.zeros(self.shape, dtype=bool)  # voxels that a ray without return crossed (`mark_crossed`)
         self._solidity = np.zeros(self.shape, dtype=np.int16)
         self._miss_chance = np.ones(self.shape, dtype=np.float32)
         self._parts = np.zeros(self.shape, dtype=np.uint64)
@@ -85,6 +87,11 @@ class VoxelVolume:
             depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
+        if sensor_range is not None and (empty := (depth <= 0) & (free_to >= np.float32(sensor_range))).any():
+            # Large images have more rays than needed: half a voxel between rays is enough, up to ``max_range``.
+            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / config.max_range))
+            rays = empty, stride, camera.lens, view
+            mark_crossed(*rays, self.origin, self.voxel_size, float(sensor_range), self.no_return)
         # Lost returns leave fewer rays, so rays count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
         camera_from_world = invert_rigid(view)
@@ -198,13 +205,13 @@ class VoxelVolume:
         Use it to select targets for new views; use `state` for motion. In front of every surface is a layer of unknown
         voxels that rays crossed without proving them free: within the margin, with partial footprints, or beyond 2.4 m,
         where several views are needed. More views of the surface do not prove the layer free, so it is not in this
-        mask.
+        mask. Neither are the voxels that a ray without return crossed (`no_return`).
         """
         return (self.state == UNKNOWN) & ~self._crossed
 
     @property
-    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: a ray crossed the voxel's centre
-        return (self.weight > 0) & (self.tsdf > 0)
+    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: a ray crossed the voxel's centre, or a ray without return the voxel
+        return ((self.weight > 0) & (self.tsdf > 0)) | self.no_return
 
     @property
     def observed_share(self) -> float:

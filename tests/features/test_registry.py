@@ -25,7 +25,12 @@ def context(alpha: np.ndarray, state: np.ndarray | None = None, **changes: Any) 
     state = np.full((40, 40, 40), UNKNOWN, np.uint8) if state is None else state
     options: dict[str, Any] = {
         "mapper": SimpleNamespace(render_depth_alpha=lambda camera, poses: (np.zeros_like(alpha), alpha), keyframes=[]),
-        "volume": SimpleNamespace(state=state, origin=np.zeros(3), config=SimpleNamespace(voxel_size=0.1)),
+        "volume": SimpleNamespace(
+            state=state,
+            no_return=np.zeros(state.shape, bool),
+            origin=np.zeros(3),
+            config=SimpleNamespace(voxel_size=0.1),
+        ),
         "planes": None,
         "camera": CAMERA,
         "bounds": np.array([[0.0, 0, 0], [4.0, 4, 4]]),

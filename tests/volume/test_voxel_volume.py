@@ -115,6 +115,33 @@ def test_up_to_the_sensors_range_no_return_means_nothing_there(cast_boxes):
     assert (volume.weight == 0).all()  # no surface distance without a return
 
 
+@pytest.mark.parametrize("width", [160, 960])  # of large images a part of the rays is enough
+def test_voxels_on_rays_without_return_are_recorded_up_to_the_sensors_range(width):
+    camera, eye = PinholeCamera.from_size(width, width * 9 // 16), np.array([0.5, 1.0, 1.0])
+    pose, volume = look_along(eye, np.array([1.0, 0.0, 0.0])), VoxelVolume(np.array([[0.0] * 3, [8.0, 2.0, 2.0]]))
+    depth = np.full((camera.height, camera.width), 3.0, np.float32)
+    depth[:, camera.width // 2 :] = 0.0  # towards y < 1
+    frame = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, pose, camera)
+    volume.integrate(frame)
+    assert not volume.no_return.any()  # the range is unknown
+    volume.integrate(frame, sensor_range=6.0)
+    x, y, z = volume.center_of(np.stack(np.indices(volume.shape), axis=-1)).transpose(3, 0, 1, 2)
+    assert not volume.no_return[(x > 6.6) | (y > 1.1) | (x < 0.4)].any()
+    assert volume.no_return[(x > 1.8) & (x < 4.5) & (y > 0.1) & (y < 0.9) & (abs(z - 1.0) < 0.4)].mean() > 0.99
+    assert not volume.unobserved[volume.no_return].any()
+
+
+def test_single_lost_returns_are_no_rays_without_return(cast_boxes):
+    frame = capture(cast_boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+    frame.depth[::9, ::9] = 0.0
+    volume = VoxelVolume(ROOM)
+    volume.integrate(frame, sensor_range=10.0, dropouts=True)
+    assert not volume.no_return.any()
+    frame.depth[30:50, 30:50] = 0.0
+    volume.integrate(frame, sensor_range=10.0, dropouts=True)
+    assert volume.no_return.any()
+
+
 def test_a_seam_between_two_views_is_pieced_together(cast_boxes):
     # Two level views 86 degrees apart overlap by 4 degrees: at 1.5 m that is 10 cm, less than a voxel is wide. No view
     # sees the seam's voxels whole, together they see all of them.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,8 +89,7 @@ def hidden_distances(
     This is the distance to the first occupied voxel, or to the end of the ray if unknown voxels are on it.
     """
     return _march(
-        volume.state,
-        volume.no_return,
+        _Space(volume.state, volume.no_return),
         *grid_rays(volume, camera, world_from_camera, stride),
         float(max_range),
         float(enough),
@@ -97,10 +97,16 @@ def hidden_distances(
     )
 
 
+class _Space(NamedTuple):
+    """Hold the voxels of the volume for the kernel `_march`."""
+
+    state: np.ndarray  # [X, Y, Z] uint8
+    no_return: np.ndarray  # [X, Y, Z] bool: a ray without return crossed the voxel
+
+
 @kernel
 def _march(
-    state: np.ndarray,  # [X, Y, Z] uint8
-    no_return: np.ndarray,  # [X, Y, Z] bool: voxels that a ray without return crossed
+    space: _Space,
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
     voxel_size: float,  # metres
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -117,6 +123,7 @@ def _march(
 
     Voxels of ``no_return`` hide no surface: an unknown one counts as free, and an occupied one only ends the ray.
     """
+    state, no_return = space
     count, height, width = wanted.shape
     result = np.zeros((count, height, width))
     for k in range(count):

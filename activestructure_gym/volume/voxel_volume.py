@@ -210,7 +210,7 @@ class VoxelVolume:
         return (self.state == UNKNOWN) & ~self._crossed
 
     @property
-    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: a ray crossed the voxel's centre, or a ray without return the voxel
+    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: by a return through the centre, or without a return
         return ((self.weight > 0) & (self.tsdf > 0)) | self.no_return
 
     @property

@@ -29,7 +29,7 @@ def context(alpha: np.ndarray, state: np.ndarray | None = None, **changes: Any) 
             state=state,
             no_return=np.zeros(state.shape, bool),
             origin=np.zeros(3),
-            config=SimpleNamespace(voxel_size=0.1),
+            voxel_size=0.1,
         ),
         "planes": None,
         "camera": CAMERA,

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import (
         PROTOCOLS,
         ActiveGamerProtocol,
+        OfflineProtocol,
         StandardProtocol,
         get_protocol,
     )
@@ -44,7 +45,7 @@ _PLACES = {
     "archive.jobs": ("Job",),
     "archive.store": ("Run", "read_run"),
     "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
-    "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "StandardProtocol", "get_protocol"),
+    "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "OfflineProtocol", "StandardProtocol", "get_protocol"),
     "protocols.metrics": ("METRICS", "Metric", "MetricContext"),
     "running.api": ("compare",),
     "running.comparison": ("Comparison", "Result", "run_comparison"),
@@ -63,6 +64,7 @@ __all__ = [
     "Limits",
     "Metric",
     "MetricContext",
+    "OfflineProtocol",
     "Result",
     "Run",
     "StandardProtocol",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -51,6 +51,24 @@ def make_renderer(name: str, scene: Scene) -> Renderer:
     Raises `InputError` for an unknown name, or a missing package (with what to install).
     """
     return RENDERERS.get(name)(scene)
+
+
+def drawn_images(
+    scene: Scene,
+    camera: PinholeCamera,
+    poses: np.ndarray,  # [N, 4, 4] world_from_camera
+    *,
+    supersample: int,
+    max_range: float = np.inf,  # metres
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # rgb [H, W, 3] uint8, depth [H, W] float32 metres
+    """Yield the colour and depth image of each pose by ray casting, without noise; depth beyond ``max_range`` is 0."""
+    renderer = make_renderer("raycast", scene)
+    try:
+        for pose in poses:
+            rgb, depth = renderer.render(camera, pose, supersample=supersample)
+            yield rgb, np.where(depth <= np.float32(max_range), depth, np.float32(0.0))
+    finally:
+        renderer.close()
 
 
 @RENDERERS.register("pyrender")

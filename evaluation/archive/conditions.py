@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
@@ -63,6 +63,11 @@ class Conditions:
         for kind, names in (("also", self.also), ("metrics", self.metrics)):
             if isinstance(names, str):
                 raise InputError(f"{kind} is a list of names, as ['{names}'], got the text {short_repr(names)}")
+        if self.protocol.name != StandardProtocol.name:
+            raise InputError(
+                f"a run is measured by protocol '{StandardProtocol.name}' first, got '{self.protocol.name}': "
+                "name it in also"
+            )
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
         for name in self.also:
@@ -100,9 +105,7 @@ class Conditions:
     def from_dict(cls, content: Mapping[str, Any]) -> Conditions:
         """Create the conditions from ``content``, the result of `as_dict`."""
         values = dict(content)
-        protocol = protocol_from(values.pop("protocol"))
-        if not isinstance(protocol, StandardProtocol):
-            raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
+        protocol = cast(StandardProtocol, protocol_from(values.pop("protocol")))
         also = tuple(
             one["name"] if PROTOCOLS.imports(one["name"]) else protocol_from(one).name for one in values.pop("also")
         )

@@ -83,6 +83,7 @@ _MEASURED = (
     *(metric.name for metric in STANDARD), *(f"tsdf_{metric.name}" for metric in SURFACE), "observed_area",
     *LATE.values(),
 )  # fmt: skip
+_SIZES = ("keyframes", "gaussians")  # of a run, and of a map that a further protocol trains
 # Metrics of runs that follow a given trajectory; those of the second line only with a reference trajectory.
 _FOLLOWED = (
     "largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside",
@@ -105,7 +106,7 @@ METRICS: Check = table(
                 "frames": _count, "metres": _size, "collisions": maybe(_count), "true_area_m2": maybe(_size),
                 "true_samples": maybe(_count),
             },
-            dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number()))
+            dict.fromkeys((*_MEASURED, "decisions", *_SIZES), maybe(number()))
             | {f"frames_to_{level}": maybe(_size) for level in LEVELS}
             | dict.fromkeys(_FOLLOWED, _size)
             | {"planning_notes": table(others=text)},
@@ -122,7 +123,7 @@ EVALUATION: Check = table(
         "protocol": PROTOCOL,
         "metrics": table(
             {**_VIEWS, "lpips": maybe(number())},
-            dict.fromkeys(_MEASURED, maybe(number())),
+            dict.fromkeys((*_MEASURED, *_SIZES), maybe(number())),
         ),
     }
 )

@@ -117,15 +117,9 @@ def _scene_of(run: Run) -> Scene:
 
 
 def _drawn(scene: Scene, camera: PinholeCamera, poses: np.ndarray, max_range: float) -> Images:
-    from activestructure_gym.sensors.renderer import make_renderer
+    from activestructure_gym.sensors.renderer import drawn_images
 
-    renderer = make_renderer("raycast", scene)
-    try:
-        for pose in poses:
-            rgb, depth = renderer.render(camera, pose, supersample=_SUPERSAMPLE)
-            yield rgb, np.where(depth <= np.float32(max_range), depth, np.float32(0.0))
-    finally:
-        renderer.close()
+    return drawn_images(scene, camera, poses, supersample=_SUPERSAMPLE, max_range=max_range)
 
 
 def _captured(captures: StoredCaptures, camera: PinholeCamera, count: int, max_range: float) -> Images:

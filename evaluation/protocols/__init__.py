@@ -12,6 +12,7 @@ from typing import Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
+from activestructure_gym.evaluation.protocols.offline import OfflineProtocol
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
 from activestructure_gym.registry import Registry, refuse_code
 
@@ -27,6 +28,7 @@ PROTOCOLS: Registry[type[EvaluationProtocol]] = Registry(
 )
 PROTOCOLS.register("standard")(StandardProtocol)
 PROTOCOLS.register("activegamer")(ActiveGamerProtocol)
+PROTOCOLS.register("offline")(OfflineProtocol)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
@@ -35,7 +37,7 @@ def get_protocol(name: str) -> EvaluationProtocol:
     Parameters
     ----------
     name
-        ``"standard"``, ``"activegamer"``, another registered name, or ``"package.module:Class"``.
+        ``"standard"``, ``"activegamer"``, ``"offline"``, another registered name, or ``"package.module:Class"``.
 
     Returns
     -------
@@ -89,6 +91,7 @@ __all__ = [
     "ActiveGamerProtocol",
     "CameraPath",
     "EvaluationProtocol",
+    "OfflineProtocol",
     "StandardProtocol",
     "Truth",
     "get_protocol",

@@ -12,7 +12,7 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.ground_truth import FreeSpace, GroundTruth
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.renderer import make_renderer
+from activestructure_gym.sensors.renderer import drawn_images
 
 # Steeper views show mostly the floor or the ceiling. With 45 degrees all furniture can be visible.
 _MAX_PITCH_DEG = 45.0
@@ -111,11 +111,7 @@ _POSES_DRAWN = 1024
 
 
 def _render(scene: Scene, poses: np.ndarray, camera: PinholeCamera, supersample: int) -> dict[str, np.ndarray]:
-    renderer = make_renderer("raycast", scene)
-    try:
-        images = [renderer.render(camera, pose, supersample=supersample) for pose in poses]
-    finally:
-        renderer.close()
+    images = list(drawn_images(scene, camera, poses, supersample=supersample))
     return {
         "world_from_camera": poses,
         "rgb": np.stack([rgb for rgb, _ in images]),

@@ -21,6 +21,18 @@ from activestructure_gym.evaluation.report.text_filters import without_folders
 from activestructure_gym.evaluation.statistics import resampling
 from activestructure_gym.specs import Spec
 
+_FURTHER = {  # texts on further protocols, by name
+    "activegamer": (
+        "Protocol `activegamer` follows the evaluation code of ActiveGAMER. Means of Gaussians are matched to the "
+        "1 cm voxels of the whole surface, observable or not, so floaters do not count. Images come from one "
+        "small circle of views and are masked where the true depth is missing; PSNR is computed per channel."
+    ),
+    "offline": (
+        "Protocol `offline` ignores the map of a run. It draws the keyframes without noise at their exact poses, "
+        "trains a new map on them with equal iterations for every run, and measures this map as `standard` does."
+    ),
+}
+
 
 def metric_definitions(results: Results) -> dict[str, str]:
     """Return the definition of each quality metric that has a value, by the label of the metric."""
@@ -61,14 +73,8 @@ def missing_value_texts(results: Results) -> list[str]:
 
 def protocol_texts(results: Results) -> list[str]:
     """Return one paragraph per protocol of the runs, which describes how it measures."""
-    texts = [protocol_text(results)]
-    if "activegamer" in results.runs[0].protocols:
-        texts.append(
-            "Protocol `activegamer` follows the evaluation code of ActiveGAMER. Means of Gaussians are matched to the "
-            "1 cm voxels of the whole surface, observable or not, so floaters do not count. Images come from one "
-            "small circle of views and are masked where the true depth is missing; PSNR is computed per channel."
-        )
-    return texts
+    further = results.runs[0].protocols
+    return [protocol_text(results), *(text for name, text in _FURTHER.items() if name in further)]
 
 
 def protocol_text(results: Results) -> str:

@@ -87,12 +87,12 @@ PROGRESS = (
     Column("late_depth_rate", "late Depth", "cm / 100 frames", 2, "lowest"),
 )
 
+_SIZES = (Column("keyframes", "keyframes", "", 0), Column("gaussians", "Gaussians", "", 0))
 COSTS = (
     Column("frames", "frames", "", 0),
     Column("metres", "path", "m", 1),
     Column("decisions", "decisions", "", 0),
-    Column("keyframes", "keyframes", "", 0),
-    Column("gaussians", "Gaussians", "", 0),
+    *_SIZES,
     Column("collisions", "collisions", "", 0),
     Column("planning_seconds", "planning", "s", 1),
     Column("mapping_seconds", "mapping", "s", 1),
@@ -206,14 +206,17 @@ class Aspect:
 
 
 def aspects(runs: Sequence[Run]) -> list[Aspect]:
-    """Return the aspects with a value: the runs' own protocol, its TSDF surface, and each further protocol."""
+    """Return the aspects with a value: the runs' own protocol, its TSDF surface, and each further protocol.
+
+    A further protocol that trains a map of its own has columns with the sizes of that map.
+    """
     surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in map(Column.of, standard.SURFACE))
     own = runs[0].job.conditions.protocol.name
     found = [Aspect("", own, tuple(quality_columns(runs)))]
     found.append(Aspect("tsdf", f"{own}, TSDF surface", tuple(measured(surface, runs))))
     others = dict.fromkeys(name for run in runs for name in run.protocols if name != own)
     for name in others:
-        columns = tuple(replace(column, key=f"{name}/{column.key}") for column in QUALITY)
+        columns = tuple(replace(column, key=f"{name}/{column.key}") for column in (*QUALITY, *_SIZES))
         found.append(Aspect(name, name, tuple(measured(columns, runs))))
     return [aspect for aspect in found if aspect.columns]
 

@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.config import ReconstructionConfig, configure
 from activestructure_gym.envs.reward import RewardConfig
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.protocols import OfflineProtocol, StandardProtocol
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.running.engines.base import Limits
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
@@ -28,7 +28,7 @@ def parts(config):
 
 CONFIGS = [
     *parts(ReconstructionConfig()), RewardConfig(), *parts(TrainingConfig()), StandardProtocol(), ActiveGamerProtocol(),
-    Limits(),
+    OfflineProtocol(), Limits(),
 ]  # fmt: skip
 NUMBERS = [
     pytest.param(config, field, id=f"{type(config).__name__}.{field.name}")

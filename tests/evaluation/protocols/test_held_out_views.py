@@ -50,7 +50,7 @@ def test_views_are_rendered_once_per_scene_and_size(box, monkeypatch):
     def refuse(*arguments, **options):
         raise AssertionError("rendered again")
 
-    monkeypatch.setattr(views, "make_renderer", refuse)
+    monkeypatch.setattr(views, "drawn_images", refuse)
     again = views.free_space_views(ground_truth_of(box), count=3, camera=CAMERA, supersample=2)
     np.testing.assert_array_equal(first.rgb, again.rgb)
     np.testing.assert_array_equal(first.depth, again.depth)

@@ -61,14 +61,19 @@ def test_a_further_protocol_and_the_surface_have_tables_of_their_own(make_run):
     runs = [make_run(policy=policy, tsdf_accuracy_cm=0.5, lpips=None, notes=notes) for policy in "ab"]
     for run in runs:
         run.protocols["activegamer"] = {"parameters": {"name": "activegamer"}, "metrics": {"psnr": 30.0, "notes": {}}}
+        sizes = {"keyframes": 40, "gaussians": 1200}  # of a map that the protocol trains
+        run.protocols["offline"] = {"parameters": {"name": "offline"}, "metrics": {"psnr": 31.0, "notes": {}, **sizes}}
     found = aspects(runs)
     assert [(aspect.name, aspect.title) for aspect in found] == [
         ("", "standard"), ("tsdf", "standard, TSDF surface"), ("activegamer", "activegamer"),
+        ("offline", "offline"),
     ]  # fmt: skip
-    own, surface, other = (ablation_table(Results(runs, []), aspect) for aspect in found)
+    own, surface, other, trained = (ablation_table(Results(runs, []), aspect) for aspect in found)
     assert (surface.name, other.name) == ("variants-tsdf", "variants-activegamer")
     assert [cell.text for cell in surface.rows[0]] == ["a", "0.50"]
     assert [cell.text for cell in other.rows[0]] == ["a", "30.00"]
+    assert [heading.text for heading in trained.headings] == ["Policy", "PSNR (dB) ↑", "keyframes", "Gaussians"]
+    assert [cell.text for cell in trained.rows[0]] == ["a", "31.00", "40", "1200"]
     assert not any(heading.text.startswith("LPIPS") for heading in own.headings)  # no run has it
 
 

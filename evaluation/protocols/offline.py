@@ -21,7 +21,7 @@ _RANGES = {
     "iterations": "[0, 1000000]",
     "image_width": "[16, 4096]",
     "image_supersample": "[1, 16]",
-    "seed": "[0, 9223372036854775807]",
+    "seed": "[0, 4294967295]",
 }
 # Steps between two prunings. The mapper skips the Gaussians outside a view, with a margin that grows with the steps.
 _STEPS = 10

@@ -22,7 +22,11 @@ from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, faces_a
 # second tolerance of a reliable plane, they are not. In between, as where wall and floor meet, one plane suffices
 # (measured).
 _SAME_SURFACE, _OTHER_SURFACE = 0.02, 0.04
-_MAX_GAP_M = 0.5  # metres; larger gaps between neighbouring pixels are not filled
+# Tolerance with which the plane of three pixels must predict the fourth one to prove one surface alone (measured).
+_PROVEN = 0.01
+# Metres. Gaps between neighbouring pixels up to the first length are filled where `same_surface` holds. Up to the
+# second length, as on a far floor, they are filled where `_proven_same_surface` holds. Larger gaps are not filled.
+_MAX_GAP_M, _MAX_PROVEN_GAP_M = 0.5, 2.0
 _MAX_PARTS = 32  # parts per gap between two pixels, which limits the samples per pixel to about 1000
 _LEVELS = 255.0  # largest value of a uint8 colour
 
@@ -101,6 +105,25 @@ def same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int
 
 
 @kernel
+def _proven_same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
+    """Return whether pixel (row, column) and its neighbour (row + down, column + right) are on one surface for sure.
+
+    As in `same_surface`, each pixel and the next one outwards predict the depth of the other pixel. Either both
+    predictions agree, or one agrees within half the tolerance and its plane contains the next pixel outwards as well.
+    """
+    agree = 0
+    for side in range(2):
+        i, j, di, dj = (row, column, -down, -right) if side == 0 else (row + down, column + right, down, right)
+        near, target = _depth_at(depth, i, j), _depth_at(depth, i - di, j - dj)
+        beyond = _depth_at(depth, i + di, j + dj)
+        farther = _depth_at(depth, i + 2 * di, j + 2 * dj)
+        if _on_plane(near, beyond, target, _PROVEN) and _on_plane(beyond, farther, near, _PROVEN):
+            return True
+        agree += _on_plane(near, beyond, target, _SAME_SURFACE)
+    return agree == 2
+
+
+@kernel
 def _depth_at(depth: np.ndarray, row: int, column: int) -> float:
     """Return the depth of pixel (row, column) in metres; 0 outside the image."""
     height, width = depth.shape
@@ -167,9 +190,9 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
             )
             across, along = 1, 1
             if rightwards:
-                across = _parts(points, row, column, row, column + 1, spacing[row, column])
+                across = _parts(points, depth, row, column, 0, 1, spacing[row, column])
             if downwards:
-                along = _parts(points, row, column, row + 1, column, spacing[row, column])
+                along = _parts(points, depth, row, column, 1, 0, spacing[row, column])
             if across * along == 1:
                 continue
             below, next_column = min(row + 1, height - 1), min(column + 1, width - 1)
@@ -200,18 +223,18 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
-    """Return the number of parts into which samples divide the gap between pixels (row, column) and (i, j).
+def _parts(points, depth, row, column, down, right, spacing):  # type: ignore[no-untyped-def]
+    """Return the number of parts into which samples divide the gap between a pixel and its neighbour.
 
-    ``points`` [H, W, 3] are camera-frame points in metres. ``spacing`` is the wanted spacing in metres at the first
-    pixel.
+    The pixels are (row, column) and (row + down, column + right). ``points`` [H, W, 3] are camera-frame points in
+    metres, ``depth`` [H, W] is in metres, and ``spacing`` is the wanted spacing in metres at the first pixel.
     """
     gap = np.float32(0.0)
     for k in range(3):
-        step = points[i, j, k] - points[row, column, k]
+        step = points[row + down, column + right, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
-    if gap > _MAX_GAP_M:
+    if gap > _MAX_PROVEN_GAP_M or (gap > _MAX_GAP_M and not _proven_same_surface(depth, row, column, down, right)):
         return 1
     parts = max(1, min(_MAX_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
     # If parts are shorter than the spacing, every other sample is redundant. An odd number of parts would then leave

@@ -66,7 +66,8 @@ USERS_INSIDE = {
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
-    "activestructure_gym/volume/voxel_volume.py": {"grid_shape"},
+    "activestructure_gym/volume/config.py": {"grid_shape"},
+    "activestructure_gym/volume/rays.py": {"PixelRays.sums", "PixelRays._of_voxels"},
 }
 # Who is called wrongly here, not given something wrong.
 PROGRAMMERS = {

@@ -54,7 +54,7 @@ def test_the_report_says_that_there_is_no_ground_truth(runs: list[Run], capsys: 
     page = (folder / "report.html").read_text(encoding="utf-8")
     said = "No ground truth: Acc, Com., C.R., C.R. surface, observed, Prec., F, PSNR"
     assert said in page and not any(words in page for words in ("steps through the", "true surface", "median C.R."))
-    assert "steps through the" not in (folder / "tables" / "costs.md").read_text(encoding="utf-8")
+    assert "steps through the" not in (folder / "tables" / "costs.csv").read_text(encoding="utf-8")
     assert "known" in page and "captured view" in page and "known volume [m³]" in page
     assert said in (folder / "summary.md").read_text(encoding="utf-8")
     assert "known" in capsys.readouterr().out

@@ -88,10 +88,11 @@ class VoxelVolume:
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         if sensor_range is not None and (empty := (depth <= 0) & (free_to >= np.float32(sensor_range))).any():
-            # Large images have more rays than needed: half a voxel between rays is enough, up to ``max_range``.
-            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / config.max_range))
+            reach = min(float(sensor_range), config.max_range)
+            # Large images have more rays than needed: half a voxel between rays is enough.
+            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / reach))
             rays = empty, stride, camera.lens, view
-            mark_crossed(*rays, self.origin, self.voxel_size, float(sensor_range), self.no_return)
+            mark_crossed(*rays, self.origin, self.voxel_size, reach, self.no_return)
         # Lost returns leave fewer rays, so rays count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
         camera_from_world = invert_rigid(view)

@@ -88,9 +88,10 @@ class VoxelVolume:
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         if sensor_range is not None and (empty := (depth <= 0) & (free_to >= np.float32(sensor_range))).any():
-            reach = min(float(sensor_range), config.max_range)
+            # A surface just beyond the sensor's range can be in the last voxel of the ray, which has not been seen.
+            reach = min(max(0.0, float(sensor_range) - 3.0**0.5 * self.voxel_size), config.max_range)
             # Large images have more rays than needed: half a voxel between rays is enough.
-            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / reach))
+            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / max(reach, self.voxel_size)))
             rays = empty, stride, camera.lens, view
             mark_crossed(*rays, self.origin, self.voxel_size, reach, self.no_return)
         # Lost returns leave fewer rays, so rays count as twice as far apart.

@@ -131,6 +131,17 @@ def test_voxels_on_rays_without_return_are_recorded_up_to_the_range_of_the_volum
     assert not volume.unobserved[volume.no_return].any()
 
 
+def test_a_wall_just_beyond_the_sensors_range_is_not_recorded_as_without_return(cast_boxes):
+    caster, volume = cast_boxes(ROOM), VoxelVolume(ROOM)
+    for x in (0.96, 1.5):  # the wall at x = 4 is 3.04 m away, then 2.5 m
+        frame = capture(caster, look_along(np.array([x, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+        frame.depth[frame.depth > 3.0] = 0.0
+        volume.integrate(frame, sensor_range=3.0)
+    assert volume.no_return.any() and volume.occupied.any()
+    assert not (volume.no_return & volume.occupied).any()
+    volume.integrate(frame, sensor_range=0.1)  # shorter than a voxel's diagonal
+
+
 def test_single_lost_returns_are_no_rays_without_return(cast_boxes):
     frame = capture(cast_boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
     frame.depth[::9, ::9] = 0.0

@@ -11,7 +11,8 @@ import numpy as np
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_columns, feature_names
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.decisions import Row
-from activestructure_gym.evaluation.archive.store import DECISIONS, Run
+from activestructure_gym.evaluation.archive.jobs import refuse_code
+from activestructure_gym.evaluation.archive.store import CONFIG, DECISIONS, Run
 from activestructure_gym.evaluation.replay.reasons import reason
 from activestructure_gym.evaluation.replay.recording import replay_env
 from activestructure_gym.evaluation.replay.true_areas import TrueAreas
@@ -156,6 +157,8 @@ def _played(
     """
     assert run.decisions is not None
     best, policies = run.decisions[decision], {name: make_policy(name) for name in dict.fromkeys(others)}
+    if policies and not trusted:  # the run's policy is made for the names of its features
+        refuse_code([run.job], run.directory / CONFIG)
     own = make_policy(run.job.policy).required_features if policies else ()
     features = tuple(dict.fromkeys([*own, *(name for p in policies.values() for name in p.required_features)]))
     with replay_env(run, features=features, trusted=trusted) as env:

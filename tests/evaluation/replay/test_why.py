@@ -16,6 +16,7 @@ from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.replay import why
 from activestructure_gym.evaluation.replay.why import explain
+from activestructure_gym.specs import Spec
 
 SMALL = Conditions(preset="fast", frame_budget=40, protocol=StandardProtocol(views=2, surface_samples=2000))
 
@@ -91,6 +92,18 @@ def test_what_cannot_be_explained(run: Run) -> None:
     without.__dict__["decisions"] = None
     with pytest.raises(InputError, match="lacks decisions.npz"):
         explain(without, 0)
+
+
+@pytest.mark.usefixtures("no_replay")
+def test_code_that_a_run_names_is_not_imported_unless_trusted(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "loaded_by_why.py").write_text("raise RuntimeError('imported')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    other = replace(run, job=replace(run.job, policy=Spec("loaded_by_why:Mine")))
+    assert explain(other, 0).rows  # from the files alone
+    with pytest.raises(InputError, match="config.json' names the policy .* add --trust-code"):
+        explain(other, 0, ["random"])
 
 
 def test_asg_why(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -208,7 +208,8 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str, np.ndarray] | None = None) -> int:
     """Return the valid row with the highest score; the first of equal ones.
 
-    A run stores the scores of the last call that returned the policy's choice. ``asg why`` and the replay show them.
+    A run stores the scores of the last call in a decision if it returned the policy's choice. ``asg why`` and the
+    replay show them.
 
     Parameters
     ----------
@@ -229,6 +230,8 @@ def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str,
     ------
     ValueError
         If no row is valid, or if the score of a valid row is NaN.
+    InputError
+        If a term does not have one number per row.
     """
     valid = Candidates(observation).valid
     if not valid.any():
@@ -237,6 +240,7 @@ def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str,
     if np.isnan(masked).any():  # np.argmax treats NaN as the maximum
         raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(masked).argmax()}")
     row = int(np.argmax(masked))
+    row = row if valid[row] else int(np.argmax(valid))  # all valid rows have the score -inf
     record_scores(row, masked, terms)
     return row
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
+
 FACTOR = "× "  # begins the name of a term that multiplies the sum of the others
 
 
@@ -55,7 +57,14 @@ def first_best(rows: np.ndarray, scores: np.ndarray) -> int:
 
 
 def record_scores(row: int, scores: np.ndarray, terms: Mapping[str, np.ndarray] | None = None) -> None:
-    """Append a comparison to the list of the innermost `recorded_scores`, if there is one."""
+    """Append a comparison to the list of the innermost `recorded_scores`, if there is one.
+
+    Raises `InputError` unless every term has one number per row.
+    """
+    copies = {name: np.array(term, np.float64) for name, term in (terms or {}).items()}
+    for name, term in copies.items():
+        if term.shape != scores.shape:
+            raise InputError(f"term '{name}' must have one number per row, {scores.shape}, got {term.shape}")
     record = _RECORD.get()
     if record is not None:
-        record.append(Scored(row, scores, dict(terms or {})))
+        record.append(Scored(row, scores, copies))

@@ -15,7 +15,7 @@ BEST = 5  # rows of a decision
 _TERM = "term:"  # begins the names of the arrays of terms
 _LAYOUT = {
     "starts": Array("i8", ("starts",), low=0, least=1),
-    "rows": Array("i8", ("R",)),
+    "rows": Array("i8", ("R",), low=0),
     "scores": Array("f8", ("R",)),
     "views": Array("f4", ("R", len(CANDIDATE_COLUMNS))),
     "features": Array("f4", ("R", "F")),

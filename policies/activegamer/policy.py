@@ -166,7 +166,7 @@ class ActiveGAMER(Planner):
             if row is not None and valid[row]:
                 self._active = stage
                 return row
-        return best_valid(np.where(offered, gain + candidates.stay, -1.0), observation)
+        return best_valid(np.where(offered, gain + candidates.stay, -np.inf), observation)
 
     def _scores(self, observation: Observation, gain: np.ndarray, among: np.ndarray) -> np.ndarray:  # [K]
         """Return gain / sum of gains x travel factor of every candidate; sums are over the rows ``among`` [K] bool."""

@@ -207,6 +207,19 @@ def test_a_score_that_is_no_number_is_not_the_best(rng: np.random.Generator) -> 
         best_valid(np.array([1.0, np.nan, 0.0]), observed)
 
 
+def test_without_a_score_the_first_valid_row_is_the_best(rng: np.random.Generator) -> None:
+    observed = observation(rng, rows=3)
+    observed["action_mask"] = np.array([0, 1, 1], np.int8)
+    assert best_valid(np.full(3, -np.inf), observed) == 1
+
+
+@pytest.mark.parametrize("term", [0.5, [0.5, 0.5], np.ones((3, 1))])
+def test_a_term_has_one_number_per_row(rng: np.random.Generator, term: object) -> None:
+    """A run with other terms would fail after the decision, or have files that cannot be read."""
+    with pytest.raises(InputError, match=r"term 'mine' must have one number per row, \(3,\), got \("):
+        best_valid(np.ones(3), observation(rng, rows=3, valid=2), {"mine": term})
+
+
 def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator) -> None:
     @POLICIES.register("nearest_for_this_test")
     class Nearest(Policy):

@@ -107,6 +107,17 @@ def test_nothing_is_recorded_outside_the_block() -> None:
     assert comparisons == []
 
 
+def test_terms_are_those_of_the_comparison_even_if_the_policy_changes_them_later() -> None:
+    observed, gain = observation(0.2, 0.9), np.array([0.2, 0.9])
+    log = DecisionLog()
+    with recorded_scores() as comparisons:
+        choice = best_valid(gain, observed, {"gain": gain})
+        gain[choice] = 0.0
+    log.add(observed, choice, comparisons)
+    (rows,) = rows_by_decision(log.arrays(), FEATURES)
+    assert [(row.score, row.terms["gain"]) for row in rows] == [(0.9, 0.9), (0.2, 0.2)]
+
+
 def test_the_terms_of_two_forms_of_decisions_are_told_apart() -> None:
     class Switching(OnlyScores):
         """Score by the gain once, then by a factor alone, then without terms."""
@@ -130,6 +141,7 @@ def test_a_damaged_file_is_refused() -> None:
         "starts does not fit": ("starts", good["starts"][:-1]),
         "must have 1 to 5 rows": ("starts", np.array([0, 0, 4])),
         "scores: expected 3": ("rows", good["rows"][:-1]),
+        "rows holds numbers outside": ("rows", good["rows"] - 5),
         "not finite": ("scores", np.full(4, np.nan)),
         "it holds 2 features": ("features", np.zeros((4, 2), np.float32)),
     }

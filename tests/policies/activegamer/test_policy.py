@@ -18,6 +18,7 @@ from activestructure_gym.policies.activegamer.policy import (
     coarse_views,
     travel_factor,
 )
+from activestructure_gym.policies.scored import recorded_scores
 from tests.policies.binding import bound
 
 FORWARD = (1.0, 0.0, 0.0)
@@ -228,6 +229,8 @@ def test_stages_follow_each_other_and_refinement_stands_still() -> None:
     assert policy.act(poor) == 2  # asks for post-refinement
     for _ in range(3):
         _, stay = lattice_views(2, [(0.0, 0.0)])
-        assert policy.act(stay) == 0 and policy.trace()["stage"] == "post-refinement"
+        with recorded_scores() as compared:
+            assert policy.act(stay) == 0 and policy.trace()["stage"] == "post-refinement"
+        assert np.isneginf(compared[-1].scores[1:]).all()  # requests for other stages are not compared
     _, good = lattice_views(2, [(0.0, 0.0)], psnr=35.0)
     assert policy.act(good) == 2 and policy.trace()["stage"] == "fine"  # discovery goes on

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, rotation_angle
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.volume import distance_field, integration
@@ -230,7 +231,11 @@ class VoxelVolume:
         stride: int | None = None,  # pixels from one ray to the next; None: about 40 rays per image row
         reach: float | None = None,  # metres along a ray; None: `VolumeConfig.max_range`
     ) -> PixelRays:
-        """Return the rays of every ``stride``-th pixel of K views."""
+        """Return the rays of every ``stride``-th pixel of K views; raise `InputError` for a wrong stride or reach."""
+        if stride is not None and stride < 1:
+            raise InputError(f"stride is a number of pixels from 1, or None, got {short_repr(stride)}")
+        if reach is not None and not 0.0 < reach < np.inf:  # a ray outside the grid would never end
+            raise InputError(f"reach is a finite number of metres above 0, or None, got {short_repr(reach)}")
         poses, rays = rays_of_pixels(camera, world_from_camera, stride)
         unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         length = self.config.max_range if reach is None else float(reach)

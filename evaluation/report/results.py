@@ -253,7 +253,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
 def _given_conditions(run: Run) -> dict[str, str]:
     job = run.job.as_dict()
     flat = {name: job[name] for name in ("preset", "frame_budget")} | {"setup": run.job.conditions.setup}
-    flat |= {"sweep": ", ".join(sorted(run.job.swept)) or "none"}
+    flat |= {"sweep": ", ".join(run.job.swept) or "none"}
     flat |= {f"set {name}": value for name, value in job["overrides"].items()}
     flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
     return {name: str(value) for name, value in flat.items()}

@@ -30,7 +30,7 @@ from activestructure_gym.evaluation.running.recorded_scene import scene_as_recor
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.surroundings import refuse_without_truth, world_hash
-from activestructure_gym.evaluation.running.sweep import check_sweep, combinations, sweep_of
+from activestructure_gym.evaluation.running.sweep import check_effect, checked_sweep, combinations, sweep_of
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.specs import Spec
@@ -73,7 +73,7 @@ class Comparison:
     recorded: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_sweep(self.sweep, self.conditions)
+        object.__setattr__(self, "sweep", checked_sweep(self.sweep, self.conditions))
         object.__setattr__(self, "scenes", [Spec(absolute_spec(Spec(spec))) for spec in self.scenes])
         object.__setattr__(self, "policies", list(map(Spec, self.policies)))
         for name in ("scenes", "policies", "seeds", "references"):
@@ -184,15 +184,14 @@ class Comparison:
         for spec in self.policies:
             if spec.kind == "trajectory":
                 followed = TrajectorySpec.of(spec)
-                for own in changes:
-                    configure(preset, followed.changes(own))
+                check_effect(spec, [configure(preset, followed.changes(own)) for own in changes])
                 named.append(followed.spec)
                 continue
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             native = native_settings_of(policy, self.conditions.setup).overrides()
-            for own in changes:
-                configure(preset, native | own | {"features": tuple(policy.required_features)})
+            features = {"features": tuple(policy.required_features)}
+            check_effect(spec, [configure(preset, native | own | features) for own in changes])
         for seed in self.seeds:
             Job(Spec(""), Spec(""), seed)
         return list(dict.fromkeys(named))

@@ -104,7 +104,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 def _check_conditions(before: Job, asked: Job, directory: Path) -> None:
     old, new = (
         _flat(json_files.as_read(
-            {"setup": one.conditions.setup, "sweep": ", ".join(sorted(one.swept)) or None}
+            {"setup": one.conditions.setup, "sweep": ", ".join(one.swept) or None}
             | one.shared_conditions.as_dict()
         ))
         for one in (before, asked)

@@ -6,22 +6,47 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, value_text
+from activestructure_gym.evaluation.archive.json_files import plain
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import ReconstructionConfig
+    from activestructure_gym.specs import Spec
 
 
-def check_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> None:
-    """Raise `InputError` for a swept field that ``conditions`` set as well, and for missing or repeated values."""
+def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str, tuple[Any, ...]]:
+    """Return the values of each swept field, without types of NumPy.
+
+    Raise `InputError` for a field that ``conditions`` set as well, and for missing or repeated values.
+    """
+    checked: dict[str, tuple[Any, ...]] = {}
     for name, values in dict(sweep).items():
         if name in conditions.overrides or (name == "frame_budget" and conditions.frame_budget is not None):
             raise InputError(f"{name} is swept and also set to one value for all runs: leave one of the two out")
-        if isinstance(values, str) or not isinstance(values, Sequence) or not values:
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or not len(values):
             raise InputError(f"the sweep of {name} is a list of values, as [1, 2], got {short_repr(values)}")
-        if len(_distinct(values)) < len(values):
-            raise InputError(f"the sweep of {name} has a value twice: {', '.join(map(value_text, values))}")
+        checked[name] = tuple(plain(list(values)))
+        if len(_distinct(checked[name])) < len(values):
+            raise InputError(f"the sweep of {name} has a value twice: {', '.join(map(value_text, checked[name]))}")
+    return checked
+
+
+def check_effect(policy: Spec, configurations: Sequence[ReconstructionConfig]) -> None:
+    """Raise `InputError` if the configurations of a policy, one for each combination of swept values, are not distinct.
+
+    Its rows in the tables would differ in name only.
+    """
+    if len(set(configurations)) < len(configurations):
+        raise InputError(
+            f"two combinations of swept values give '{policy}' the same configuration: a swept field is set by the "
+            "policy or by another option, such as --set; leave it out of the sweep"
+        )
 
 
 def combinations(sweep: Mapping[str, Sequence[Any]], conditions: Conditions) -> list[Conditions]:

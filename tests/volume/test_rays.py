@@ -84,6 +84,15 @@ def test_no_view_and_a_view_from_outside() -> None:
 
 
 @pytest.mark.parametrize(
+    "options", [{"reach": np.inf}, {"reach": np.nan}, {"reach": -1.0}, {"reach": 0}, {"stride": 0}, {"stride": -2}]
+)
+def test_a_reach_without_end_and_a_stride_below_one_are_refused(options: dict[str, float]) -> None:
+    name, value = next(iter(options.items()))
+    with pytest.raises(InputError, match=f"^{name} is .*, or None, got {value}$"):
+        ahead(VoxelVolume(BOUNDS), **options)
+
+
+@pytest.mark.parametrize(
     ("values", "passing", "wanted"),
     [
         (np.zeros(3), None, r"values must have one number per voxel, \(32, 22, 12\), got \(3,\)"),

@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Comparison, jobs_to_resume
+from activestructure_gym.evaluation.running.resuming import merged
 from tests.bare_jobs import bare_jobs
 
 SPACING, NOISE = "mapper.seed_spacing", "sensor.depth_noise"
@@ -70,6 +71,9 @@ def test_a_swept_value_overrides_the_native_settings_of_a_policy():
         ({SPACING: (0.06,)}, {"overrides": {SPACING: 0.12}}, "is swept and also set to one value for all runs"),
         ({"frame_budget": (20, 40)}, {"frame_budget": 60}, "frame_budget is swept and also set to one value"),
         ({"frame_budget": (20, 0)}, {}, "the frame budget must be at least 1, got 0"),
+        # Values without an effect: the policy, or an override, sets the field.
+        ({"features": (["pixel"], ["hole_area"])}, {}, "give 'random' the same configuration"),
+        ({"mapper": ({"iterations": 3}, {"iterations": 5})}, {"overrides": {"mapper.iterations": 9}}, "give 'random' the"),
     ],
 )
 def test_wrong_sweeps_are_refused_before_a_scene_is_loaded(sweep, conditions, message, monkeypatch):
@@ -78,6 +82,28 @@ def test_wrong_sweeps_are_refused_before_a_scene_is_loaded(sweep, conditions, me
     with pytest.raises(InputError) as error:
         grid(sweep, dataclasses.replace(FAST, **conditions)).prepare()
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_mapper_named_by_a_trajectory_is_not_swept():
+    with pytest.raises(InputError, match=r"give 'trajectory:sweep\?mapper=monogs' the same configuration"):
+        grid({"mapper.name": ("default", "splatam")}, policies=["trajectory:sweep?mapper=monogs"]).participants()
+
+
+def test_values_may_be_numbers_of_numpy():
+    swept = grid({"mapper.iterations": np.arange(3, 5), SPACING: list(np.array([0.06, 0.12]))})
+    assert swept == grid({"mapper.iterations": (3, 4), SPACING: (0.06, 0.12)})
+    jobs = swept.jobs(swept.participants(), {})
+    assert jobs[0].title == "box · random [mapper.iterations=3, mapper.seed_spacing=0.06] · seed 0" and jobs[0].hash
+
+
+def test_fields_in_another_order_are_no_other_runs(tmp_path):
+    first, second = (
+        grid(sweep).jobs(["random"], {})
+        for sweep in ({SPACING: (0.06,), NOISE: ("none",)}, {NOISE: ("none",), SPACING: (0.06,)})
+    )
+    message = f"sweep was '?{SPACING}, {NOISE}'?, asked for is '?{NOISE}, {SPACING}"
+    with pytest.raises(InputError, match=message):
+        merged(first, second, tmp_path)
 
 
 class Killed(NullListener):

@@ -68,6 +68,7 @@ USERS_INSIDE = {
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
     "activestructure_gym/volume/config.py": {"grid_shape"},
     "activestructure_gym/volume/rays.py": {"PixelRays.sums", "PixelRays._of_voxels"},
+    "activestructure_gym/volume/voxel_volume.py": {"VoxelVolume.rays"},
 }
 # Who is called wrongly here, not given something wrong.
 PROGRAMMERS = {

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive.jobs import ranked_among
+from activestructure_gym.evaluation.archive.jobs import ranked_among, value_text
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.tables import layout
 from activestructure_gym.evaluation.report.tables.columns import Column, overview_columns, value_of
@@ -152,18 +152,20 @@ def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "ove
 
 
 def runs_csv(runs: Sequence[Run]) -> str:
-    """Return a CSV text with one line per run: all scalar metrics in full precision, and the seconds of each stage."""
+    """Return a CSV text with one line per run: swept values, all scalar metrics, and the seconds of each stage."""
     scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
+    swept = list(dict.fromkeys(name for run in runs for name in run.job.swept))
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job"]
+    titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job", *swept]
     writer.writerow(map(spreadsheet_text, [*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)]))
     for run, numbers in zip(runs, scalars):
         job = run.job
         identity: list[Any] = [run.scene, job.scene_hash[:_HASH_DIGITS], run.policy, job.seed, job.conditions.preset]
         identity += [job.conditions.protocol.name, job.hash]
+        identity += [value_text(job.swept_values[name]) if name in job.swept_values else "" for name in swept]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         row = [*identity, *values, run.timing["total"], *seconds]

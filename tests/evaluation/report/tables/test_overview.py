@@ -98,6 +98,13 @@ def test_csv_has_every_number_in_full(make_run):
     assert "views" not in first
 
 
+def test_csv_has_a_column_for_every_swept_field(make_run):
+    runs = [make_run(swept={"n": 3, "noise": "kinect"}, psnr=21.0), make_run(swept={"n": 4, "noise": "none"})]
+    first, second = csv.DictReader(io.StringIO(runs_csv(runs)))
+    assert (first["n"], first["noise"], first["psnr"], first["policy"]) == ("3", "kinect", "21.0", runs[0].policy)
+    assert (second["n"], second["noise"], second["seconds"]) == ("4", "none", "10.0")
+
+
 def test_csv_has_an_lpips_that_was_measured_later(tmp_path):
     place = write_run(tmp_path / "run")
     run = read_run(place)

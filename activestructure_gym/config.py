@@ -66,31 +66,35 @@ class ReconstructionConfig:
         make_stages(self.views.stages, self.views.max_candidates)
 
 
-Preset = Literal["fast", "default", "full", "paper"]
+Preset = Literal["rl", "fast", "default", "full", "paper"]
 
 # 2000 frames leave time for surfaces that the default pool cannot see, such as those under and behind objects
 # (docs/notebook/exploration.md, "What the pool can see at all").
 _FINE_POOL = {"lattice_step_m": 0.25, "heights_m": (-1.0, -0.5, 0.0, 0.5, 0.8)}
 _CLOSE_BY = {"candidate_clearance": 0.2}
 
+# For learning and tests: small images, few keyframes, few candidates. Gaussians are seeded from depth and never
+# optimised (docs/notebook/performance.md, "Learning-sized environment").
+_FAST: dict[str, Any] = {
+    "frame_budget": 100,
+    "keyframe_every": 20,
+    "sensor": {"width": 96, "height": 54, "supersample": 1},
+    # Seeds depend on depth alone, so training can skip rendering colour.
+    "mapper": {
+        "iterations": 0,
+        "psnr_refresh": 0,
+        "seed_spacing": 0.12,
+        "seed_pixels": 4.0,
+        "texture_contrast": 1.0,
+    },
+    "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
+}
+
 # Overrides of the field defaults.
 PRESETS: dict[Preset, dict[str, Any]] = {
-    # For learning and tests: small images, few keyframes, few candidates. Gaussians are seeded from depth and never
-    # optimised (docs/notebook/performance.md, "Learning-sized environment").
-    "fast": {
-        "frame_budget": 100,
-        "keyframe_every": 20,
-        "sensor": {"width": 96, "height": 54, "supersample": 1},
-        # Seeds depend on depth alone, so training can skip rendering colour.
-        "mapper": {
-            "iterations": 0,
-            "psnr_refresh": 0,
-            "seed_spacing": 0.12,
-            "seed_pixels": 4.0,
-            "texture_contrast": 1.0,
-        },
-        "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
-    },
+    # For learners that read depth and volume alone: `fast` without Gaussians and planes.
+    "rl": {**_FAST, "mapper": {**_FAST["mapper"], "enabled": False}, "planes": {"enabled": False}},
+    "fast": _FAST,
     # For comparisons on a CPU.
     "default": {},
     # The paper's frame budget at an image size that a CPU maps in minutes. Candidates are scored, and Gaussians seeded,
@@ -131,8 +135,8 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     Parameters
     ----------
     preset
-        ``"fast"`` (learning and tests), ``"default"``, ``"full"`` (2000 frames of 320 x 180) or ``"paper"`` (the
-        paper's sizes).
+        ``"rl"`` (learning, without Gaussians and planes), ``"fast"`` (learning and tests), ``"default"``, ``"full"``
+        (2000 frames of 320 x 180) or ``"paper"`` (the paper's sizes).
     overrides
         Fields to replace, nested or with dots.
 

@@ -78,7 +78,7 @@ class Explorer:
     free_radius
         Radius in metres of a sphere around the start that is known to be free.
     preset
-        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``.
+        ``"rl"``, ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``.
     config
         Changes of the preset by field: ``{"mapper.iterations": 8}``.
     frame_budget

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.errors import InputError, short_repr, unknown_name
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -198,12 +198,22 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     }
 
 
-def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.Dict:
+def observation_space(
+    config: ReconstructionConfig, max_planes: int, chosen: Sequence[str] | None = None
+) -> spaces.Dict:
     """Return the observation space: a flat Dict of fixed-size arrays, as stable-baselines3 requires.
 
-    Raises `InputError` if one observation would take more than `MAX_BYTES`.
+    It has the entries ``chosen``, by default all. Raises `InputError` for an unknown entry, for none, and if one
+    observation would take more than `MAX_BYTES`.
     """
     keys = observation_keys(config, max_planes)
+    if chosen is not None:
+        if isinstance(chosen, str) or not isinstance(chosen, Sequence) or not len(chosen):
+            raise InputError(f"observation_keys must be a list of one or more names, got {short_repr(chosen)}")
+        for name in chosen:
+            if name not in keys:
+                raise unknown_name("entry of the observation", name, keys)
+        keys = {name: key for name, key in keys.items() if name in chosen}
     if sum(key.size for key in keys.values()) > MAX_BYTES:
         raise InputError(
             f"one observation would take more than {MAX_BYTES >> 20} MiB with views.max_candidates "

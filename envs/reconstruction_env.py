@@ -43,6 +43,7 @@ class EnvOptions(TypedDict, total=False):
     reward: RewardConfig | Mapping[str, Any] | None
     coverage_target: float | None
     max_planes: int
+    observation_keys: Sequence[str] | None
     start_pose: Sequence[float] | np.ndarray | None
     render_mode: RenderMode | None
     gains: Sequence[str] | None
@@ -86,13 +87,14 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | parameter | type | default | meaning |
     |---|---|---|---|
     | `scene` | str, Scene, or a sequence of them | per task | scene; from a sequence, one is drawn per episode |
-    | `preset` | str | `"default"` | `fast`, `default`, `full` or `paper` |
+    | `preset` | str | `"default"` | `rl`, `fast`, `default`, `full` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
     | `features` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
     | `coverage_target` | float | 0.99 | observed share of the surface that ends the episode; None = no such end |
     | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
+    | `observation_keys` | tuple of str | all | entries of the observation to return |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | start pose of every episode |
     | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a live web page |
     | `gains` | tuple of str | none | former name of `features`; deprecated |
@@ -128,6 +130,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         reward: RewardConfig | Mapping[str, Any] | None = None,
         coverage_target: float | None = 0.99,
         max_planes: int = 64,
+        observation_keys: Sequence[str] | None = None,
         start_pose: Sequence[float] | np.ndarray | None = None,
         render_mode: RenderMode | None = None,
         gains: Sequence[str] | None = None,
@@ -172,7 +175,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self.coverage_target = coverage_target
         self.max_planes = max_planes
         self.reconstruction = Reconstruction(self.config)
-        self.observation_space = observation_space(self.config, max_planes)
+        self.observation_space = observation_space(self.config, max_planes, observation_keys)
         self.action_space = spaces.Discrete(self.config.views.max_candidates)
         self._start_pose = None if start_pose is None else self._as_start(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
@@ -370,7 +373,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         """Return the current observation again, as new arrays."""
         if self._frame is None:
             raise gym.error.ResetNeeded("there is no observation before reset()")
-        return encode(self.reconstruction, self._frame, self.max_planes)
+        encoded = encode(self.reconstruction, self._frame, self.max_planes)
+        return {name: value for name, value in encoded.items() if name in self.observation_space.spaces}
 
     def _info(self, terms: dict[str, float], *, reached: bool, invalid: bool) -> dict[str, Any]:
         episode = self.reconstruction

@@ -18,6 +18,9 @@ def test_presets_differ_from_the_default_only_where_they_say_so() -> None:
     for name in PRESETS:
         assert isinstance(configure(name), ReconstructionConfig)
     assert configure("fast").sensor.width == 96
+    less, fast = configure("rl"), configure("fast")
+    assert not less.mapper.enabled and not less.planes.enabled
+    assert configure("rl", {"mapper.enabled": True, "planes.enabled": True}) == fast
     # The paper's sensor: 60 x 90 degrees at f = 600, 2000 frames.
     paper = configure("paper")
     camera = paper.sensor.camera

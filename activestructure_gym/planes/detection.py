@@ -122,6 +122,11 @@ class PlaneDetection:
     labels: np.ndarray  # [H, W] int32 segment of each pixel, -1 = none
 
 
+def no_planes(frame: Frame) -> PlaneDetection:
+    """Return the detection of a frame without planar segments."""
+    return PlaneDetection((), np.full(frame.depth.shape, -1, np.int32))
+
+
 def detect_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> list[PlaneSegment]:
     """Return the planar segments of a frame, largest number of pixels first; [] if there are none."""
     return list(segment_planes(frame, config).segments)
@@ -133,7 +138,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     camera = frame.camera
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
+    nothing = no_planes(frame)
 
     # Noise tilts the plane of a small block, so a noisier sensor needs larger blocks.
     columns = config.block_columns / max(config.depth_noise_scale, 1.0) ** 0.5

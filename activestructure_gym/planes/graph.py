@@ -11,7 +11,13 @@ import numpy as np
 from activestructure_gym.compiling.thread_team import default_threads
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
-from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
+from activestructure_gym.planes.detection import (
+    PlaneDetection,
+    PlaneDetectionConfig,
+    PlaneSegment,
+    no_planes,
+    segment_planes,
+)
 from activestructure_gym.planes.matching import MatchingConfig, match_segment, may_be_same, same_surface, stack_planes
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.quality import (
@@ -51,6 +57,7 @@ _RANGES = {
 class PlaneGraphConfig:
     """Configure all steps of the plane processing."""
 
+    enabled: bool = True  # False: no planes are detected, and all arrays of planes are 0
     detection: PlaneDetectionConfig = field(default_factory=PlaneDetectionConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     topology: TopologyConfig = field(default_factory=TopologyConfig)
@@ -113,7 +120,9 @@ class PlaneSceneGraph:
         The graph is not assessed: an agent takes several keyframes between two decisions, and only the state at a
         decision is used.
         """
-        detection = detection or segment_planes(frame, self.config.detection)
+        if detection is None:
+            enabled = self.config.enabled
+            detection = segment_planes(frame, self.config.detection) if enabled else no_planes(frame)
         first_new = self._next_id
         owner = self._assign(frame, detection.segments)
         touched = sorted(set(owner) - {NO_NODE})

@@ -10,6 +10,7 @@ import numpy as np
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.mapping import KeyframeMapper, track_pose
 from activestructure_gym.mapping.adapted import keyframe_mapper
+from activestructure_gym.mapping.keyframes_only import KeyframesOnly
 from activestructure_gym.motion import levelled
 from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.sensors import Frame, SensorConfig
@@ -21,6 +22,8 @@ from activestructure_gym.worlds import Views, checked_views
 
 def make_mapper(config: ReconstructionConfig, bounds: np.ndarray, rng: np.random.Generator) -> KeyframeMapper:
     """Return the configured mapper for ``bounds`` [2, 3]; it assumes at least the sensor's own noise scale."""
+    if not config.mapper.enabled:
+        return KeyframesOnly(config.mapper, rng)
     made = config.mapper.make(rng, bounds, depth_noise_scale=_multiplier(config.sensor))
     return keyframe_mapper(made, config.mapper)
 

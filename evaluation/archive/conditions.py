@@ -24,7 +24,8 @@ class Conditions:
     Parameters
     ----------
     preset
-        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. Default: ``"default"``, in the native setup ``"full"``.
+        ``"rl"``, ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``. Default: ``"default"``, in the native setup
+        ``"full"``.
     frame_budget
         Frames per episode, including the first one. Default: the preset's.
     overrides

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 class ConditionOptions:
     """Hold the options from which `Conditions` are made; an option that is not given is None or empty."""
 
-    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
+    preset: Annotated[str | None, option("rl|fast|default|full|paper", "(default: default)")] = None
     """Start from this configuration; `asg list config PRESET` prints it."""
     frames: Count = None
     """Set the frame budget of every episode; by default the preset's, or all poses of a trajectory."""

@@ -29,7 +29,7 @@ class Config:
     Print the value, the default and the meaning of each.
     """
 
-    words: Annotated[tuple[str, ...], tyro.conf.Positional, option("[fast|default|full|paper] [FIELD ...]", "")] = ()
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, option("[rl|fast|default|full|paper] [FIELD ...]", "")] = ()
     """Print this preset (default: default), or of it only these fields or groups of fields (sensor, mapper.window)."""
     set: Changes = ()
     """Change fields, as in compare and train; the changes are printed at the end."""

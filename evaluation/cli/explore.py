@@ -37,7 +37,7 @@ class Explore:
     """Stop after this many frames (default: the preset's)."""
     seed: Annotated[int | None, option("N", "(default: 0)")] = None
     """Set the random seed of planner and map, and of a simulator."""
-    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
+    preset: Annotated[str | None, option("rl|fast|default|full|paper", "(default: default)")] = None
     """Start from this configuration; `asg list config PRESET` prints it."""
     setup: Annotated[Setup | None, option("{shared,native}", "(default: shared)")] = None
     """Use the common candidates, keyframes and mapper (shared), or the planner's own (native)."""

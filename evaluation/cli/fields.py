@@ -28,5 +28,5 @@ Out = Annotated[str | None, option("PATH", "", "-o")]
 DryRun = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="", aliases=("-n",))]
 Count = Annotated[int | None, option("N", "")]
 # A text and no Literal, so the error comes from `known_preset`, which suggests the most similar name.
-PresetName = Annotated[str, option("fast|default|full|paper")]
+PresetName = Annotated[str, option("rl|fast|default|full|paper")]
 Runs = Annotated[tuple[str, ...], tyro.conf.Positional, option("[RUN ...]", "")]

@@ -44,7 +44,7 @@ class Watch:
     """Explore with this policy (see `asg list policies`); with `you`, choose every view yourself."""
     seed: int = 0
     """Set the random seed: the same start as in `asg compare`."""
-    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
+    preset: Annotated[str | None, option("rl|fast|default|full|paper", "(default: default)")] = None
     """Use the configuration that `asg list config PRESET` prints."""
     setup: Setup = "shared"
     """Use the common candidates, keyframes and mapper (shared), or the planner's own with preset full (native)."""

@@ -169,6 +169,9 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"start_pose": "door"}, "a start pose is"),
         ({"features": "pixel"}, "features must be a list of names, got 'pixel'"),
         ({"scene": 3}, "scene must be a name, a path"),
+        ({"observation_keys": ["depth", "plane_mas"]}, "unknown entry of the observation 'plane_mas'.*plane_mask"),
+        ({"observation_keys": "depth"}, "observation_keys must be a list of one or more names, got 'depth'"),
+        ({"observation_keys": []}, "observation_keys must be a list of one or more names"),
         ({"max_planes": 1.5}, "max_planes must be a whole number"),
         ({"coverage_target": "all"}, "coverage_target is a share"),
         ({"config": {"views.heights_m": ()}}, "heights_m must be a tuple"),
@@ -353,3 +356,29 @@ def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
     with pytest.warns(FutureWarning, match="gains is now called features"):
         env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
     assert env.config.features == ("hole_area",)
+
+
+def test_without_map_and_planes_the_same_actions_lead_to_the_same_views_and_rewards() -> None:
+    """Preset `rl` is `fast` without what is read from Gaussians and planes."""
+    envs = [ReconstructionEnv("box", preset=preset, frame_budget=60) for preset in ("fast", "rl")]  # type: ignore[arg-type]
+    empty = ("plane_features", "plane_mask", "plane_edges", "plane_tree", "candidate_planes", "fidelity")
+    equal = ("rgb", "depth", "pose", "budget", "candidates", "action_mask")
+    (full, _), (less, info) = (env.reset(seed=3) for env in envs)
+    done, rng = False, np.random.default_rng(0)
+    while not done:
+        assert all(np.array_equal(full[key], less[key]) for key in equal)
+        assert full["plane_mask"].any() and not any(less[key].any() for key in empty)
+        assert (info["gaussians"], info["planes"]) == (0, 0)
+        action = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        (full, *ends, _), (less, *others, info) = (env.step(action) for env in envs)
+        assert ends == others
+        done = ends[1] or ends[2]
+
+
+def test_chosen_entries_of_the_observation_are_as_in_the_whole_one(box_options: dict[str, Any]) -> None:
+    chosen = ["action_mask", "depth", "candidate_features"]
+    whole, less = ReconstructionEnv(**box_options), ReconstructionEnv(**box_options, observation_keys=chosen)
+    (full, _), (part, _) = whole.reset(seed=1), less.reset(seed=1)
+    assert set(part) == set(less.observation_space.spaces) == set(chosen) and part in less.observation_space
+    assert all(np.array_equal(part[key], full[key]) for key in chosen)
+    assert set(less.step(0)[0]) == set(chosen)

@@ -1,0 +1,30 @@
+"""A mapper that is switched off keeps keyframes, and everything that is read from its map is 0."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.config import configure
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.keyframes_only import KeyframesOnly
+from activestructure_gym.reconstruction.parts import make_mapper
+
+
+@pytest.mark.parametrize("name", ["default", "splatam", "monogs"])
+def test_the_map_of_any_mapper_stays_empty(name: str, room_frames: list[Frame]) -> None:
+    mapper_changes = {"name": name, "enabled": False, "keyframe_reduction": 5}
+    config = configure("fast", {"sensor": {"width": 80, "height": 45}, "mapper": mapper_changes})
+    mapper = make_mapper(config, np.array([[0.0, 0, 0], [4, 3, 2.5]]), np.random.default_rng(0))
+    assert isinstance(mapper, KeyframesOnly)
+    for frame in room_frames[:3]:
+        report = mapper.observe(frame)
+        assert (report.added, report.count, report.views) == (0, 0, ())
+    assert mapper.refine(10).views == () and mapper.events == 4 and mapper.map.count == 0
+    kept, frame = mapper.keyframes[2], room_frames[2]
+    assert len(mapper.keyframes) == 3 and kept.camera.width == frame.camera.width // 5
+    assert np.array_equal(kept.world_from_camera, frame.world_from_camera)
+    rendering = mapper.render(frame.camera, frame.world_from_camera)
+    assert not rendering.alpha.any() and not rendering.color.any()
+    depth, alpha = mapper.render_depth_alpha(frame.camera, frame.world_from_camera[None])
+    assert depth.shape == (1, frame.camera.height, frame.camera.width) and not depth.any() and not alpha.any()

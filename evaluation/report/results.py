@@ -94,6 +94,18 @@ class Results:
         return {name: sorted(values) if numeric[name] else values for name, values in found.items()}
 
     @cached_property
+    def protocols(self) -> dict[str, Any]:
+        """Return the stored content of each protocol by name, from the first run that it has measured."""
+        found: dict[str, Any] = {}
+        for run in self.runs:
+            found = {**run.protocols, **found}
+        return found
+
+    def each(self, text: Callable[[Mapping[str, Any]], str]) -> str:
+        """Return a text on the configuration of the runs; different texts, as in a sweep, are joined by "or"."""
+        return " or ".join(dict.fromkeys(text(run.config["configuration"]) for run in self.runs))
+
+    @cached_property
     def palette(self) -> list[str]:
         """Return the policies in the order in which they get colours.
 

@@ -81,7 +81,6 @@ def _asset(name: str) -> Markup:
 def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
     first = results.runs[0]
     policies = len({run.planner for run in results.runs})
-    budgets = sorted({run.config["configuration"]["frame_budget"] for run in results.runs})
     counts = [
         pluralised(len(results.scenes), "scene"),
         pluralised(policies, "policy", "policies"),
@@ -91,8 +90,8 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
     facts = [
         f"{pluralised(len(results.runs), 'finished run')}: {', '.join(counts)}",
         f"{first.job.conditions.setup} setup, preset {first.job.conditions.preset}, "
-        f"{' or '.join(map(str, budgets))} frames per run",
-        f"protocol{'s' * (len(first.protocols) > 1)} {' and '.join(first.protocols)}",
+        f"{results.each(lambda config: str(config['frame_budget']))} frames per run",
+        f"protocol{'s' * (len(results.protocols) > 1)} {' and '.join(results.protocols)}",
     ]
     return render(
         "header.html.j2",

@@ -23,7 +23,7 @@ def method_section(results: Results) -> Markup:
         definitions=definitions(results),
         sources=html_table(_sources(results)),
         hardware=html_table(_machines(results.runs)),
-        protocols=[html_table(table) for table in _protocols(results.runs[0])],
+        protocols=[html_table(table) for table in _protocols(results)],
         configuration=html_table(_configuration(results.runs)),
         versions=html_table(_versions(results.runs)),
     )
@@ -42,7 +42,7 @@ def _sources(results: Results) -> Table:
     return Table("sources", "Source directories", headings, rows)
 
 
-def _protocols(run: Run) -> list[Table]:
+def _protocols(results: Results) -> list[Table]:
     return [
         Table(
             f"protocol-{name}",
@@ -50,7 +50,7 @@ def _protocols(run: Run) -> list[Table]:
             _two("parameter", "value"),
             [[Cell(key), Cell(without_folders(str(value)))] for key, value in content["parameters"].items()],
         )
-        for name, content in run.protocols.items()
+        for name, content in results.protocols.items()
     ]
 
 

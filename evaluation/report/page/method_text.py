@@ -56,7 +56,7 @@ def missing_value_texts(results: Results) -> list[str]:
         ("The TSDF surface", "tsdf_accuracy_cm")
     ]
     reasons: dict[str, list[str]] = {}
-    for name in results.runs[0].protocols:
+    for name in results.protocols:
         own = name == results.runs[0].job.conditions.protocol.name
         for header, metric in columns:
             key = metric if own else f"{name}/{metric}"
@@ -66,15 +66,14 @@ def missing_value_texts(results: Results) -> list[str]:
                 continue
             where = "is left out" if key not in shown else f"is missing in {len(found)} of {len(results.runs)} runs"
             reasons.setdefault(f"{header} {where}: {reason}.", []).append(name)
-    several = len(results.runs[0].protocols) > 1
+    several = len(results.protocols) > 1
     named = {text: f"Protocol{'s' * (len(names) > 1)} {' and '.join(names)}: " for text, names in reasons.items()}
     return [f"{protocols if several else ''}{text}" for text, protocols in named.items()]
 
 
 def protocol_texts(results: Results) -> list[str]:
     """Return one paragraph per protocol of the runs, which describes how it measures."""
-    further = results.runs[0].protocols
-    return [protocol_text(results), *(text for name, text in _FURTHER.items() if name in further)]
+    return [protocol_text(results), *(text for name, text in _FURTHER.items() if name in results.protocols)]
 
 
 def protocol_text(results: Results) -> str:
@@ -121,13 +120,14 @@ def statistics_text() -> list[str]:
 
 
 def machine_text(results: Results) -> str:
-    """Return sentences on the preset, sensor, processor and versions of the first run."""
+    """Return sentences on the preset and sensor, and on the processor and versions of the first run."""
     run = results.runs[0]
-    sensor = run.config["configuration"]["sensor"]
+    sizes = results.each(lambda config: f"{config['sensor']['width']} x {config['sensor']['height']}")
+    noises = results.each(lambda config: config["sensor"]["depth_noise"])
     hardware, versions = run.timing["hardware"], run.config["versions"]
     return (
-        f"Preset `{run.job.conditions.preset}`, sensor {sensor['width']} x {sensor['height']} pixels, depth noise "
-        f"{sensor['depth_noise']}. {hardware['processor']}, {hardware['cores']} cores; activestructure-gym "
+        f"Preset `{run.job.conditions.preset}`, sensor {sizes} pixels, depth noise "
+        f"{noises}. {hardware['processor']}, {hardware['cores']} cores; activestructure-gym "
         f"{versions['activestructure-gym']}, Python {versions['python']}, numpy {versions['numpy']}, numba "
         f"{versions['numba']}, embreex {versions['embreex']}."
     )
@@ -142,7 +142,8 @@ def native_setup_text(results: Results) -> list[str]:
         played = dict.fromkeys(
             _settings_text(run.config["configuration"]) for run in results.runs if run.policy == name
         )
-        texts.append(f"`{name}` {', and in other runs '.join(played)}{_budget_text(name)}")
+        (policy, *_) = (run.job.policy for run in results.runs if run.policy == name)
+        texts.append(f"`{name}` {', and in other runs '.join(played)}{_budget_text(policy)}")
     return [
         "Native setup: each policy uses its own candidate views and settings, with the frame budget of this "
         f"comparison. Brackets give the budget of its paper. {'; '.join(texts)}."
@@ -161,12 +162,11 @@ def _settings_text(config: Mapping[str, Any]) -> str:
     )
 
 
-def _budget_text(name: str) -> str:
+def _budget_text(policy: Spec) -> str:
     """Return the budget that the paper of a built-in policy uses, in brackets; empty if unknown."""
     from activestructure_gym.policies import POLICIES
 
-    plain = Spec(name).name
-    noted = POLICIES.get(plain).native_settings.budget if plain in POLICIES else ""
+    noted = POLICIES.get(policy.name).native_settings.budget if policy.name in POLICIES else ""
     return f" ({noted})" if noted else ""
 
 

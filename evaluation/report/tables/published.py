@@ -227,7 +227,7 @@ def averages_table(published: Published, results: Results) -> Table:
     caption = (
         f"Published: averages of the paper's Table {published.number}, 2000 frames per scene, C.R. at 5 cm, images "
         f"of the novel views of ActiveGAMER; \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
-        f"Here: {_conditions(results.runs[0], aspect)}; means over scenes "
+        f"Here: {_conditions(results, aspect)}; means over scenes "
         "of means over runs, with 95 % stratified bootstrap intervals if every scene has several runs"
     )
     if other:
@@ -276,7 +276,7 @@ def scenes_table(published: Published, results: Results) -> Table:
     headings += [Heading(text) for text in (*titles, "Avg.")]
     caption = f"\u201c{MISSING}\u201d: not completed (published), no run (here)"
     caption += (
-        f". Here: {_conditions(results.runs[0], aspect)}. {_by_name(published.dataset)}"
+        f". Here: {_conditions(results, aspect)}. {_by_name(published.dataset)}"
         if own
         else ". No run here is on one of these scenes"
     )
@@ -352,9 +352,8 @@ def _mean(runs: Sequence[Run], column: Column) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def _conditions(run: Run, aspect: Aspect) -> str:
-    """Return the frame budget, the image size and the protocol of a run as text."""
-    configuration = run.config["configuration"]
-    sensor = configuration["sensor"]
-    size = f"{sensor['width']} x {sensor['height']} pixels"
-    return f"{configuration['frame_budget']} frames of {size}, protocol {aspect.title}"
+def _conditions(results: Results, aspect: Aspect) -> str:
+    """Return the frame budget, the image size and the protocol of the runs as text."""
+    sizes = results.each(lambda config: f"{config['sensor']['width']} x {config['sensor']['height']}")
+    budgets = results.each(lambda config: str(config["frame_budget"]))
+    return f"{budgets} frames of {sizes} pixels, protocol {aspect.title}"

@@ -37,7 +37,8 @@ class Row:
     view
         Values of `CANDIDATE_COLUMNS` by name: position and path length in metres, view direction, frames, revisit.
     features, terms
-        Features of the policy, and terms of the score as in `Scored`, by name; without terms empty.
+        Features of the policy, and terms of the score as in `Scored`, by name. Terms without effect in all rows of the
+        decision (0, or a factor of 1) are left out.
     """
 
     row: int
@@ -69,15 +70,14 @@ class DecisionLog:
         self._scored.append(scored is not None)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the file. A term that a decision lacks is 0, or 1 if it is a factor."""
+        """Return the arrays of the file. A term that a decision lacks is 0, or 1 if it is a factor (`_neutral`)."""
         counts = [len(rows) for rows, *_ in self._decisions]
         names = list(dict.fromkeys(name for terms in self._terms for name in terms))
         rows, scores, views, features = zip(*self._decisions) if self._decisions else ((), (), (), ())
         none = np.zeros(0), np.zeros((0, len(CANDIDATE_COLUMNS))), np.zeros((0, 0))
         columns = {
             f"{_TERM}{name}": [
-                terms.get(name, np.full(count, float(name.startswith(FACTOR))))
-                for terms, count in zip(self._terms, counts)
+                terms.get(name, np.full(count, _neutral(name))) for terms, count in zip(self._terms, counts)
             ]
             for name in names
         }
@@ -106,8 +106,8 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
     ``features`` are the names of the feature columns. Raise `Mismatch` unless the arrays agree with each other and with
     the names, and each decision has at least one row and at most `BEST`.
     """
-    terms = {name: Array("f8", ("R",)) for name in arrays if name.startswith(_TERM)}
-    sizes = check_arrays(arrays, {**_LAYOUT, **terms})
+    terms = {name.removeprefix(_TERM): name for name in arrays if name.startswith(_TERM)}
+    sizes = check_arrays(arrays, {**_LAYOUT, **dict.fromkeys(terms.values(), Array("f8", ("R",)))})
     starts, scored, explained = arrays["starts"], arrays["scored"], arrays["explained"]
     counts = np.diff(starts)
     if len(counts) != sizes["D"] or starts[0] != 0 or starts[-1] != sizes["R"]:
@@ -116,19 +116,30 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
         raise Mismatch(f"each decision must have 1 to {BEST} rows")
     if sizes["F"] != len(features) and sizes["R"]:
         raise Mismatch(f"it holds {sizes['F']} features, and config.json names {len(features)}")
-    return [
-        [
+    decisions = []
+    for decision in range(sizes["D"]):
+        first, end = starts[decision : decision + 2]
+        own = {
+            name: arrays[array]
+            for name, array in terms.items()
+            if explained[decision] and (arrays[array][first:end] != _neutral(name)).any()
+        }
+        decisions.append([
             Row(
                 row=int(arrays["rows"][at]),
                 score=float(arrays["scores"][at]) if scored[decision] else None,
                 view=_named(CANDIDATE_COLUMNS, arrays["views"][at]),
                 features=_named(features, arrays["features"][at]),
-                terms={n.removeprefix(_TERM): float(arrays[n][at]) for n in terms} if explained[decision] else {},
+                terms={name: float(values[at]) for name, values in own.items()},
             )
-            for at in range(*starts[decision : decision + 2])
-        ]
-        for decision in range(sizes["D"])
-    ]
+            for at in range(first, end)
+        ])  # fmt: skip
+    return decisions
+
+
+def _neutral(term: str) -> float:
+    """Return the value of a term that has no effect on a score."""
+    return float(term.startswith(FACTOR))
 
 
 def _named(names: Sequence[str], values: np.ndarray) -> dict[str, float]:

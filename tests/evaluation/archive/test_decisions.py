@@ -10,6 +10,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.evaluation.archive.decisions import BEST, DecisionLog, rows_by_decision
 from activestructure_gym.evaluation.archive.schema import Mismatch
+from activestructure_gym.evaluation.replay.reasons import reason
 from activestructure_gym.npz import read_npz, write_npz
 from activestructure_gym.policies import Policy, make_policy
 from activestructure_gym.policies.base import best_valid, nearest_of_best
@@ -126,12 +127,14 @@ def test_the_terms_of_two_forms_of_decisions_are_told_apart() -> None:
 
         def act(self, observation: dict[str, np.ndarray]) -> int:
             gain = self.candidates(observation)["pixel"]
-            forms = ({"pixel": gain}, {"× half": 0.5 * np.ones(len(gain))}, None)
+            forms = ({"pixel": gain}, {"× factor": gain}, None)
             self.number += 1
             return best_valid(gain, observation, forms[self.number - 1])
 
     three = rows_by_decision(logged(bound(Switching()), *[observation(0.25, 0.75)] * 3), FEATURES)
-    assert [rows[0].terms for rows in three] == [{"pixel": 0.75, "× half": 1.0}, {"pixel": 0.0, "× half": 0.5}, {}]
+    assert [rows[0].terms for rows in three] == [{"pixel": 0.75}, {"× factor": 0.75}, {}]
+    assert ["The term pixel decided" in reason("mine", rows) for rows in three] == [True, False, False]
+    assert ["The term factor decided" in reason("mine", rows) for rows in three] == [False, True, False]
 
 
 def test_a_damaged_file_is_refused() -> None:

@@ -30,7 +30,13 @@ from activestructure_gym.evaluation.running.recorded_scene import scene_as_recor
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.surroundings import refuse_without_truth, world_hash
-from activestructure_gym.evaluation.running.sweep import check_effect, checked_sweep, combinations, sweep_of
+from activestructure_gym.evaluation.running.sweep import (
+    check_effect,
+    checked_sweep,
+    combinations,
+    refuse_camera,
+    sweep_of,
+)
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.specs import Spec
@@ -74,6 +80,8 @@ class Comparison:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sweep", checked_sweep(self.sweep, self.conditions))
+        if world := next(filter(names_world, self.scenes), None):
+            refuse_camera(self.sweep, world)
         object.__setattr__(self, "scenes", [Spec(absolute_spec(Spec(spec))) for spec in self.scenes])
         object.__setattr__(self, "policies", list(map(Spec, self.policies)))
         for name in ("scenes", "policies", "seeds", "references"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,12 @@ from activestructure_gym.evaluation.archive.json_files import plain
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
     from activestructure_gym.specs import Spec
+
+# Fields of the sensor that an episode in a world does not use.
+_CAMERA = (
+    "sensor", "sensor.width", "sensor.height", "sensor.horizontal_fov_deg", "sensor.intrinsics", "sensor.supersample",
+    "sensor.backend",
+)  # fmt: skip
 
 
 def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str, tuple[Any, ...]]:
@@ -35,6 +41,12 @@ def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str,
         if len(_distinct(checked[name])) < len(values):
             raise InputError(f"the sweep of {name} has a value twice: {', '.join(map(value_text, checked[name]))}")
     return checked
+
+
+def refuse_camera(sweep: Collection[str], world: str) -> None:
+    """Raise `InputError` if a swept field describes the simulated camera: the ``world`` has a camera of its own."""
+    if found := [name for name in sweep if name in _CAMERA]:
+        raise InputError(f"{found[0]} is swept, and '{world}' has a camera of its own: sweep it in scenes only")
 
 
 def check_effect(policy: Spec, configurations: Sequence[ReconstructionConfig]) -> None:

@@ -29,7 +29,8 @@ _FURTHER = {  # texts on further protocols, by name
     ),
     "offline": (
         "Protocol `offline` ignores the map of a run. It draws the keyframes without noise at their exact poses, "
-        "trains a new map on them with equal iterations for every run, and measures this map as `standard` does."
+        "trains a new map on them with equal iterations for every run, and measures this map "
+        "with the default constants of `standard`."
     ),
 }
 

@@ -39,9 +39,10 @@ def sweep_table(results: Results) -> Table | None:
     if not results.sweep:
         return None
     lines, values = sweep_lines(results), values_of(results)
-    own = map(Column.of, own_metrics(results.runs))
+    # Without ground truth, the main metrics are own metrics of the runs as well.
+    columns = {column.key: column for column in (*MAIN, *map(Column.of, own_metrics(results.runs)), COSTS[-1])}
     rows, blocks = list[list[Cell]](), list[int]()
-    for column in measured([*MAIN, *own, COSTS[-1]], results.runs):
+    for column in measured(columns.values(), results.runs):
         by_line = []
         for line in lines.values():
             strata = [results.strata(line[at], column.key) if at in line else None for at in range(len(values))]

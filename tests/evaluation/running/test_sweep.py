@@ -89,6 +89,13 @@ def test_a_mapper_named_by_a_trajectory_is_not_swept():
         grid({"mapper.name": ("default", "splatam")}, policies=["trajectory:sweep?mapper=monogs"]).participants()
 
 
+def test_the_camera_of_a_world_is_not_swept():
+    world = "world:simulated?scene=box"
+    Comparison(["box", world], ["random"], sweep={"sensor.max_range": (5, 10)})
+    with pytest.raises(InputError, match="sensor.width is swept, and 'world:simulated.scene=box' has a camera of its"):
+        Comparison(["box", world], ["random"], sweep={SPACING: (0.06,), "sensor.width": (64, 96)})
+
+
 def test_values_may_be_numbers_of_numpy():
     swept = grid({"mapper.iterations": np.arange(3, 5), SPACING: list(np.array([0.06, 0.12]))})
     assert swept == grid({"mapper.iterations": (3, 4), SPACING: (0.06, 0.12)})

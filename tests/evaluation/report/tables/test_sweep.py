@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.protocols.metrics.without_truth import WITHOUT_TRUTH
 from activestructure_gym.evaluation.report.charts.sweep import sweep_charts
 from activestructure_gym.evaluation.report.page.table_sections import sweep_section
 from activestructure_gym.evaluation.report.results import Results, labelled
@@ -56,6 +57,14 @@ def test_the_table_has_the_field_as_x(runs):
     assert 'PSNR (dB) ↑,1,"22.50 [22.00, 23.00]","10.50 [10.00, 11.00]"' in to_csv(table)
     assert r"\label{tab:sweep}" in latex(table)
     assert table.name == "sweep" and sweep_table(Results([runs[0]], [])).rows[0][2].text != ""
+
+
+def test_runs_without_ground_truth_have_each_metric_once(make_run):
+    runs = [make_run(swept={"n": n}, known_m3=9.0, keyframe_psnr=30.0) for n in (1, 2)]
+    for run in runs:
+        run.metrics["own_metrics"] = [metric.as_dict() for metric in WITHOUT_TRUTH]
+    names = [row[0].text for row in sweep_table(Results(runs, [])).rows]
+    assert names.count("known (m³) ↑") == names.count("keyframe PSNR (dB) ↑") == 2
 
 
 def test_no_sweep_no_table(make_run):

@@ -27,7 +27,7 @@ _CAMERA = (
 
 
 def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str, tuple[Any, ...]]:
-    """Return the values of each swept field, without types of NumPy.
+    """Return the values of each swept field without types of NumPy, and 1 for 1.0, so that equal values are one job.
 
     Raise `InputError` for a field that ``conditions`` set as well, and for missing or repeated values.
     """
@@ -37,7 +37,8 @@ def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str,
             raise InputError(f"{name} is swept and also set to one value for all runs: leave one of the two out")
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or not len(values):
             raise InputError(f"the sweep of {name} is a list of values, as [1, 2], got {short_repr(values)}")
-        checked[name] = tuple(plain(list(values)))
+        whole = [int(one) if isinstance(one, float) and one.is_integer() else one for one in plain(list(values))]
+        checked[name] = tuple(whole)
         if len(_distinct(checked[name])) < len(values):
             raise InputError(f"the sweep of {name} has a value twice: {', '.join(map(value_text, checked[name]))}")
     return checked
@@ -76,9 +77,5 @@ def sweep_of(jobs: Sequence[Job]) -> dict[str, tuple[Any, ...]]:
 
 
 def _distinct(values: Sequence[Any]) -> tuple[Any, ...]:
-    """Return the values without repetitions; True and 1 are different, and 1 and 1.0 are equal."""
-    found: dict[str, Any] = {}
-    for value in values:
-        whole = isinstance(value, float) and value.is_integer()
-        found.setdefault(json.dumps(int(value) if whole else value), value)
-    return tuple(found.values())
+    """Return the values without repetitions; True and 1 are different."""
+    return tuple({json.dumps(value): value for value in values}.values())

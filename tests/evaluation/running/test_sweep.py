@@ -64,7 +64,7 @@ def test_a_swept_value_overrides_the_native_settings_of_a_policy():
         ({"sensor.width": (96, "wide")}, {}, "must be a whole number, got 'wide'"),
         ({"volume.voxel_size": (0.1, 1e-5)}, {}, "voxel_size"),
         ({SPACING: (0.06, 0.12, 0.06)}, {}, "has a value twice: 0.06, 0.12, 0.06"),
-        ({"motion.body_radius": (1, 1.0)}, {}, "has a value twice: 1, 1.0"),
+        ({"motion.body_radius": (1, 1.0)}, {}, "has a value twice: 1, 1"),
         ({SPACING: ()}, {}, "is a list of values, as [1, 2], got ()"),
         ({NOISE: "none"}, {}, "is a list of values, as [1, 2], got 'none'"),
         ({SPACING: 0.06}, {}, "is a list of values, as [1, 2], got 0.06"),
@@ -82,6 +82,11 @@ def test_wrong_sweeps_are_refused_before_a_scene_is_loaded(sweep, conditions, me
     with pytest.raises(InputError) as error:
         grid(sweep, dataclasses.replace(FAST, **conditions)).prepare()
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_equal_numbers_are_equal_jobs():
+    one, other = (grid({"mapper.seed_spacing": (value,)}).jobs(["random"], {})[0] for value in (1, 1.0))
+    assert (one.name, one.hash, one.label) == (other.name, other.hash, "random [mapper.seed_spacing=1]")
 
 
 def test_a_mapper_named_by_a_trajectory_is_not_swept():

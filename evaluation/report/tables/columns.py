@@ -222,9 +222,13 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
 
 
 def chosen_columns(keys: Sequence[str], runs: Sequence[Run]) -> Aspect:
-    """Return the columns with these keys as one aspect; raise `InputError` for an unknown key."""
-    everything = [*COLUMNS, *QUALITY, *PROGRESS, *COSTS, *map(Column.of, own_metrics(runs))]
-    everything += [column for aspect in aspects(runs) for column in aspect.columns]
+    """Return the columns with these keys as one aspect; raise `InputError` for an unknown key.
+
+    The headings of columns of the TSDF surface and of further protocols name it, as in "PSNR, offline".
+    """
+    named = [(aspect.name, column) for aspect in aspects(runs) for column in aspect.columns]
+    everything = [replace(column, header=f"{column.header}, {name}") for name, column in named if name]
+    everything += [*COLUMNS, *QUALITY, *PROGRESS, *COSTS, *map(Column.of, own_metrics(runs))]
     known = {column.key: column for column in everything}
     if unknown := [key for key in keys if key not in known]:
         raise unknown_name("column", unknown[0], known)

@@ -153,7 +153,7 @@ def overview(rows: Sequence[Row], columns: Sequence[Column], *, name: str = "ove
 
 def runs_csv(runs: Sequence[Run]) -> str:
     """Return a CSV text with one line per run: swept values, all scalar metrics, and the seconds of each stage."""
-    scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
+    scalars = list(map(_scalars, runs))
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
     swept = list(dict.fromkeys(name for run in runs for name in run.job.swept))
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
@@ -171,6 +171,17 @@ def runs_csv(runs: Sequence[Run]) -> str:
         row = [*identity, *values, run.timing["total"], *seconds]
         writer.writerow([spreadsheet_text(value) if isinstance(value, str) else value for value in row])
     return text.getvalue()
+
+
+def _scalars(run: Run) -> dict[str, Any]:
+    """Return the scalar metrics of a run by name, those of further protocols as "PROTOCOL/NAME"."""
+    own = run.job.conditions.protocol.name
+    further = {
+        f"{name}/{key}": value
+        for name, content in run.protocols.items() if name != own
+        for key, value in content["metrics"].items()
+    }  # fmt: skip
+    return {key: value for key, value in {**run.numbers, **further}.items() if not isinstance(value, list | dict)}
 
 
 def _over_runs(values: Sequence[float | None]) -> Cell:

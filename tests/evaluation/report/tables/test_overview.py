@@ -7,7 +7,7 @@ from rich.console import Console
 
 from activestructure_gym.evaluation.archive.store import read_run, write_evaluation
 from activestructure_gym.evaluation.cli.output import print_whole
-from activestructure_gym.evaluation.report.tables.columns import COLUMNS
+from activestructure_gym.evaluation.report.tables.columns import COLUMNS, chosen_columns
 from activestructure_gym.evaluation.report.tables.formats import markdown
 from activestructure_gym.evaluation.report.tables.overview import AVERAGE, overview, rich_table, runs_csv, table_rows
 from tests.evaluation.written_runs import write_run
@@ -103,6 +103,17 @@ def test_csv_has_a_column_for_every_swept_field(make_run):
     first, second = csv.DictReader(io.StringIO(runs_csv(runs)))
     assert (first["n"], first["noise"], first["psnr"], first["policy"]) == ("3", "kinect", "21.0", runs[0].policy)
     assert (second["n"], second["noise"], second["seconds"]) == ("4", "none", "10.0")
+
+
+def test_csv_and_chosen_columns_name_further_protocols(make_run):
+    runs = [make_run(psnr=20.0, tsdf_accuracy_cm=2.0), make_run(seed=1)]
+    runs[0].protocols["offline"] = {"parameters": {}, "metrics": {"psnr": 30.5, "views": [], "notes": {}}}
+    first, second = csv.DictReader(io.StringIO(runs_csv(runs)))
+    assert (first["psnr"], first["offline/psnr"], second["offline/psnr"]) == ("20.0", "30.5", "")
+    assert "offline/views" not in first and "offline/notes" not in first
+    keys = ("psnr", "offline/psnr", "accuracy_cm", "tsdf_accuracy_cm")
+    headers = [column.header for column in chosen_columns(keys, runs).columns]
+    assert headers == ["PSNR", "PSNR, offline", "Acc", "Acc, tsdf"]
 
 
 def test_csv_has_an_lpips_that_was_measured_later(tmp_path):

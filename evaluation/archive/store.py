@@ -176,8 +176,14 @@ class Run:
         """Return the best rows of every decision, the chosen one first; None if the run stores none."""
         if DECISIONS not in self.checksums and not (self.directory / DECISIONS).exists():
             return None
-        features = self.config["configuration"].get("features", ())
-        return _read(self.directory, DECISIONS, self.checksums, lambda path: rows_by_decision(read_npz(path), features))
+        features, steps = self.config["configuration"].get("features", ()), self.steps
+
+        def read(path: Path) -> list[list[Row]]:
+            rows = rows_by_decision(read_npz(path), features)
+            agreement.check_choices(rows, steps)
+            return rows
+
+        return _read(self.directory, DECISIONS, self.checksums, read)
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
@@ -227,14 +233,13 @@ def read_all(run: Run) -> None:
 
 def read_shown(run: Run) -> None:
     """Read the files that a report shows, all except the map, and check them as `read_all` does."""
-    steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
+    steps, trajectory, graph, pictures = run.steps, run.trajectory, run.graph, run.pictures
+    _ = run.protocols, run.decisions
     try:
         agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
         agreement.check_views(run.metrics, run.job.conditions.protocol, pictures)
         if graph is not None:
             agreement.check_planes(graph, steps)
-        if run.decisions is not None:
-            agreement.check_choices(run.decisions, steps)
     except schema.Mismatch as error:
         raise _damaged(run.directory / METRICS, f"it does not agree with the run's other files ({error})") from error
 

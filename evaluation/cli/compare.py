@@ -259,13 +259,14 @@ def _with_baseline(options: Compare, jobs: Sequence[Job]) -> Compare:
     from activestructure_gym.policies import canonical_policy
 
     given, known = options.baseline, list(dict.fromkeys(job.policy for job in jobs))
-    if given is None or given in known or given in (job.label for job in jobs if job.swept):
+    rows = list(dict.fromkeys(job.label for job in jobs if job.swept))
+    if given is None or given in [*known, *rows]:
         return options
     with suppress(InputError):
         called = named_trajectory(given) if Spec(given).kind == "trajectory" else canonical_policy(given)
         if called in known:
             return dataclasses.replace(options, baseline=called)
-    raise InputError(f"--baseline is one of the policies, {listed(known)}; got '{given}'")
+    raise InputError(f"--baseline is one of the policies, {listed([*known, *rows])}; got '{given}'")
 
 
 def _with_demo_defaults(options: Compare) -> Compare:

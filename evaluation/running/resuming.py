@@ -1,7 +1,7 @@
 """Resume a comparison: read its record, check its finished runs, and add further jobs.
 
-All jobs of a comparison share the conditions (preset, budget, overrides, start, protocols), the names of the swept
-fields, the content of every scene and the version of this package. Jobs can be added, never removed.
+All jobs of a comparison share the conditions (preset, budget, overrides, start, protocols), the swept fields in
+their order, the content of every scene and the version of this package. Jobs can be added, never removed.
 """
 
 from __future__ import annotations

@@ -354,6 +354,7 @@ def test_a_sweep_is_an_axis_of_the_comparison(asked, capsys):
         ("--sweep sensor.width=64,96", "sensor.width is swept and also set to one value for all runs"),
         ("--frames 9 --sweep frame_budget=20,40", "frame_budget is swept and also set to one value"),
         ("--sweep mapper.spacing=1,2", "did you mean 'seed_spacing'"),
+        ("--sweep sensor.height=54,64 --baseline no", "random, random [sensor.height=54], random [sens"),
         ("--sweep sensor.height=54,54", "the sweep of sensor.height has a value twice: 54, 54"),
     ):
         assert main(f"{words} {wrong} --dry-run".split()) == 2

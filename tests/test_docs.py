@@ -253,6 +253,7 @@ _RUNS = (
     "ladder_pixels_2000.csv",
     "benchmark_blurred.csv",
     "headline.csv",
+    "procthor.csv",
 )
 _LADDERS = tuple(name for name in _RUNS if name.startswith("ladder"))
 

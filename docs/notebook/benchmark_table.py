@@ -11,7 +11,7 @@ A ladder is the paper's ablation: variants A to E of ActiveStructure, of which e
 rung. References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of
 means over seeds, for the scenes and seeds that all policies have played. Differences are to the first of ``BASELINES``
 with runs, in pairs of the same scene and seed. Their intervals are 95 % bootstraps over the seeds within the scenes
-(`paired_difference`).
+(`paired_difference`). In the files of `POOLED` they are over the scenes.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 HEADLINE_RUNS = "headline.csv"
+POOLED = ("procthor.csv",)  # files of single runs on many scenes, which are the sample: intervals are over the scenes
 HEADLINE = {  # columns of the table of headline.csv: heading by metric
     "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
@@ -94,11 +95,15 @@ def added(place: Path, directories: Sequence[Path]) -> None:
 
 
 def read(place: Path) -> Table:
-    """Read the metrics of all runs in the CSV file ``place``."""
+    """Read the metrics of all runs in the CSV file ``place``; a file in `POOLED` has one scene and a "seed" per run."""
     table: Table = {}
-    for row in _rows(place):
+    rows = _rows(place)
+    cells: dict[tuple[str, str], Cell] = {(row["scene"], row["seed"]): (row["scene"], int(row["seed"])) for row in rows}
+    if place.name in POOLED:
+        cells = {cell: ("all", number) for number, cell in enumerate(sorted(cells))}
+    for row in rows:
         numbers = {key: float(row[key]) for key in KEPT if row.get(key)}
-        table.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = numbers
+        table.setdefault(row["policy"], {})[cells[row["scene"], row["seed"]]] = numbers
     return table
 
 

@@ -113,6 +113,6 @@ def new_graph() -> Callable[..., PlaneSceneGraph]:
     """A graph for depth of the given noise (0 = none)."""
 
     def make(noise: float = 0.0) -> PlaneSceneGraph:
-        return PlaneSceneGraph(PlaneGraphConfig(PlaneDetectionConfig(depth_noise_scale=max(noise, 0.25))))
+        return PlaneSceneGraph(PlaneGraphConfig(detection=PlaneDetectionConfig(depth_noise_scale=max(noise, 0.25))))
 
     return make

@@ -20,7 +20,6 @@ _LAYOUT = {
     "views": Array("f4", ("R", len(CANDIDATE_COLUMNS))),
     "features": Array("f4", ("R", "F")),
     "scored": Array("b1", ("D",)),
-    "explained": Array("b1", ("D",)),
 }
 
 
@@ -88,7 +87,6 @@ class DecisionLog:
             "views": np.concatenate(views or none[1:2]).astype(np.float32),
             "features": np.concatenate(features or none[2:]).astype(np.float32),
             "scored": np.array(self._scored, bool),
-            "explained": np.array([bool(terms) for terms in self._terms], bool),
             **{name: np.concatenate(parts).astype(np.float64) for name, parts in columns.items()},
         }
 
@@ -108,7 +106,7 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
     """
     terms = {name.removeprefix(_TERM): name for name in arrays if name.startswith(_TERM)}
     sizes = check_arrays(arrays, {**_LAYOUT, **dict.fromkeys(terms.values(), Array("f8", ("R",)))})
-    starts, scored, explained = arrays["starts"], arrays["scored"], arrays["explained"]
+    starts, scored = arrays["starts"], arrays["scored"]
     counts = np.diff(starts)
     if len(counts) != sizes["D"] or starts[0] != 0 or starts[-1] != sizes["R"]:
         raise Mismatch("starts does not fit the rows")
@@ -120,9 +118,7 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
     for decision in range(sizes["D"]):
         first, end = starts[decision : decision + 2]
         own = {
-            name: arrays[array]
-            for name, array in terms.items()
-            if explained[decision] and (arrays[array][first:end] != _neutral(name)).any()
+            name: arrays[array] for name, array in terms.items() if (arrays[array][first:end] != _neutral(name)).any()
         }
         decisions.append([
             Row(

@@ -215,7 +215,6 @@ def poses(**changes):
             {
                 "starts": np.array([0, 2, 4]),
                 "scored": np.ones(2, bool),
-                "explained": np.zeros(2, bool),
                 "rows": np.array([0, 1, 0, 1]),
                 "scores": np.ones(4),
                 "views": np.zeros((4, 9), np.float32),

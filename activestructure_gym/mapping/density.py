@@ -180,21 +180,15 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
         for column in range(width):
             if not depth[row, column] > 0.0:
                 continue
-            rightwards = column + 1 < width and same_surface(depth, row, column, 0, 1)
-            downwards = row + 1 < height and same_surface(depth, row, column, 1, 0)
-            whole = (
-                rightwards
-                and downwards
-                and same_surface(depth, row + 1, column, 0, 1)
-                and same_surface(depth, row, column + 1, 1, 0)
-            )
-            across, along = 1, 1
-            if rightwards:
-                across = _parts(points, depth, row, column, 0, 1, spacing[row, column])
-            if downwards:
-                along = _parts(points, depth, row, column, 1, 0, spacing[row, column])
+            across = _parts(_filled_gap(points, depth, row, column, 0, 1), spacing[row, column])
+            along = _parts(_filled_gap(points, depth, row, column, 1, 0), spacing[row, column])
             if across * along == 1:
                 continue
+            whole = (
+                min(across, along) > 1
+                and _filled_gap(points, depth, row + 1, column, 0, 1) > 0.0
+                and _filled_gap(points, depth, row, column + 1, 1, 0) > 0.0
+            )
             below, next_column = min(row + 1, height - 1), min(column + 1, width - 1)
             for i in range(along):
                 for j in range(across):
@@ -223,19 +217,27 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _parts(points, depth, row, column, down, right, spacing):  # type: ignore[no-untyped-def]
-    """Return the number of parts into which samples divide the gap between a pixel and its neighbour.
+def _filled_gap(points, depth, row, column, down, right):  # type: ignore[no-untyped-def]
+    """Return the gap in metres between a pixel and its neighbour; 0 if samples must not fill it.
 
     The pixels are (row, column) and (row + down, column + right). ``points`` [H, W, 3] are camera-frame points in
-    metres, ``depth`` [H, W] is in metres, and ``spacing`` is the wanted spacing in metres at the first pixel.
+    metres, and ``depth`` [H, W] is in metres.
     """
     gap = np.float32(0.0)
+    if not same_surface(depth, row, column, down, right):
+        return gap
     for k in range(3):
         step = points[row + down, column + right, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
     if gap > _MAX_PROVEN_GAP_M or (gap > _MAX_GAP_M and not _proven_same_surface(depth, row, column, down, right)):
-        return 1
+        return np.float32(0.0)
+    return gap
+
+
+@kernel
+def _parts(gap: float, spacing: float) -> int:
+    """Return the number of parts into which samples divide a gap; ``spacing`` is the wanted spacing, both in metres."""
     parts = max(1, min(_MAX_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
     # If parts are shorter than the spacing, every other sample is redundant. An odd number of parts would then leave
     # two redundant samples in a row.

@@ -214,6 +214,19 @@ def test_nothing_stands_between_a_far_table_and_the_floor_behind_it() -> None:
             assert (on_floor | on_top).all() and on_top.any()
 
 
+def test_a_cell_is_filled_only_if_all_four_edges_are() -> None:
+    """Pixels are 0.3 m apart. Only the lower edge of the cell at (10, 10), 0.63 m long, is not proven one surface."""
+    depth = np.full((24, 24), 30.0, np.float32)
+    depth[11:, 11:] = 30.55
+    depth[11, 12:] = 30.1
+    camera = PinholeCamera(24, 24, 100.0, 100.0, 12.0, 12.0)
+    frame = Frame(np.zeros((24, 24, 3), np.uint8), depth, np.eye(4), camera)
+    assert same_surface(depth, 11, 10, 0, 1)
+    samples = surface_samples(frame, np.full(depth.shape, 0.1, np.float32))
+    cell = samples.points[samples.pixels == 10 * 24 + 10]
+    assert len(cell) > 4 and cell[:, 2] == pytest.approx(30.0, abs=1e-4)  # on the upper and the left edge
+
+
 def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -> None:
     box = plane([2, 0, 0], [1, 0, 0], lambda p: np.abs(p[:, 1:]).max(axis=1) < 0.5)
     wall, floor = plane([4, 0, 0], [1, 0, 0]), plane([0, 0, -1.2], [0, 0, 1])

@@ -10,6 +10,7 @@ import textwrap
 import typing
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from itertools import pairwise
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -30,16 +31,20 @@ _MAX_CHARACTERS = 160  # longest argument that an error message repeats in full
 def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     """Parse the arguments ``words`` of the command ``name``, and return an object of its class ``kind``.
 
-    Raise `InputError` for bytes that are not text. Raise `SystemExit` after help is printed, with code 0, and after an
-    error message of tyro is printed, with code 2.
+    Raise `InputError` for bytes that are not text, and for an option of several values without any. Raise `SystemExit`
+    after help is printed, with code 0, and after an error message of tyro is printed, with code 2.
     """
     for word in words:
         if "\0" in word or not _encodable(word):
             raise InputError(f"{name}: {short_repr(word)} holds bytes that are no text")
     if words and words[0].replace("_", "-").startswith("--tyro-"):
         raise InputError(f"{name} has no option {short_repr(words[0])}; `asg completion` prints a script for a shell")
-    words = gathered(words, _lists(kind))
+    lists = _lists(kind)
+    words = gathered(words, lists)
     helped = any(word in ("-h", "--help") for word in words)
+    for option, value in pairwise([*words, "--"]):
+        if option in lists and (not value.strip(" ,") or _names_option(value)) and not helped:
+            raise InputError(f"{name}: {option} lacks a value; `asg {name} --help` names its values")
     try:
         with redirect_stdout(_Folded(raw(sys.stdout)) if helped else _Uncoloured()), redirect_stderr(io.StringIO()):
             return _read(kind, f"asg {name}", words)
@@ -101,11 +106,15 @@ def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
         if option in lists:
             current = groups.setdefault(option, [option])
             current += [value] if equals else []
-        elif word.startswith("--") or (word[:1] == "-" and word[1:2].isalpha()):
+        elif _names_option(word):
             current = groups[number] = [word]
         else:
             current.append(word)
     return [word for group in groups.values() for word in group]
+
+
+def _names_option(word: str) -> bool:
+    return word.startswith("--") or (word[:1] == "-" and word[1:2].isalpha())
 
 
 def _lists(kind: type) -> set[str]:

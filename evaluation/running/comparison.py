@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive import completion, json_files, store, temporary
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.conditions import Conditions
@@ -152,9 +153,10 @@ class Comparison:
 
         Every scene is loaded, and its free space, observable surface and held-out views are computed. Only the cache is
         written. The seed is the outer loop of the jobs, so that a comparison that is stopped early has runs of all
-        policies. Raise `InputError` for the first invalid input.
+        policies. Raise `InputError` for the first invalid input, and give an `InputWarning` if runs have no map.
         """
         policies = self._check_policies()
+        self._warn_without_map()
         participants = self.participants(policies)
         self.check_scene_names()
         hashes = {}
@@ -203,6 +205,16 @@ class Comparison:
         for seed in self.seeds:
             Job(Spec(""), Spec(""), seed)
         return list(dict.fromkeys(named))
+
+    def _warn_without_map(self) -> None:
+        from activestructure_gym.config import configure
+
+        if not all(configure(one.preset, one.overrides).mapper.enabled for one in self.all_conditions):
+            text = (
+                "the map is switched off (mapper.enabled=false): metrics of the map, such as PSNR and C.R., say "
+                "nothing; those of exploration are valid"
+            )
+            warnings.warn(text, InputWarning, stacklevel=4)
 
     def _check_scene(self, spec: str, policies: Sequence[Spec]) -> Scene:
         from activestructure_gym.config import configure

@@ -140,6 +140,14 @@ def test_a_list_that_is_said_twice_has_all_its_values():
     assert gathered("runs/a --set_it b -o d --set-it c".split(), ["--set-it"]) == "runs/a --set-it b c -o d".split()
 
 
+@pytest.mark.parametrize(
+    "words", [["--sweep"], ["--sweep", "--views", "4"], ["--sweep", "-n"], ["--sweep", ""], ["--sweep="]]
+)
+def test_a_list_without_a_value_is_refused(words):
+    with pytest.raises(InputError, match="compare: --sweep lacks a value"):
+        parse(find_command("compare"), "compare", words)
+
+
 def test_so_has_one_of_a_part():
     words = "splatting --workloads W1 --workloads W2,W4".split()
     assert parse(find_command("bench"), "bench", words).part.workloads == ("W1", "W2,W4")

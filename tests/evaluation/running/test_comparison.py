@@ -3,7 +3,7 @@ import itertools
 import pytest
 import trimesh
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison
@@ -80,6 +80,11 @@ def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, m
         Comparison(**grid, conditions=Conditions(**({"preset": "fast"} | shared))).prepare()
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_runs_without_a_map_are_announced(no_truth):
+    with pytest.warns(InputWarning, match="the map is switched off"):
+        Comparison(["box"], ["random"], conditions=Conditions(preset="rl")).prepare()
 
 
 @pytest.mark.parametrize("scene", ["bx", "nowhere/house.glb", "mesh:nowhere.glb", "missing.obj"])

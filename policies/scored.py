@@ -14,6 +14,11 @@ from activestructure_gym.errors import InputError
 FACTOR = "× "  # begins the name of a term that multiplies the sum of the others
 
 
+def neutral(term: str) -> float:
+    """Return the value of a term that has no effect on a score: 1 for a factor, else 0."""
+    return float(term.startswith(FACTOR))
+
+
 @dataclass(frozen=True)
 class Scored:
     """Hold one comparison of K candidates.

@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
 from activestructure_gym.evaluation.archive.schema import MAX_NUMBER, Array, Mismatch, check_arrays
-from activestructure_gym.policies.scored import FACTOR, Scored
+from activestructure_gym.policies.scored import Scored, neutral
 
 BEST = 5  # rows of a decision
 _TERM = "term:"  # begins the names of the arrays of terms
@@ -69,14 +69,14 @@ class DecisionLog:
         self._scored.append(scored is not None)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the file. A term that a decision lacks is 0, or 1 if it is a factor (`_neutral`)."""
+        """Return the arrays of the file. A term that a decision lacks is 0, or 1 if it is a factor (`neutral`)."""
         counts = [len(rows) for rows, *_ in self._decisions]
         names = list(dict.fromkeys(name for terms in self._terms for name in terms))
         rows, scores, views, features = zip(*self._decisions) if self._decisions else ((), (), (), ())
         none = np.zeros(0), np.zeros((0, len(CANDIDATE_COLUMNS))), np.zeros((0, 0))
         columns = {
             f"{_TERM}{name}": [
-                terms.get(name, np.full(count, _neutral(name))) for terms, count in zip(self._terms, counts)
+                terms.get(name, np.full(count, neutral(name))) for terms, count in zip(self._terms, counts)
             ]
             for name in names
         }
@@ -118,7 +118,7 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
     for decision in range(sizes["D"]):
         first, end = starts[decision : decision + 2]
         own = {
-            name: arrays[array] for name, array in terms.items() if (arrays[array][first:end] != _neutral(name)).any()
+            name: arrays[array] for name, array in terms.items() if (arrays[array][first:end] != neutral(name)).any()
         }
         decisions.append([
             Row(
@@ -131,11 +131,6 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
             for at in range(first, end)
         ])  # fmt: skip
     return decisions
-
-
-def _neutral(term: str) -> float:
-    """Return the value of a term that has no effect on a score."""
-    return float(term.startswith(FACTOR))
 
 
 def _named(names: Sequence[str], values: np.ndarray) -> dict[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from activestructure_gym.evaluation.archive.decisions import Row
-from activestructure_gym.policies.scored import FACTOR
+from activestructure_gym.policies.scored import FACTOR, neutral
 
 _MOST_FEATURES = 4  # features shown of each row
 _CLOSE = 1e-5  # relative difference up to which the terms reproduce a score: rounding of 32-bit features
@@ -42,7 +42,7 @@ def compared(rows: Sequence[Row]) -> list[list[str]]:
     lines = [["row", *(str(row.row) for row in pair)]]
     if pair[0].score is not None:
         lines.append(["score", *(short(row.score) for row in pair)])
-    effective = [name for name in pair[0].terms if {row.terms[name] for row in pair} != {float(name[:2] == FACTOR)}]
+    effective = [name for name in pair[0].terms if {row.terms[name] for row in pair} != {neutral(name)}]
     names = effective if pair[0].terms else _shown_features(pair)
     lines += [[name, *(short({**row.features, **row.terms}[name]) for row in pair)] for name in names]
     lines.append(["path", *(f"{row.view['path_length']:.2f} m" for row in pair)])

@@ -35,8 +35,8 @@ class Recording(Film):
     divergence
         Sentence on the first decision after which the replay differs from the stored run; empty without a difference.
     new_areas
-        For each replayed decision, the true surface in m^2 that the views of the stored rows would have shown for the
-        first time, by row; empty without ground truth.
+        For each replayed decision, the true surface in m^2 that the chosen view and the runner-up would have shown for
+        the first time, by row; empty without ground truth.
 
     The other fields are those of `activestructure_gym.viewer.Film`.
     """

@@ -45,6 +45,7 @@ from activestructure_gym.worlds import names_world
 from activestructure_gym.worlds.registry import check_world_name
 
 if TYPE_CHECKING:
+    from activestructure_gym.config import ReconstructionConfig
     from activestructure_gym.scenes import Scene
 
 
@@ -107,17 +108,23 @@ class Comparison:
     def check_machine(self) -> None:
         """Raise `InputError` if this machine cannot run the jobs. Machines of a cluster may differ."""
         from activestructure_gym.compiling import check_compiling
-        from activestructure_gym.config import configure
         from activestructure_gym.splatting.rasterizers import rasterizer
 
         check_compiling()
-        for one in self.all_conditions:
-            rasterizer(configure(one.preset, one.overrides).mapper.backend)
+        for config in self.configurations:
+            rasterizer(config.mapper.backend)
 
     @cached_property
     def all_conditions(self) -> list[Conditions]:
         """Return the conditions with each combination of swept values; without a sweep, the conditions alone."""
         return combinations(self.sweep, self.conditions)
+
+    @cached_property
+    def configurations(self) -> list[ReconstructionConfig]:
+        """Return the configuration of each of `all_conditions`, before policies replace fields of it."""
+        from activestructure_gym.config import configure
+
+        return [configure(one.preset, one.overrides) for one in self.all_conditions]
 
     def jobs(self, policies: Sequence[Spec], hashes: Mapping[Spec, str]) -> list[Job]:
         """Return all jobs: by seed, then scene, policy and swept values; ``hashes`` has the content hash by scene."""
@@ -188,8 +195,7 @@ class Comparison:
         preset, budget = self.conditions.preset, self.conditions.frame_budget
         given = {} if budget is None else {"frame_budget": budget}
         changes = [{**one.overrides, **given} for one in self.all_conditions]
-        for one in self.all_conditions:
-            configure(preset, one.overrides)  # must be valid even where policies replace them
+        _ = self.configurations  # must be valid even where policies replace fields of them
         named = []
         for spec in self.policies:
             if spec.kind == "trajectory":
@@ -217,24 +223,22 @@ class Comparison:
             warnings.warn(text, InputWarning, stacklevel=4)
 
     def _check_scene(self, spec: str, policies: Sequence[Spec]) -> Scene:
-        from activestructure_gym.config import configure
         from activestructure_gym.envs.inputs import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
         from activestructure_gym.volume.config import grid_shape
 
         scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
         known = ground_truth_of(scene)
-        configs = [configure(one.preset, one.overrides) for one in self.all_conditions]
-        for config in configs:
+        for config in self.configurations:
             grid_shape(scene.bounds, config.volume.voxel_size)
         if not len(known.free_space.start_poses) and self.conditions.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.conditions.start_pose is not None:
-            widest = max(config.motion.body_radius for config in configs)
+            widest = max(config.motion.body_radius for config in self.configurations)
             check_start_pose(known, as_pose(self.conditions.start_pose), widest)
         for policy in (policy for policy in policies if policy.kind == "trajectory"):
             given = TrajectorySpec.of(policy)
-            for every in dict.fromkeys(config.keyframe_every for config in configs):
+            for every in dict.fromkeys(config.keyframe_every for config in self.configurations):
                 given.resolve(known, every)
             if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":
                 raise InputError(

@@ -208,13 +208,13 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str, np.ndarray] | None = None) -> int:
     """Return the valid row with the highest score; the first of equal ones.
 
-    A run stores the scores of the last call in a decision if it returned the policy's choice. ``asg why`` and the
-    replay show them.
+    A run stores the scores of a decision's last call if this call returned the chosen row. ``asg why`` and the replay
+    show these scores.
 
     Parameters
     ----------
     scores
-        [K] score of every row; -inf in rows that are not compared.
+        [K] score of every row; -inf excludes a row from the comparison.
     observation
         The observation; its ``action_mask`` names the valid rows.
     terms

@@ -13,7 +13,7 @@ from activestructure_gym.views import CandidateTable
 
 
 class Offering:
-    """Offer the candidates of one decision: those of any stage, from the same revisits and the same agent.
+    """Offer the candidates of one decision for any stage; revisits and agent are the same for all stages.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Offering:
         self._revisits, self._agent = revisit_poses(episode), episode.agent
 
     def table(self, without: Collection[int]) -> CandidateTable:
-        """Return the table of the current stage, with a row for each other stage that is not in ``without``."""
+        """Return the table of the current stage, with a row that switches to each stage not in ``without``."""
         views = self._episode.config.views
         asks = [stage for stage in range(len(views.stages)) if stage not in without]
         stage = views.stages[self._episode.stage]

@@ -89,7 +89,7 @@ class VoxelVolume:
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         if sensor_range is not None and (empty := (depth <= 0) & (free_to >= np.float32(sensor_range))).any():
-            # A surface just beyond the sensor's range can be in the last voxel of the ray, which has not been seen.
+            # The last voxel of a ray is left out: it can contain an unseen surface just beyond the sensor's range.
             reach = min(max(0.0, float(sensor_range) - 3.0**0.5 * self.voxel_size), config.max_range)
             # Large images have more rays than needed: half a voxel between rays is enough.
             stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / max(reach, self.voxel_size)))
@@ -213,7 +213,7 @@ class VoxelVolume:
         return (self.state == UNKNOWN) & ~self._crossed
 
     @property
-    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: by a return through the centre, or without a return
+    def _crossed(self) -> np.ndarray:  # [X, Y, Z] bool: a ray crossed the centre, or a ray without a return the voxel
         return ((self.weight > 0) & (self.tsdf > 0)) | self.no_return
 
     @property

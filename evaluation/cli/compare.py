@@ -69,7 +69,7 @@ class GridOptions:
     sweep: Annotated[tuple[str, ...], option("FIELD=A,B [FIELD=A,B ...]", "")] = ()
     (
         "Run every policy with each of these values of a configuration field, e.g. mapper.seed_spacing=0.06,0.12; "
-        "several fields give their product."
+        "several fields give all combinations."
     )
 
 

@@ -1,4 +1,4 @@
-"""Say why a policy chose a view: compare the scores, terms and features of the best rows of a decision."""
+"""Explain why a policy chose a view, by the scores, terms and features of the best rows of a decision."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def reason(policy: str, rows: Sequence[Row]) -> str:
         return f"{policy} chose row {chosen.row} without comparing scores."
     if runner_up is None or runner_up.score is None:
         return f"{policy} compared no other row with row {chosen.row}."
-    scores = f"row {chosen.row} scores {short(chosen.score)}, row {runner_up.row} {short(runner_up.score)}"
+    scores = f"row {chosen.row} scores {short(chosen.score)}, row {runner_up.row} scores {short(runner_up.score)}"
     if chosen.score <= runner_up.score:
         return f"Equal scores: {scores}. The path or the order of the rows decided."
     leads = _leads(chosen, runner_up)
@@ -35,8 +35,8 @@ def reason(policy: str, rows: Sequence[Row]) -> str:
 def compared(rows: Sequence[Row]) -> list[list[str]]:
     """Return a table of the chosen row and of the runner-up: lines of a name and one or two values.
 
-    The lines are the row, the score, the terms or, without terms, the first features, and the path. Terms without
-    effect in both rows (0, or a factor of 1) are left out. So are equal features if there are too many.
+    The lines are row, score, terms, path and frames. Terms without effect in both rows (0, or a factor of 1) are left
+    out. Features take the place of missing terms; of many features, equal ones are left out.
     """
     pair = rows[:2]
     lines = [["row", *(str(row.row) for row in pair)]]
@@ -56,7 +56,7 @@ def short(value: Any) -> str:
 
 
 def _leads(chosen: Row, runner_up: Row) -> dict[str, float]:
-    """Return by how much each term raises the score of the chosen row, compared with the runner-up's value.
+    """Return the increase of the chosen row's score by each term, compared with the runner-up's value of the term.
 
     The result is empty if the terms do not reproduce both scores.
     """

@@ -68,7 +68,7 @@ def compare(
         Configuration, budget, start and protocols of all runs. Default: `Conditions()`.
     sweep
         Values by configuration field: every policy runs with each of them, on top of the conditions. Several fields
-        give their product. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
+        give all combinations. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
     engine
         ``"local"`` (a process per run), ``"inline"`` (this process) or ``"ray"``.
     limits

@@ -67,7 +67,7 @@ class Comparison:
         Conditions of all runs.
     sweep
         Values by configuration field: every policy runs with each of them, on top of the conditions. Several fields
-        give their product. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
+        give all combinations. Example: ``{"mapper.seed_spacing": (0.06, 0.12)}``.
     recorded
         Content hash by scene, for scenes of a comparison that is resumed.
     """

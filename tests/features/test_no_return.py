@@ -1,4 +1,4 @@
-"""Rays without a return: gains do not stay where no view finds a surface."""
+"""Gains do not remain where rays have no return and no view finds a surface."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ COMBINED = ("hgs_planner", "hgs_planner_raw")  # of `hgs_coverage` and the Fishe
 
 @pytest.fixture(scope="module")
 def seen(cast_boxes):
-    """Makes the context of a room after keyframes that all see its east side; made once for each side."""
+    """Return a function that makes, once for each side, the context after keyframes that all see the east side."""
     return functools.cache(functools.partial(context_of, cast_boxes))
 
 
@@ -94,7 +94,7 @@ def captured(caster, world_from_camera: np.ndarray, silent) -> Frame:
 
 
 def gain(name: str, context: FeatureContext, *, forget: bool = False) -> float:
-    """The sum over the views; ``forget``: as if the rays without a return had not been recorded."""
+    """Return the sum over the views; ``forget`` clears the record of rays without a return first."""
     volume = context.volume
     if forget:
         volume = copy.copy(volume)

@@ -23,7 +23,7 @@ def episode(scene: Scene, seed: int = 0, frames: int = 60, preset: str = "fast",
 
 
 def wander(reconstruction: Reconstruction, seed: int = 0) -> None:
-    """StepResult random candidates until the budget ends."""
+    """Choose random candidates until the budget ends."""
     rng = np.random.default_rng(seed)
     while not reconstruction.exhausted and len(reconstruction.candidates):
         reconstruction.move_to(int(rng.integers(len(reconstruction.candidates))))

@@ -272,7 +272,7 @@ def _chosen(templates: Mapping[str, _Template], wanted: str, where: Path) -> tup
     """
     if not templates:
         raise InputError(
-            f"'{where}' finds no stages and no scene_instances in its paths; check that the dataset is complete"
+            f"'{where}' has paths without stages and scene_instances; check that the dataset is complete"
         )
     if not wanted and len(templates) == 1:
         return next(iter(templates.items()))

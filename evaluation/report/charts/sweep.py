@@ -59,7 +59,7 @@ def _lines(results: Results, column: Column, places: np.ndarray) -> list[Line]:
 
 
 def _places(values: list[object]) -> np.ndarray:
-    """Return the positions of the values on the horizontal axis: numbers to scale, unless some would be too close."""
+    """Return the horizontal positions of the values: numbers to scale, others and close ones equally spaced."""
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
         places = np.array(values, np.float64)
         if len(places) > 1 and np.diff(places).min() >= _CLOSE * np.ptp(places):

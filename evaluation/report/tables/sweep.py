@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.statistics import estimate
 def sweep_lines(results: Results) -> dict[str, dict[int, str]]:
     """Return the policies with their values of the other swept fields, each as a line over the first swept field.
 
-    A line has, by the position of a value among those of the first field, the name of that policy in `Results`.
+    A line maps the index of a value of the first field to the name of the policy with that value in `Results`.
     """
     lines: dict[str, dict[int, str]] = {}
     if results.sweep:
@@ -56,7 +56,7 @@ def sweep_table(results: Results) -> Table | None:
     headings = [Heading("Metric", numeric=False), Heading(first, numeric=False), *map(Heading, lines)]
     caption = (
         "Means over scenes of the means over seeds, with 95 % stratified bootstrap intervals where every scene has two "
-        f"runs. Marked: the first three values of {first} in each column"
+        f"runs. Marked: the best three values of {first} in each column"
     )
     caption += f". Brackets: values of {', '.join(others)}" if others else ""
     return Table("sweep", f"Sweep of {first}", headings, rows, caption, blocks=blocks)

@@ -21,7 +21,7 @@ def test_the_term_without_whose_lead_the_choice_would_change_decided() -> None:
     """Not the term with the largest ratio: `planes` is ten times the runner-up's, and too small to matter."""
     rows = [scored(5, area=0.8, planes=0.01, times_travel=0.5), scored(8, area=0.6, planes=0.001, times_travel=0.6)]
     assert reason("mine", rows) == (
-        "Higher score: row 5 scores 0.405, row 8 0.3606. The term area decided: 0.8 against 0.6."
+        "Higher score: row 5 scores 0.405, row 8 scores 0.3606. The term area decided: 0.8 against 0.6."
     )
 
 
@@ -32,13 +32,13 @@ def test_no_term_decides_if_the_choice_stays_without_each() -> None:
 
 def test_terms_that_do_not_make_up_the_score_decide_nothing() -> None:
     rows = [row(5, 0.9, {"area": 0.8}), row(8, 0.7, {"area": 0.6})]
-    assert reason("mine", rows) == "Higher score: row 5 scores 0.9, row 8 0.7."
+    assert reason("mine", rows) == "Higher score: row 5 scores 0.9, row 8 scores 0.7."
 
 
 def test_scores_without_terms_equal_scores_and_no_scores() -> None:
-    assert reason("mine", [row(5, -0.0), row(8, -0.7)]) == "Higher score: row 5 scores 0, row 8 −0.7."
-    assert reason("mine", [row(5, 0.9), row(8, -0.7)]) == "Higher score: row 5 scores 0.9, row 8 −0.7."
-    assert reason("mine", [row(5, 0.9), row(8, 0.9)]).startswith("Equal scores: row 5 scores 0.9, row 8 0.9.")
+    assert reason("mine", [row(5, -0.0), row(8, -0.7)]) == "Higher score: row 5 scores 0, row 8 scores −0.7."
+    assert reason("mine", [row(5, 0.9), row(8, -0.7)]) == "Higher score: row 5 scores 0.9, row 8 scores −0.7."
+    assert reason("mine", [row(5, 0.9), row(8, 0.9)]).startswith("Equal scores: row 5 scores 0.9, row 8 scores 0.9.")
     assert reason("mine", [row(5, 0.9)]) == "mine compared no other row with row 5."
     assert reason("random", [row(5, None)]) == "random chose row 5 without comparing scores."
 

@@ -197,7 +197,7 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
     "file, change, wanted",
     [
         ("small.scene_dataset_config.json", {"stages": [], "scene_instances": {}}, "'stages' of .* must be a table"),
-        ("small.scene_dataset_config.json", {"stages": {}, "scene_instances": {}}, "finds no stages"),
+        ("small.scene_dataset_config.json", {"stages": {}, "scene_instances": {}}, "without stages"),
         ("small.scene_dataset_config.json", {"objects": {}}, "unknown template among the objects"),
         ("stages/room.stage_config.json", {"render_asset": "../../../etc/passwd"}, "not in the dataset"),
         ("stages/room.stage_config.json", {"render_asset": None}, "names no render_asset"),

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.mapping.density import (
@@ -24,76 +21,14 @@ from activestructure_gym.mapping.density import (
 )
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.map_passes import CHUNK
+from tests.mapping.surfaces import FORWARD, SPACING, dense, farthest, mapped, picture, plane
 
-CAMERA = PinholeCamera.from_size(80, 45)  # f = 40: pixels of a wall at 4 m are 10 cm apart
-SPACING = 0.045
-FORWARD = np.array([1.0, 0.0, 0.0])
 NOBODY = np.empty((14, 0), np.float32)
-
-Paint = Callable[[np.ndarray], np.ndarray]  # points [n, 3] -> [n] bool, black instead of grey
-
-
-def plane(point: Any, normal: Any, holds: Callable[[np.ndarray], np.ndarray] | None = None) -> Any:
-    """A surface of a scene: depth along rays, where ``holds`` says of the points that it is there."""
-    point, normal = np.array(point, float), np.array(normal, float)
-
-    def cast(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:  # [n, 3], of z = 1 in the camera's frame -> [n]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = ((point - eye) @ normal) / (rays @ normal)
-            there = depth > 0
-            if holds is not None:
-                there &= holds(eye + depth[:, None] * rays)
-        return np.where(there, depth, np.inf)
-
-    return cast
-
-
-def picture(
-    surfaces: list, eye: Any = (0.0, 0.0, 0.0), direction: Any = FORWARD, paint: Paint | None = None,
-    camera: PinholeCamera = CAMERA,
-) -> Frame:  # fmt: skip
-    """What a camera sees of some surfaces: grey, and black where ``paint`` says so."""
-    pose = look_along(np.array(eye, float), np.array(direction, float))
-    rays = camera.rays().reshape(-1, 3) @ pose[:3, :3].T
-    depth = np.min([cast(pose[:3, 3], rays) for cast in surfaces], axis=0)
-    depth[~np.isfinite(depth)] = 0.0
-    shape = (camera.height, camera.width)
-    rgb = np.full((depth.size, 3), 120, np.uint8)
-    if paint is not None:
-        rgb[paint(pose[:3, 3] + depth[:, None] * rays)] = 0
-    return Frame(rgb.reshape(*shape, 3), depth.reshape(shape).astype(np.float32), pose, camera)
 
 
 def checkers(points: np.ndarray) -> np.ndarray:
     """Squares of 30 cm in y and z."""
     return (np.floor(points[:, 1] / 0.3) + np.floor(points[:, 2] / 0.3)) % 2 == 0
-
-
-def mapped(*frames: Frame, **changes: Any) -> Mapper:
-    mapper = Mapper(MapperConfig(**changes), np.random.default_rng(0))
-    for frame in frames:
-        mapper.observe(frame, iterations=0)
-    return mapper
-
-
-def dense(frame: Frame, parts: int = 8) -> np.ndarray:  # [n, 3] metres, world
-    """Points of a plane within the outermost pixel centres: depth between pixels is linear in 1 / z."""
-    camera, inverse = frame.camera, 1.0 / frame.depth.astype(float)
-    rows, columns = np.arange(0, camera.height - 1, 1 / parts), np.arange(0, camera.width - 1, 1 / parts)
-    i, j = rows.astype(int)[:, None], columns.astype(int)
-    v, u = (rows % 1)[:, None], columns % 1
-    depth = 1.0 / (
-        (1 - v) * ((1 - u) * inverse[i, j] + u * inverse[i, j + 1])
-        + v * ((1 - u) * inverse[i + 1, j] + u * inverse[i + 1, j + 1])
-    )
-    x = (columns + 0.5 - camera.cx) / camera.fx * depth
-    y = (rows[:, None] + 0.5 - camera.cy) / camera.fy * depth
-    points = np.stack([x, y, depth], axis=-1).reshape(-1, 3)
-    return points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
-
-
-def farthest(points: np.ndarray, mapper: Mapper) -> np.ndarray:  # [n] metres to the nearest mean
-    return np.asarray(cKDTree(mapper.map.means).query(points)[0])
 
 
 def normals(mapper: Mapper) -> np.ndarray:  # [n, 3]
@@ -165,66 +100,6 @@ def test_every_point_of_a_wall_has_a_mean_near(distance: float) -> None:
     """Pixels are 5 to 22 cm apart; from one look."""
     wall = picture([plane([distance, 0, 0], [1, 0, 0])])
     assert farthest(dense(wall), mapped(wall)).max() < 1.01 * SPACING
-
-
-@pytest.mark.parametrize("slope", [-0.75, -0.7, -0.6])
-def test_every_point_of_a_slanted_floor_has_a_mean_near_as_far_as_gaps_are_filled(slope: float) -> None:
-    """Rows are up to 1.3 to 14 m apart on the floor; those further apart than 2 m are not joined."""
-    floor = picture([plane([0, 0, -1.2], [0, 0, 1])], direction=[1.0, 0.0, slope])
-    points = floor.camera.backproject(floor.depth)
-    down = np.linalg.norm(np.diff(points, axis=0), axis=2)  # [44, 80]
-    cells = (np.maximum(down[:, 1:], down[:, :-1]) < 2.0) & (floor.depth > 0)[:-1, :-1] & (floor.depth > 0)[1:, 1:]
-    inside = np.repeat(np.repeat(cells, 8, axis=0), 8, axis=1).ravel()
-    mapper = mapped(floor)
-    samples = surface_samples(floor, np.full(floor.depth.shape, SPACING, np.float32))
-    pose = floor.world_from_camera
-    assert farthest(samples.points @ pose[:3, :3].T + pose[:3, 3], mapper).max() < SPACING + 1e-5
-    distance = farthest(dense(floor), mapper)
-    assert inside.mean() > 0.9 and down.max() > 1.0
-    # Where the number of parts changes from row to row, samples that are spared may be neighbours.
-    assert (distance[inside] > 1.01 * SPACING).mean() < 0.005 and distance[inside].max() < 1.5 * SPACING
-
-
-def test_a_corridor_of_12_m_is_mapped_as_far_as_the_sensor_reaches() -> None:
-    """Rows of floor and ceiling are up to 1 m apart, columns of the walls up to 0.8 m."""
-    camera = PinholeCamera.from_size(160, 90)
-    sides = [plane([0, 0, -1.3], [0, 0, 1]), plane([0, 0, 1.2], [0, 0, 1]), plane([0, -0.9, 0], [0, 1, 0])]
-    sides += [plane([0, 0.9, 0], [0, 1, 0]), plane([12, 0, 0], [1, 0, 0])]
-    frame = picture(sides, camera=camera)
-    frame.depth[frame.depth > 10.0] = 0.0
-    mapper = mapped(frame)
-    along = np.linspace(2.4, 8.9, 600)
-    for y, z in ((0.0, -1.3), (0.5, -1.3), (0.0, 1.2), (0.9, 0.0), (-0.9, 0.6)):
-        distance = farthest(np.stack([along, np.full(600, y), np.full(600, z)], axis=1), mapper)
-        assert distance.max() < 2 * SPACING
-    off = np.abs(mapper.map.means[:, 1:] - [0.0, -0.05]) - [0.9, 1.25]
-    assert np.abs(off.max(axis=1)).max() < 0.01  # on a side, not within the corridor
-
-
-def test_nothing_stands_between_a_far_table_and_the_floor_behind_it() -> None:
-    """Rows of the floor behind the edge are 0.6 to 1.4 m apart, and the step to the floor is 1.2 to 2 m."""
-    camera = PinholeCamera.from_size(160, 90)
-    floor = plane([0, 0, -1.3], [0, 0, 1])
-    for end in np.linspace(4.0, 7.0, 13):
-        for height in (-0.9, -0.6, -0.3):
-            top = plane([0, 0, height], [0, 0, 1], lambda p, end=end: (p[:, 0] > end - 2.0) & (p[:, 0] < end))
-            mapper = mapped(picture([top, floor], camera=camera))
-            means = mapper.map.means[mapper.map.means[:, 0] < 10.0]
-            on_floor, on_top = np.abs(means[:, 2] + 1.3) < 0.03, np.abs(means[:, 2] - height) < 0.03
-            assert (on_floor | on_top).all() and on_top.any()
-
-
-def test_a_cell_is_filled_only_if_all_four_edges_are() -> None:
-    """Pixels are 0.3 m apart. Only the lower edge of the cell at (10, 10), 0.63 m long, is not proven one surface."""
-    depth = np.full((24, 24), 30.0, np.float32)
-    depth[11:, 11:] = 30.55
-    depth[11, 12:] = 30.1
-    camera = PinholeCamera(24, 24, 100.0, 100.0, 12.0, 12.0)
-    frame = Frame(np.zeros((24, 24, 3), np.uint8), depth, np.eye(4), camera)
-    assert same_surface(depth, 11, 10, 0, 1)
-    samples = surface_samples(frame, np.full(depth.shape, 0.1, np.float32))
-    cell = samples.points[samples.pixels == 10 * 24 + 10]
-    assert len(cell) > 4 and cell[:, 2] == pytest.approx(30.0, abs=1e-4)  # on the upper and the left edge
 
 
 def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -> None:

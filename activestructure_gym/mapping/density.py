@@ -25,7 +25,7 @@ _SAME_SURFACE, _OTHER_SURFACE = 0.02, 0.04
 # Tolerance with which the plane of three pixels must predict the fourth one to prove one surface alone (measured).
 _PROVEN = 0.01
 # Metres. Gaps between neighbouring pixels up to the first length are filled where `same_surface` holds. Up to the
-# second length, as on a far floor, they are filled where `_proven_same_surface` holds. Larger gaps are not filled.
+# second length, as on a far floor, they are filled where `proven_same_surface` holds. Larger gaps are not filled.
 _MAX_GAP_M, _MAX_PROVEN_GAP_M = 0.5, 2.0
 _MAX_PARTS = 32  # parts per gap between two pixels, which limits the samples per pixel to about 1000
 _LEVELS = 255.0  # largest value of a uint8 colour
@@ -105,7 +105,7 @@ def same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int
 
 
 @kernel
-def _proven_same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
+def proven_same_surface(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
     """Return whether pixel (row, column) and its neighbour (row + down, column + right) are on one surface for sure.
 
     As in `same_surface`, each pixel and the next one outwards predict the depth of the other pixel. Either both
@@ -230,7 +230,7 @@ def _filled_gap(points, depth, row, column, down, right):  # type: ignore[no-unt
         step = points[row + down, column + right, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
-    if gap > _MAX_PROVEN_GAP_M or (gap > _MAX_GAP_M and not _proven_same_surface(depth, row, column, down, right)):
+    if gap > _MAX_PROVEN_GAP_M or (gap > _MAX_GAP_M and not proven_same_surface(depth, row, column, down, right)):
         return np.float32(0.0)
     return gap
 

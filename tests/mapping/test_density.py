@@ -14,6 +14,7 @@ from activestructure_gym.mapping.density import (
     COVERED,
     REDUNDANT,
     SEED,
+    proven_same_surface,
     same_surface,
     states_of_samples,
     surface_samples,
@@ -90,6 +91,29 @@ def fine(frame: Frame) -> np.ndarray:  # [H, W] bool
 def test_a_plane_joins_two_pixels_unless_the_other_side_shows_one_that_does_not(depths, expected, turned) -> None:
     column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
     assert same_surface(column, 2, 0, 1, 0) == same_surface(np.ascontiguousarray(column.T), 0, 2, 0, 1) == expected
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(
+    "depths, expected",
+    [
+        ((1 / 0.2, 1 / 0.25, 1 / 0.3, 1 / 0.35, 1 / 0.4, 1 / 0.45), True),
+        ((9.0, 1 / 0.25, 1 / 0.3, 1 / 0.35, 1 / 0.4, 9.0), True),  # both planes agree, though each has two pixels
+        ((5.0, 4.0, 1 / 0.3, 2.86, 1.9, 1.9), True),  # one plane of three pixels agrees within 1 %
+        ((5.0, 4.0, 1 / 0.3, 2.82, 1.9, 1.9), False),  # it agrees within 2 % only
+        ((9.0, 4.0, 1 / 0.3, 2.86, 1.9, 1.9), False),  # two pixels are no proof
+    ],
+)
+def test_one_surface_is_proven_by_two_planes_or_by_three_pixels(depths, expected, turned) -> None:
+    column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
+    assert same_surface(column, 2, 0, 1, 0)
+    row = np.ascontiguousarray(column.T)
+    assert proven_same_surface(column, 2, 0, 1, 0) == proven_same_surface(row, 0, 2, 0, 1) == expected
+    # Twice as far, the two pixels are 0.95 m apart, and the gap is filled only if the proof holds.
+    depth = np.repeat(2 * column, 6, axis=1)
+    frame = Frame(np.zeros((6, 6, 3), np.uint8), depth, np.eye(4), PinholeCamera.from_size(6, 6, 10.0))
+    between = surface_samples(frame, np.full(depth.shape, 0.2, np.float32)).pixels[depth.size :]
+    assert (between // 6 == 2).any() == expected
 
 
 # Coverage

@@ -217,8 +217,8 @@ class Comparison:
 
         if not all(configure(one.preset, one.overrides).mapper.enabled for one in self.all_conditions):
             text = (
-                "the map is switched off (mapper.enabled=false): metrics of the map, such as PSNR and C.R., say "
-                "nothing; those of exploration are valid"
+                "the map is switched off (mapper.enabled=false): metrics of the map, such as PSNR and C.R., "
+                "have no meaning; those of exploration are valid"
             )
             warnings.warn(text, InputWarning, stacklevel=4)
 

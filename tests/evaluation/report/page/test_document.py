@@ -292,6 +292,8 @@ def test_it_fits_a_telephone(path, browser):
     browser.size(320, 640)
     try:
         browser.open(path)
+        label = "+1.2 to hole_area [mapper.seed_spacing_of_surfaces=0.06]"  # a label of a sweep has a long word
+        browser.ask(f"document.querySelectorAll('.card > span').forEach((one) => {{ one.textContent = '{label}'; }})")
         browser.ask(
             """(async () => { const folded = () => document.querySelectorAll('details:not([open])');
             while (folded().length) { folded().forEach((one) => { one.open = true; });
@@ -302,6 +304,7 @@ def test_it_fits_a_telephone(path, browser):
         )
         assert browser.ask("document.querySelectorAll('.trace tbody').length") == 8
         assert browser.ask("document.documentElement.scrollWidth") <= 320
+        assert browser.ask("[...document.querySelectorAll('.card')].every((one) => one.scrollWidth <= one.clientWidth)")
         cells = browser.ask(
             "[...document.querySelectorAll('tbody td, tbody th, figure:not(.trace figure) th')].map((cell) => "
             "[cell.textContent, cell.rowSpan, cell.getBoundingClientRect().width, cell.getBoundingClientRect().height])"

@@ -156,7 +156,7 @@ class Explorer:
         return self._env.reconstruction
 
     def observe(self, rgb: Any, depth: Any, pose: Any) -> None:
-        """Add the picture that the last `next_view` asked for; the first picture is that of the start.
+        """Add the picture that the last `next_view` asked for; the first picture is taken at the start.
 
         Parameters
         ----------

@@ -203,7 +203,7 @@ def observation_space(
 ) -> spaces.Dict:
     """Return the observation space: a flat Dict of fixed-size arrays, as stable-baselines3 requires.
 
-    It has the entries ``chosen``, by default all. Raises `InputError` for an unknown entry, for none, and if one
+    It has the entries ``chosen``, by default all. Raises `InputError` for an unknown entry, an empty list, and if one
     observation would take more than `MAX_BYTES`.
     """
     keys = observation_keys(config, max_planes)

@@ -58,7 +58,7 @@ class DecisionLog:
     def add(self, observation: Mapping[str, np.ndarray], choice: int, comparisons: Sequence[Scored]) -> None:
         """Add a decision: the chosen row, then up to four others by descending score.
 
-        Only the last of the policy's ``comparisons`` counts, and only if its result is the ``choice``.
+        Only the last of the policy's ``comparisons`` is stored, and only if its best row is the ``choice``.
         """
         scored = comparisons[-1] if comparisons and comparisons[-1].row == choice else None
         rows = np.array([choice], np.int64) if scored is None else best_rows(scored)

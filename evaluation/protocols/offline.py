@@ -65,7 +65,7 @@ class OfflineProtocol(StandardProtocol):
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
         """Return all metrics of the map that is trained on the keyframes of the ``path``; ``gaussians`` is not used.
 
-        The metrics are those of `StandardProtocol`, ``keyframes`` and ``gaussians``, the size of the new map. Raise
+        The metrics are those of `StandardProtocol`, and the numbers of ``keyframes`` and of new ``gaussians``. Raise
         `InputError` without a path or without the scene that draws the keyframes.
         """
         if path is None or truth.scene is None:

@@ -347,13 +347,10 @@ def _print_plan(
 def _announce(
     console: Console, comparison: Comparison, directory: Path, jobs: int, policies: int, *, demo: bool
 ) -> None:
-    from activestructure_gym.config import configure
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
     shared = comparison.conditions
-    budgets = [
-        one.frame_budget or configure(one.preset, one.overrides).frame_budget for one in comparison.all_conditions
-    ]
+    budgets = [shared.frame_budget or config.frame_budget for config in comparison.configurations]
     frames = " or ".join(map(str, dict.fromkeys(budgets)))
     parts = [
         pluralised(len(comparison.scenes), "scene"),

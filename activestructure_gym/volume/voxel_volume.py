@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
@@ -231,9 +233,12 @@ class VoxelVolume:
         stride: int | None = None,  # pixels from one ray to the next; None: about 40 rays per image row
         reach: float | None = None,  # metres along a ray; None: `VolumeConfig.max_range`
     ) -> PixelRays:
-        """Return the rays of every ``stride``-th pixel of K views; raise `InputError` for a wrong stride or reach."""
-        if stride is not None and stride < 1:
-            raise InputError(f"stride is a number of pixels from 1, or None, got {short_repr(stride)}")
+        """Return the rays of every ``stride``-th pixel of K views; raise `InputError` for a wrong argument."""
+        shape = np.shape(world_from_camera)
+        if len(shape) not in (2, 3) or shape[-2:] != (4, 4):
+            raise InputError(f"world_from_camera is one pose, [4, 4], or several, [K, 4, 4], got the shape {shape}")
+        if stride is not None and not (isinstance(stride, Integral) and stride >= 1):
+            raise InputError(f"stride is a whole number of pixels from 1, or None, got {short_repr(stride)}")
         if reach is not None and not 0.0 < reach < np.inf:  # a ray outside the grid would never end
             raise InputError(f"reach is a finite number of metres above 0, or None, got {short_repr(reach)}")
         poses, rays = rays_of_pixels(camera, world_from_camera, stride)

@@ -84,12 +84,27 @@ def test_no_view_and_a_view_from_outside() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"reach": np.inf}, {"reach": np.nan}, {"reach": -1.0}, {"reach": 0}, {"stride": 0}, {"stride": -2}]
+    "options",
+    [
+        {"reach": np.inf},
+        {"reach": np.nan},
+        {"reach": -1.0},
+        {"reach": 0},
+        {"stride": 0},
+        {"stride": -2},
+        {"stride": 1.5},
+    ],
 )
 def test_a_reach_without_end_and_a_stride_below_one_are_refused(options: dict[str, float]) -> None:
     name, value = next(iter(options.items()))
     with pytest.raises(InputError, match=f"^{name} is .*, or None, got {value}$"):
         ahead(VoxelVolume(BOUNDS), **options)
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (3, 4), (2, 3, 4), (16,), (1, 1, 4, 4)])
+def test_poses_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="world_from_camera is one pose"):
+        VoxelVolume(BOUNDS).rays(CAMERA, np.zeros(shape))
 
 
 @pytest.mark.parametrize(

@@ -271,9 +271,7 @@ def _chosen(templates: Mapping[str, _Template], wanted: str, where: Path) -> tup
     Raises `InputError` if there is no such template or more than one; ``where`` is the dataset's configuration.
     """
     if not templates:
-        raise InputError(
-            f"'{where}' has paths without stages and scene_instances; check that the dataset is complete"
-        )
+        raise InputError(f"'{where}' has paths without stages and scene_instances; check that the dataset is complete")
     if not wanted and len(templates) == 1:
         return next(iter(templates.items()))
     found = _called(templates, wanted) or _containing(templates, wanted)

@@ -8,8 +8,8 @@ import torch
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import gsplat_backend
 from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
-from activestructure_gym.splatting.gsplat_backend import gsplat_max_alpha, gsplat_status, rasterize_gsplat
 from activestructure_gym.splatting.packing import parameter_rows
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, blend_reference, camera_centre
 from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
@@ -253,23 +253,23 @@ def _reference_of_one(request: _Request, pose: torch.Tensor) -> Rasterization:
 
 
 def _render_gsplat(request: _Request) -> Rasterization:
-    status = gsplat_status()
+    status = gsplat_backend.gsplat_status()
     if status != "works":
         raise InputError(f"splatting backend 'gsplat' cannot run here ({status}); use backend='cpu'.")
-    if request.means.dtype != torch.float32 or not request.means.is_cuda:
+    if request.means.dtype != torch.float32 or request.means.device.type != gsplat_backend.DEVICE:
         raise InputError(
             f"splatting backend 'gsplat' takes float32 tensors on a CUDA device, got {request.means.dtype} on "
             f"{request.means.device}; convert them or use backend='cpu'."
         )
-    if request.max_alpha != gsplat_max_alpha():
+    if request.max_alpha != gsplat_backend.MAX_ALPHA:
         raise InputError(
-            f"this gsplat has its alpha limit compiled in as {gsplat_max_alpha()}, got {request.max_alpha}; pass "
-            f"max_alpha={gsplat_max_alpha()} or use backend='cpu'."
+            f"gsplat has its alpha limit compiled in as {gsplat_backend.MAX_ALPHA}, got {request.max_alpha}; leave "
+            "max_alpha out or use backend='cpu'."
         )
     if request.median_depth:
         raise InputError("gsplat has no median depth of 3D Gaussians; use backend='cpu' or leave median_depth out.")
     pose = request.camera_from_world
-    color, depth, alpha, extra = rasterize_gsplat(
+    color, depth, alpha, extra = gsplat_backend.rasterize_gsplat(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
         pose.reshape(-1, 4, 4), request.camera, sh=request.sh, channels=request.channels,
         centre_depth=request.centre_depth, blur_variance=request.blur_variance,

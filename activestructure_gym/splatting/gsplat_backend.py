@@ -12,16 +12,9 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.reference import BLUR_VARIANCE, camera_centre, depth_slopes, project_means
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
-_ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # gsplat version that changed its alpha limit, limit before it, limit since it
-
-
-@functools.cache
-def gsplat_max_alpha() -> float:
-    """Return the upper limit of alpha that is compiled into the installed version of gsplat."""
-    version = tuple(int("".join(filter(str.isdigit, part)) or 0) for part in
-                    importlib.metadata.version("gsplat").split(".")[:2])  # fmt: skip
-    since, before, after = _ALPHA_LIMITS
-    return after if version >= since else before
+VERSION = "1.5"  # of gsplat; later versions have other cut-offs
+MAX_ALPHA = 0.999  # upper limit of alpha, compiled into gsplat
+DEVICE = "cuda"  # type of torch device on which gsplat runs
 
 
 @functools.cache
@@ -32,10 +25,12 @@ def gsplat_status() -> str:
     """
     if importlib.util.find_spec("gsplat") is None:
         return "package gsplat is missing: pip install 'activestructure-gym[gpu]'"
-    if not torch.cuda.is_available():
+    if not (installed := importlib.metadata.version("gsplat")).startswith(f"{VERSION}."):
+        return f"gsplat {installed} is installed, expected {VERSION}: pip install 'activestructure-gym[gpu]'"
+    if DEVICE == "cuda" and not torch.cuda.is_available():
         return "no CUDA device is visible to torch"
     try:
-        device = torch.device("cuda")
+        device = torch.device(DEVICE)
         color, _, _, _ = rasterize_gsplat(
             torch.tensor([[0.0, 0.0, 1.0]], device=device),
             torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device),

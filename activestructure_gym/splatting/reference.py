@@ -54,6 +54,7 @@ def blend_reference(
     max_alpha: float = 0.999,
     centre_depth: bool = False,
     blur_variance: float = BLUR_VARIANCE,  # px^2
+    min_depth: float = NEAR_PLANE,  # metres, lower limit of a Gaussian's depth at a pixel; gsplat has none (-inf)
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``) of one camera.
 
@@ -92,7 +93,7 @@ def blend_reference(
         # The transmittance only decreases, so a pixel stops exactly at the first Gaussian for which this test fails.
         counts = after.detach() > MIN_TRANSMITTANCE
         weight = alpha * before * counts
-        here = (depth + (offset * slope).sum(dim=2)).clamp_min(NEAR_PLANE)  # [p, M]
+        here = (depth + (offset * slope).sum(dim=2)).clamp_min(min_depth)  # [p, M]
         outputs.append(torch.cat([weight @ features, (weight * here).sum(dim=1, keepdim=True)], dim=1))
         alphas.append(weight.sum(dim=1))
         # At most one Gaussian per pixel.

@@ -13,9 +13,9 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.splatting import gsplat_backend
 from activestructure_gym.splatting.api import rasterize
 from activestructure_gym.splatting.cpu import LossWeights, Rendering, StepLosses, check_map, check_step
-from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
 from activestructure_gym.splatting.layout import CHUNK
 from activestructure_gym.splatting.torch_losses import Adam, mapping_loss
 
@@ -29,9 +29,9 @@ class TorchRasterizer:
     The backend ``gsplat`` computes in float32 on the first CUDA device, ``reference`` in float64 on the host.
     """
 
-    def __init__(self, backend: Literal["gsplat", "reference"], *, device: str | None = None) -> None:
+    def __init__(self, backend: Literal["gsplat", "reference"]) -> None:
         self.backend = backend
-        self.device = device or ("cuda" if backend == "gsplat" else "cpu")
+        self.device = gsplat_backend.DEVICE if backend == "gsplat" else "cpu"
         self.dtype = torch.float32 if backend == "gsplat" else torch.float64
 
     def render(
@@ -150,7 +150,7 @@ class TorchRasterizer:
         poses = self._tensor(invert_rigid(np.asarray(world_from_camera, dtype=np.float64)))
         means, quaternions, log_scales, logits, colors = rows[:3].T, rows[3:7].T, rows[7:10].T, rows[10], rows[11:].T
         if self.backend == "gsplat":
-            return rasterize_gsplat(
+            return gsplat_backend.rasterize_gsplat(
                 means.contiguous(), quaternions.contiguous(), log_scales.contiguous(), logits.contiguous(),
                 colors.contiguous(), poses, camera, channels=channels, centre_depth=centre_depth,
             )  # fmt: skip

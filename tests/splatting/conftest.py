@@ -8,12 +8,14 @@ import pytest
 import torch
 
 from activestructure_gym.geometry import PinholeCamera, se3_exp
+from activestructure_gym.splatting import backend_status
 from activestructure_gym.splatting.reference import (
     BLUR_VARIANCE,
     MIN_ALPHA,
     MIN_TRANSMITTANCE,
     project_gaussians,
 )
+from tests.splatting.gsplat_on_cpu import on_cpu
 
 
 @dataclass
@@ -135,6 +137,20 @@ def splats_of():
 @pytest.fixture
 def settled():
     return settled_pixels
+
+
+@pytest.fixture(params=["stand-ins", pytest.param("cuda", marks=pytest.mark.gpu)])
+def gsplat_device(request):
+    """Where gsplat runs: on the CPU with stand-ins for its compiled functions, or as it is on a CUDA device."""
+    pytest.importorskip("gsplat")
+    if request.param == "cuda":
+        state = backend_status()["gsplat"]
+        if state != "works":
+            pytest.skip(state)
+        yield "cuda"
+        return
+    with on_cpu():
+        yield "cpu"
 
 
 def at_both_blurs(kinds: tuple[str, ...]) -> list:

@@ -21,7 +21,7 @@ from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
 from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of, unit_rgb
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
-from activestructure_gym.splatting import LossWeights
+from activestructure_gym.splatting import LossWeights, gsplat_backend
 from activestructure_gym.splatting.api import Rasterization, rasterize
 from activestructure_gym.splatting.torch_losses import MappingLoss, mapping_loss
 
@@ -162,7 +162,7 @@ def drawn(rows: torch.Tensor, frame: Frame, config: DenseConfig) -> Rasterizatio
     """Render Gaussians ``rows`` [14, n] from the pose of a keyframe, differentiably."""
     pose = torch.from_numpy(invert_rigid(frame.world_from_camera)).to(rows)
     if config.backend == "gsplat":
-        rows, pose = rows.cuda(), pose.cuda()
+        rows, pose = rows.to(gsplat_backend.DEVICE), pose.to(gsplat_backend.DEVICE)
     return rasterize(
         rows[:3].T,
         rows[3:7].T,

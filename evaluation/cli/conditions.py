@@ -44,7 +44,8 @@ class ConditionOptions:
     samples: Annotated[int | None, option("N", "(default: 200000)")] = None
     """Measure geometry on this number of points of the true surface, observed or not."""
     protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
-    """Measure finished maps by these protocols: always by standard, by activegamer or offline as well."""
+    """Measure finished maps by these protocols: always by standard; also by
+    activegamer, activesplat, naruto, offline."""
     metrics: Annotated[Words, option("NAME [NAME ...]", "")] = None
     """Measure finished maps by these metrics as well: registered names or package.module:Name."""
     lpips_weights: PathName = None

@@ -11,7 +11,9 @@ from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
+from activestructure_gym.evaluation.protocols.activesplat import ActiveSplatProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
+from activestructure_gym.evaluation.protocols.naruto import NarutoProtocol
 from activestructure_gym.evaluation.protocols.offline import OfflineProtocol
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
 from activestructure_gym.registry import Registry, refuse_code
@@ -28,6 +30,8 @@ PROTOCOLS: Registry[type[EvaluationProtocol]] = Registry(
 )
 PROTOCOLS.register("standard")(StandardProtocol)
 PROTOCOLS.register("activegamer")(ActiveGamerProtocol)
+PROTOCOLS.register("activesplat")(ActiveSplatProtocol)
+PROTOCOLS.register("naruto")(NarutoProtocol)
 PROTOCOLS.register("offline")(OfflineProtocol)
 
 
@@ -37,7 +41,8 @@ def get_protocol(name: str) -> EvaluationProtocol:
     Parameters
     ----------
     name
-        ``"standard"``, ``"activegamer"``, ``"offline"``, another registered name, or ``"package.module:Class"``.
+        ``"standard"``, ``"activegamer"``, ``"activesplat"``, ``"naruto"``,
+        ``"offline"``, another registered name, or ``"package.module:Class"``.
 
     Returns
     -------

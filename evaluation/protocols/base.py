@@ -24,6 +24,12 @@ class CameraPath:
     start: np.ndarray  # [4, 4] world_from_camera of the first frame
     keyframes: np.ndarray  # [K, 4, 4] world_from_camera of the keyframes
     max_range: float = VIEW_RANGE  # maximum depth that the camera measures, metres
+    frames: np.ndarray | None = None  # [F, 4, 4] world_from_camera of all frames; None: the keyframes alone are known
+
+    @property
+    def all_poses(self) -> np.ndarray:  # [F, 4, 4]
+        """Return the poses of all frames, or of the keyframes if no others are known."""
+        return self.keyframes if self.frames is None else self.frames
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
@@ -35,6 +41,7 @@ class CameraPath:
             start=poses[0],
             keyframes=poses[arrays["keyframes"]],
             max_range=float(arrays.get("max_range", VIEW_RANGE)),
+            frames=poses,
         )
 
 

@@ -27,6 +27,15 @@ _FURTHER = {  # texts on further protocols, by name
         "1 cm voxels of the whole surface, observable or not, so floaters do not count. Images come from one "
         "small circle of views and are masked where the true depth is missing; PSNR is computed per channel."
     ),
+    "activesplat": (
+        "Protocol `activesplat` follows the evaluation code of ANM-S and ActiveSplat. It ignores the map: a sample of "
+        "the surface is complete if any frame saw a point within 5 cm of it, with or without a line of sight to the "
+        "sample. Samples that no place 0.8 to 2 m above the ground sees are left out."
+    ),
+    "naruto": (
+        "Protocol `naruto` follows the evaluation code of NARUTO. The surface fused from the depth of the map is "
+        "culled to what the frames see of it, and compared with the same samples as in `activesplat`."
+    ),
     "offline": (
         "Protocol `offline` ignores the map of a run. It draws the keyframes without noise at their exact poses, "
         "trains a new map on them with equal iterations for every run, and measures this map "

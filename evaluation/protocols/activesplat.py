@@ -47,9 +47,9 @@ def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTr
     """Return ``count`` samples uniform by area on the whole mesh; with ``scanned`` only those that a scanner would see.
 
     The papers use meshes that were scanned in rooms, so backs of furniture and inner faces are missing in them.
-    Modelled scenes have these faces. A scanner sees a sample if one of 400 free places does, 0.8 to 2 m above the ground
-    and at least 0.5 m from all surfaces. The samples are drawn from the content of the scene. Raise `InputError` if a
-    scene has no such place.
+    Modelled scenes have these faces. A scanner sees a sample if one of 400 free places does, 0.8 to 2 m above the
+    ground and at least 0.5 m from all surfaces. The samples are drawn from the content of the scene. Raise
+    `InputError` if a scene has no such place.
     """
     from activestructure_gym.ground_truth.observable import first_viewpoint
     from activestructure_gym.ground_truth.surface_samples import uniform_samples

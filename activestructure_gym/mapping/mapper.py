@@ -16,13 +16,11 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.density import (
-    COVERED,
+    REDUNDANT,
     SEED,
-    SurfaceSamples,
     chunks_to_skip,
     measured_depth,
     states_of_samples,
-    surface_samples,
     wanted_spacing,
 )
 from activestructure_gym.mapping.downsampling import reduced
@@ -33,6 +31,8 @@ from activestructure_gym.mapping.keyframes import draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
+from activestructure_gym.mapping.surface_links import surface_links
+from activestructure_gym.mapping.surface_samples import SurfaceSamples, samples_at, samples_between
 from activestructure_gym.splatting import LossWeights
 
 # A map with more Gaussians than the first number is sorted spatially, and again whenever it has grown by the second
@@ -132,24 +132,28 @@ class Mapper(KeyframeMapper):
         inserted, the number left out because of ``max_gaussians``, and the share of new pixels.
         """
         config, replaced = self.config, 0
+        links: np.ndarray | None = None  # of the pixels of the frame
         if config.seed_spacing is None:
             seeds, sigma, new_share = self._seeds_by_rendering(frame, unseen)
         else:
             if config.depth_noise_scale:
                 frame = replace(frame, depth=on_local_planes(frame.depth, config.depth_noise_scale))
+            links = surface_links(frame.depth)
             spacing = wanted_spacing(
                 frame,
+                links,
                 plain=config.seed_spacing,
                 pixels=config.seed_pixels,
                 contrast=config.texture_contrast,
             )
             coarse = self._coarse(frame, spacing, unseen)
-            seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+            between = samples_between(frame, links, spacing)
+            seeds, sigma, new_share = self._seeds_by_spacing(frame, between, spacing, unseen, coarse)
             leaving = np.flatnonzero(coarse)
             if len(leaving) and not self._room_for(len(sigma) - len(leaving)):
                 # Without room for the finer Gaussians, removal would leave a gap.
                 coarse[:], leaving = False, leaving[:0]
-                seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+                seeds, sigma, new_share = self._seeds_by_spacing(frame, between, spacing, unseen, coarse)
             replaced = self.map.remove(leaving)
         count = len(sigma)
         room = count if config.max_gaussians is None else max(0, config.max_gaussians - self.map.count)
@@ -158,7 +162,7 @@ class Mapper(KeyframeMapper):
             seeds, sigma = SurfaceSamples(*(array[chosen] for array in seeds)), sigma[chosen]
         if len(sigma):
             self._largest_seed = max(self._largest_seed, float(sigma.max()))
-            self.map.append(self._new_gaussians(frame, seeds, sigma))
+            self.map.append(self._new_gaussians(frame, seeds, sigma, links))
         if self.map.count > self._ordered_above:
             self.map.reorder(curve_order(np.nan_to_num(self.map.means, posinf=0.0, neginf=0.0)))
             self._ordered_above = int(_ORDERED_AGAIN * self.map.count)
@@ -203,23 +207,31 @@ class Mapper(KeyframeMapper):
         return pixel_samples(frame, rows, columns), sigma, float(np.count_nonzero(missing)) / missing.size
 
     def _seeds_by_spacing(
-        self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None, leaving: np.ndarray
+        self,
+        frame: Frame,
+        between: SurfaceSamples,
+        spacing: np.ndarray,
+        unseen: np.ndarray | None,
+        leaving: np.ndarray,
     ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n seeds, their sigmas [n] in metres, share of new pixels
         """Return seeds at the surface samples that have no mean within the wanted ``spacing`` [H, W] in metres.
 
-        ``unseen`` marks chunks of the map outside the view, and ``leaving`` [count] marks Gaussians that will be
-        removed.
+        The samples are those at pixels and those ``between`` pixels. ``unseen`` marks chunks of the map outside the
+        view, and ``leaving`` [count] marks Gaussians that will be removed.
         """
-        samples = surface_samples(frame, spacing)
         states = states_of_samples(
-            samples, spacing, self.map.parameters, self.map.count, frame, unseen=unseen, leaving=leaving
+            frame, between, spacing, self.map.parameters, self.map.count, unseen=unseen, leaving=leaving
         )
-        wanted = np.flatnonzero(states == SEED)
-        seeds = SurfaceSamples(*(array[wanted] for array in samples))
-        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != COVERED)  # samples at pixels come first
-        return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / frame.depth.size
+        wanted, size = np.flatnonzero(states == SEED), frame.depth.size
+        pixels = np.searchsorted(wanted, size)
+        parts = samples_at(frame, wanted[:pixels]), (array[wanted[pixels:] - size] for array in between)
+        seeds = SurfaceSamples(*(np.concatenate(pair) for pair in zip(*parts)))
+        new = np.count_nonzero((states[:size] == SEED) | (states[:size] == REDUNDANT))
+        return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / size
 
-    def _new_gaussians(self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray) -> np.ndarray:
+    def _new_gaussians(
+        self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray, links: np.ndarray | None
+    ) -> np.ndarray:  # [14, n] float32
         config = self.config
         if config.isotropic:
             return seed_balls(frame, seeds, sigma, opacity=config.seed_opacity)
@@ -231,6 +243,7 @@ class Mapper(KeyframeMapper):
             opacity=config.seed_opacity,
             min_cosine=config.min_incidence_cosine,
             border_sigmas=config.border_sigmas,
+            links=links,
         )
 
     def _coarse(self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None) -> np.ndarray:  # [count] bool

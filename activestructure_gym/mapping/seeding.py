@@ -12,9 +12,10 @@ import numpy as np
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
-from activestructure_gym.mapping.density import SurfaceSamples
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.surface_boundaries import nearest_boundaries
+from activestructure_gym.mapping.surface_links import surface_links
+from activestructure_gym.mapping.surface_samples import SurfaceSamples, points_at
 
 
 def missing_pixels(
@@ -67,7 +68,7 @@ def grid_pixels(
 
 
 def surface_steps(
-    points: np.ndarray,  # [H, W, 3] metres, camera frame; z = 0 means no return
+    frame: Frame,
     rows: np.ndarray,  # [n] rows of the pixels
     columns: np.ndarray,  # [n] columns of the pixels
     *,
@@ -79,9 +80,9 @@ def surface_steps(
     a depth edge it uses the side on the same surface. The result is undefined if a direction has no neighbour with a
     return, or if the surface is viewed at a grazing angle, as between two depth edges of a thin object.
     """
-    center = points[rows, columns]
-    per_column, column_found = _one_sided_difference(points, rows, columns, center, 0, 1)
-    per_row, row_found = _one_sided_difference(points, rows, columns, center, 1, 0)
+    center = points_at(frame, rows, columns)
+    per_column, column_found = _one_sided_difference(frame, rows, columns, center, 0, 1)
+    per_row, row_found = _one_sided_difference(frame, rows, columns, center, 1, 0)
     normals = _cross(per_row, per_column)
     cosine = np.einsum("ij,ij->i", normals, -center)
     least = min_cosine * np.linalg.norm(normals, axis=1) * np.linalg.norm(center, axis=1)
@@ -89,14 +90,14 @@ def surface_steps(
 
 
 def _one_sided_difference(
-    points: np.ndarray, rows: np.ndarray, columns: np.ndarray, center: np.ndarray, row_step: int, column_step: int
+    frame: Frame, rows: np.ndarray, columns: np.ndarray, center: np.ndarray, row_step: int, column_step: int
 ) -> tuple[np.ndarray, np.ndarray]:  # difference per pixel step [n, 3], found [n] bool
-    height, width = points.shape[:2]
+    height, width = frame.depth.shape
     steps, jumps = [], []
     for sign in (1, -1):
         row, column = rows + sign * row_step, columns + sign * column_step
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        neighbour = points[np.where(inside, row, rows), np.where(inside, column, columns)]
+        neighbour = points_at(frame, np.where(inside, row, rows), np.where(inside, column, columns))
         steps.append(sign * (neighbour - center))
         jumps.append(np.where(inside & (neighbour[:, 2] > 0), np.abs(neighbour[:, 2] - center[:, 2]), np.inf))
     forward = jumps[0] <= jumps[1]
@@ -108,6 +109,7 @@ def seed_disks(
     seeds: SurfaceSamples,
     sigma: np.ndarray,  # [n] metres, in-plane sigma
     *,
+    links: np.ndarray | None = None,  # [H, W] uint8 of `surface_links`; None = compute them
     thickness: float = 0.1,  # sigma along the normal / in-plane sigma
     opacity: float = 0.9,  # 0..1
     min_cosine: float = 0.05,  # least cosine between normal and line of sight of a disk
@@ -119,12 +121,12 @@ def seed_disks(
     """
     block = seed_balls(frame, seeds, sigma, opacity=opacity)
     rows, columns = np.divmod(seeds.pixels, frame.camera.width)
-    points = frame.camera.backproject(frame.depth)
-    per_column, per_row, defined = surface_steps(points, rows, columns, min_cosine=min_cosine)
+    per_column, per_row, defined = surface_steps(frame, rows, columns, min_cosine=min_cosine)
     if defined.any():
         axes = _disk_axes(per_column[defined], per_row[defined])
         if border_sigmas is not None:
-            found = nearest_boundaries(frame, seeds.pixels, border_sigmas * sigma)
+            links = surface_links(frame.depth) if links is None else links
+            found = nearest_boundaries(frame, links, seeds.pixels, border_sigmas * sigma)
             near = defined & np.isfinite(found.distance)
             directed, distance = _boundary_axes(
                 frame, seeds.pixels[near], found.direction[near], axes[near[defined], :, 2]
@@ -156,7 +158,7 @@ def seed_balls(
 
 def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> SurfaceSamples:
     """Return the surface samples at the pixels (rows [n], columns [n]) of a frame."""
-    points = frame.camera.backproject(frame.depth)[rows, columns]
+    points = points_at(frame, rows, columns)
     pixels = rows * frame.camera.width + columns
     return SurfaceSamples(
         points.astype(np.float32), pixels, frame.rgb[rows, columns].astype(np.float32) / np.float32(255)

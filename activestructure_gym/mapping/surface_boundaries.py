@@ -12,11 +12,11 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.density import same_surface
+from activestructure_gym.mapping.surface_links import BELOW, RIGHT
 
 # Share of the depth. If a neighbour is deeper than the plane of the previous pixels by more than this, the surface
 # bends away from the camera. Seen from the other side, the surface would end there. It is half the tolerance of
-# `same_surface`.
+# `surface_links`.
 _BENT = 0.01
 _MAX_REACH_PX = 64  # largest number of pixels tested in each direction
 
@@ -30,13 +30,14 @@ class Boundaries(NamedTuple):
 
 def nearest_boundaries(
     frame: Frame,
+    links: np.ndarray,  # [H, W] uint8 of `surface_links`
     pixels: np.ndarray,  # [n] int64, flat indices
     reach: np.ndarray,  # [n] metres on the surface to test
 ) -> Boundaries:
     """Return a line per pixel through the two points where the row and the column of the pixel leave its surface."""
     focal = 0.5 * (frame.camera.fx + frame.camera.fy)
     steps = np.ceil(reach * focal / np.maximum(frame.depth.ravel()[pixels], 1e-3) + 0.5)
-    ends = _boundary_offsets(frame.depth, pixels, np.minimum(steps, _MAX_REACH_PX).astype(np.int64))
+    ends = _boundary_offsets(frame.depth, links, pixels, np.minimum(steps, _MAX_REACH_PX).astype(np.int64))
     # The line through (h, 0) and (0, v) has the normal (1 / h, 1 / v), whose length is 1 / distance.
     with np.errstate(divide="ignore", invalid="ignore"):
         normal = 1.0 / ends
@@ -46,10 +47,11 @@ def nearest_boundaries(
 
 
 @kernel
-def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) -> np.ndarray:  # [n, 2] pixels
+def _boundary_offsets(depth, links, pixels, steps):  # type: ignore[no-untyped-def]
     """Return the signed distances to the nearer end of the surface, along the row and the column of each pixel.
 
-    Inf = none. ``pixels`` [n] are flat indices, and ``steps`` [n] the numbers of pixels to test in each direction.
+    The result is [n, 2] in pixels; inf = none. ``links`` are those of `surface_links`, ``pixels`` [n] flat indices, and
+    ``steps`` [n] the numbers of pixels to test in each direction.
     """
     height, width = depth.shape
     found = np.full((len(pixels), 2), np.inf)
@@ -62,8 +64,8 @@ def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) 
                     i, j = row + down, column + right
                     if not (i >= 0 and j >= 0 and i < height and j < width):
                         break
-                    on_surface = same_surface(depth, min(row, i), min(column, j), abs(down), abs(right))
-                    if _is_behind(depth, row, column, down, right, on_surface):
+                    on_surface = _linked(links, row, column, down, right)
+                    if _is_behind(depth, links, row, column, down, right):
                         if step + 0.5 < abs(found[n, axis]):
                             found[n, axis] = sign * (step + 0.5)
                         break
@@ -74,11 +76,16 @@ def _boundary_offsets(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) 
 
 
 @kernel
-def _is_behind(depth: np.ndarray, row: int, column: int, down: int, right: int, on_surface: bool) -> bool:
+def _linked(links: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
+    """Return whether pixel (row, column) is on one surface with its neighbour (row + down, column + right)."""
+    return links[min(row, row + down), min(column, column + right)] & (RIGHT if right else BELOW) != 0
+
+
+@kernel
+def _is_behind(depth: np.ndarray, links: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
     """Return whether the pixel next to (row, column) is behind the surface of that pixel, or has no return.
 
-    The next pixel is at (row + down, column + right). ``on_surface`` states whether it is on the same surface. 1 /
-    depth is linear along a plane.
+    The next pixel is at (row + down, column + right). 1 / depth is linear along a plane.
     """
     height, width = depth.shape
     there = depth[row + down, column + right]
@@ -86,7 +93,7 @@ def _is_behind(depth: np.ndarray, row: int, column: int, down: int, right: int, 
         return True
     i, j = row - down, column - right
     if i >= 0 and j >= 0 and i < height and j < width:
-        if same_surface(depth, min(row, i), min(column, j), abs(down), abs(right)):
+        if _linked(links, row, column, -down, -right):
             inverse = 2.0 / depth[row, column] - 1.0 / depth[i, j]
             return inverse > 0.0 and there * inverse > 1.0 + _BENT
-    return not on_surface and there > depth[row, column]
+    return not _linked(links, row, column, down, right) and there > depth[row, column]

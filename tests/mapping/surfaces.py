@@ -11,6 +11,8 @@ from scipy.spatial import cKDTree
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
+from activestructure_gym.mapping.surface_links import BELOW, RIGHT, surface_links
+from activestructure_gym.mapping.surface_samples import SurfaceSamples, samples_at, samples_between
 
 CAMERA = PinholeCamera.from_size(80, 45)  # f = 40: pixels of a wall at 4 m are 10 cm apart
 SPACING = 0.045
@@ -55,6 +57,18 @@ def mapped(*frames: Frame, **changes: Any) -> Mapper:
     for frame in frames:
         mapper.observe(frame, iterations=0)
     return mapper
+
+
+def linked(depth: np.ndarray, row: int, column: int, *, down: bool) -> bool:
+    """Return whether a pixel is on one surface with the pixel below, or to the right."""
+    return bool(surface_links(np.ascontiguousarray(depth))[row, column] & (BELOW if down else RIGHT))
+
+
+def all_samples(frame: Frame, spacing: np.ndarray) -> SurfaceSamples:
+    """Return the surface samples of a frame: those at its pixels, then those between pixels."""
+    at = samples_at(frame, np.flatnonzero(frame.depth > 0))
+    between = samples_between(frame, surface_links(frame.depth), spacing)
+    return SurfaceSamples(*(np.concatenate(pair) for pair in zip(at, between)))
 
 
 def dense(frame: Frame, parts: int = 8) -> np.ndarray:  # [n, 3] metres, world

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -10,19 +12,12 @@ from scipy.spatial.transform import Rotation
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
-from activestructure_gym.mapping.density import (
-    COVERED,
-    REDUNDANT,
-    SEED,
-    proven_same_surface,
-    same_surface,
-    states_of_samples,
-    surface_samples,
-    wanted_spacing,
-)
+from activestructure_gym.mapping.density import COVERED, NO_RETURN, REDUNDANT, SEED, states_of_samples, wanted_spacing
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.map_passes import CHUNK
-from tests.mapping.surfaces import FORWARD, SPACING, dense, farthest, mapped, picture, plane
+from activestructure_gym.mapping.surface_links import proven_same_surface, surface_links
+from activestructure_gym.mapping.surface_samples import samples_between
+from tests.mapping.surfaces import FORWARD, SPACING, all_samples, dense, farthest, linked, mapped, picture, plane
 
 NOBODY = np.empty((14, 0), np.float32)
 
@@ -47,7 +42,8 @@ def test_spacing_by_hand() -> None:
     rgb[2, 3, 1] = 110
     depth[4:, 6:] = 1.0
     frame = Frame(rgb, depth, np.eye(4), camera)
-    spacing = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=9.5 / 255)
+    links = surface_links(frame.depth)
+    spacing = wanted_spacing(frame, links, plain=0.9, pixels=1.0, contrast=9.5 / 255)
     expected = np.full((6, 8), 0.9, np.float32)
     expected[[2, 2, 2, 1, 3], [3, 2, 4, 3, 3]] = 0.5  # it and its four neighbours
     rim = np.zeros((6, 8), bool)
@@ -57,9 +53,9 @@ def test_spacing_by_hand() -> None:
     rim[5, 7] = True  # a surface of 2 x 2 pixels: nothing tells whether they are one plane
     expected[4:, 6:] = 0.25
     assert spacing == pytest.approx(expected) and spacing.dtype == np.float32
-    flat = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=10 / 255)
+    flat = wanted_spacing(frame, links, plain=0.9, pixels=1.0, contrast=10 / 255)
     assert flat[1:4, 2:5] == pytest.approx(np.full((3, 3), 0.9))
-    assert wanted_spacing(frame, plain=0.2, pixels=1.0, contrast=0.04) == pytest.approx(np.full((6, 8), 0.2))
+    assert wanted_spacing(frame, links, plain=0.2, pixels=1.0, contrast=0.04) == pytest.approx(np.full((6, 8), 0.2))
 
 
 def test_a_slanted_plane_has_no_edges_and_a_step_of_three_percent_has() -> None:
@@ -73,7 +69,7 @@ def test_a_slanted_plane_has_no_edges_and_a_step_of_three_percent_has() -> None:
 
 def fine(frame: Frame) -> np.ndarray:  # [H, W] bool
     """Where more is wanted than on plain surface: a thousandth of a pixel apart instead of a metre."""
-    return wanted_spacing(frame, plain=1.0, pixels=1e-3, contrast=0.04) < 0.5
+    return wanted_spacing(frame, surface_links(frame.depth), plain=1.0, pixels=1e-3, contrast=0.04) < 0.5
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -90,7 +86,7 @@ def fine(frame: Frame) -> np.ndarray:  # [H, W] bool
 )
 def test_a_plane_joins_two_pixels_unless_the_other_side_shows_one_that_does_not(depths, expected, turned) -> None:
     column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
-    assert same_surface(column, 2, 0, 1, 0) == same_surface(np.ascontiguousarray(column.T), 0, 2, 0, 1) == expected
+    assert linked(column, 2, 0, down=True) == linked(column.T, 0, 2, down=False) == expected
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -106,13 +102,13 @@ def test_a_plane_joins_two_pixels_unless_the_other_side_shows_one_that_does_not(
 )
 def test_one_surface_is_proven_by_two_planes_or_by_three_pixels(depths, expected, turned) -> None:
     column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
-    assert same_surface(column, 2, 0, 1, 0)
+    assert linked(column, 2, 0, down=True)
     row = np.ascontiguousarray(column.T)
     assert proven_same_surface(column, 2, 0, 1, 0) == proven_same_surface(row, 0, 2, 0, 1) == expected
     # Twice as far, the two pixels are 0.95 m apart, and the gap is filled only if the proof holds.
     depth = np.repeat(2 * column, 6, axis=1)
     frame = Frame(np.zeros((6, 6, 3), np.uint8), depth, np.eye(4), PinholeCamera.from_size(6, 6, 10.0))
-    between = surface_samples(frame, np.full(depth.shape, 0.2, np.float32)).pixels[depth.size :]
+    between = samples_between(frame, surface_links(depth), np.full(depth.shape, 0.2, np.float32)).pixels
     assert (between // 6 == 2).any() == expected
 
 
@@ -272,6 +268,14 @@ def _random_map(rng: np.random.Generator, frame: Frame, count: int) -> GaussianM
     return made
 
 
+def states(frame: Frame, spacing: np.ndarray, parameters: np.ndarray, count: int, **options: Any) -> np.ndarray:
+    """States of `all_samples`."""
+    between = samples_between(frame, surface_links(frame.depth), spacing)
+    found = states_of_samples(frame, between, spacing, parameters, count, **options)
+    assert np.array_equal(found[: frame.depth.size] == NO_RETURN, frame.depth.ravel() == 0)
+    return found[found != NO_RETURN]
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("fov", [120.0, 60.0])
 def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
@@ -282,11 +286,11 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
         camera,
     )  # fmt: skip
     spacing = rng.uniform(0.05, 0.3, frame.depth.shape).astype(np.float32)
-    samples = surface_samples(frame, spacing)
+    samples = all_samples(frame, spacing)
     gaussians = _random_map(rng, frame, 2 * CHUNK + 100)
     count, rows, pose = gaussians.count, gaussians.parameters, frame.world_from_camera
     leaving = rng.random(count) < 0.2
-    states = states_of_samples(samples, spacing, rows, count, frame, leaving=leaving)
+    found = states(frame, spacing, rows, count, leaving=leaving)
 
     points = samples.points.astype(float) @ pose[:3, :3].T + pose[:3, 3]
     reach = spacing.ravel()[samples.pixels].astype(float)
@@ -296,26 +300,26 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     holding = (rows[10, :count] >= 0) & ~leaving & (facing | ~(rows[9, :count] < rows[8, :count]))
     nearest = cKDTree(means[holding]).query(points)[0]
     clear = np.abs(nearest - reach) > 1e-5  # float32
-    assert np.array_equal((states == COVERED)[clear], (nearest <= reach)[clear])
-    assert min((states == state).sum() for state in (COVERED, SEED, REDUNDANT)) > 5
+    assert np.array_equal((found == COVERED)[clear], (nearest <= reach)[clear])
+    assert min((found == state).sum() for state in (COVERED, SEED, REDUNDANT)) > 5
 
-    wanted = np.flatnonzero(states == SEED)
+    wanted = np.flatnonzero(found == SEED)
     assert (np.diff(wanted) > 0).all()
     apart = np.linalg.norm(points[wanted, None] - points[None, wanted], axis=2)
     earlier = np.tri(len(wanted), k=-1, dtype=bool)  # [later, earlier]
     assert (apart > reach[wanted, None] - 1e-5)[earlier].all()
-    spared = np.flatnonzero(states == REDUNDANT)
+    spared = np.flatnonzero(found == REDUNDANT)
     near = np.linalg.norm(points[spared, None] - points[None, wanted], axis=2) <= reach[spared, None] + 1e-5
     assert (near & (wanted[None] < spared[:, None])).any(axis=1).all()
 
     # What the frame cannot show does not count; and without a map nothing is held.
     unseen = np.array([False, True, False])
-    fewer = states_of_samples(samples, spacing, rows, count, frame, leaving=leaving, unseen=unseen)
+    fewer = states(frame, spacing, rows, count, leaving=leaving, unseen=unseen)
     holding[CHUNK : 2 * CHUNK] = False
     nearest = cKDTree(means[holding]).query(points)[0]
     clear = np.abs(nearest - reach) > 1e-5
     assert np.array_equal((fewer == COVERED)[clear], (nearest <= reach)[clear])
-    assert not (states_of_samples(samples, spacing, NOBODY, 0, frame) == COVERED).any()
+    assert not (states(frame, spacing, NOBODY, 0) == COVERED).any()
 
 
 @pytest.mark.parametrize("fov", [60.0, 90.0, 120.0])
@@ -328,22 +332,21 @@ def test_a_mean_beside_the_image_holds_the_places_at_its_rim(fov: float, side: t
     ray, outwards = point / np.linalg.norm(point), point * [1, 1, 0]
     outwards -= outwards @ ray * ray
     spacing = np.full(wall.depth.shape, 0.2, np.float32)
-    samples = surface_samples(wall, spacing)
     index = int(np.ravel_multi_index(np.array(side) % wall.depth.shape, wall.depth.shape))
     for distance, held in ((0.199, True), (0.201, False)):
         block = np.zeros((14, 1), np.float32)
         mean = point + distance * outwards / np.linalg.norm(outwards)
         block[:3, 0], block[3], block[10] = wall.world_from_camera[:3] @ [*mean, 1.0], 1.0, 1.0
-        state = states_of_samples(samples, spacing, block, 1, wall)[np.flatnonzero(samples.pixels == index)[0]]
-        assert (state == COVERED) == held
+        assert (states(wall, spacing, block, 1)[index] == COVERED) == held
 
 
 def test_of_no_samples_there_are_no_states() -> None:
     wall = picture([plane([4, 0, 0], [1, 0, 0])])
     wall.depth[:] = 0.0
     spacing = np.full(wall.depth.shape, 0.1, np.float32)
-    samples = surface_samples(wall, spacing)
-    assert len(samples.pixels) == 0 and len(states_of_samples(samples, spacing, NOBODY, 0, wall)) == 0
+    samples = samples_between(wall, surface_links(wall.depth), spacing)
+    assert len(samples.pixels) == 0
+    assert (states_of_samples(wall, samples, spacing, NOBODY, 0) == NO_RETURN).all()
 
 
 def test_samples_by_hand() -> None:
@@ -351,7 +354,7 @@ def test_samples_by_hand() -> None:
     camera = PinholeCamera.from_size(8, 6)
     rgb = np.repeat(np.arange(8, dtype=np.uint8)[None, :, None] * 20, 6, axis=0).repeat(3, axis=2)
     frame = Frame(rgb, np.full((6, 8), 2.0, np.float32), np.eye(4), camera)
-    samples = surface_samples(frame, np.full((6, 8), 0.2, np.float32))
+    samples = all_samples(frame, np.full((6, 8), 0.2, np.float32))
     columns, rows = np.meshgrid(np.arange(0, 7.5, 0.5), np.arange(0, 5.5, 0.5))
     expected = np.stack([(columns - 3.5) / 2, (rows - 2.5) / 2, np.full_like(rows, 2.0)], axis=-1).reshape(-1, 3)
     assert len(samples.points) == 15 * 11
@@ -361,7 +364,7 @@ def test_samples_by_hand() -> None:
     assert samples.pixels[:48].tolist() == list(range(48))  # the pixels' own come first
     assert samples.pixels[order].tolist() == (rows.astype(int) * 8 + columns.astype(int)).ravel().tolist()
     # 40 cm allow half a metre.
-    assert len(surface_samples(frame, np.full((6, 8), 0.4, np.float32)).pixels) == 48
+    assert len(all_samples(frame, np.full((6, 8), 0.4, np.float32)).pixels) == 48
 
 
 # The bound

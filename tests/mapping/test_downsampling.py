@@ -31,6 +31,20 @@ def test_colours_are_means_and_depths_medians_of_returns() -> None:
     assert small.camera == CAMERA.resized(4, 2)
 
 
+@pytest.mark.parametrize("factor", [2, 3, 4])
+def test_blocks_are_those_of_numpy(factor: int) -> None:
+    rng = np.random.default_rng(factor)
+    camera = PinholeCamera.from_size(12 * factor, 7 * factor)
+    shape = 7, factor, 12, factor
+    rgb = rng.integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
+    depth = rng.uniform(1, 9, rgb.shape[:2]).astype(np.float32) * (rng.random(rgb.shape[:2]) < 0.6)
+    small = reduced(Frame(rgb, depth, np.eye(4), camera), factor)
+    assert np.array_equal(small.rgb, np.rint(rgb.reshape(*shape, 3).mean(axis=(1, 3), dtype=np.float32)))
+    for block, found in zip(depth.reshape(shape).transpose(0, 2, 1, 3).reshape(-1, factor**2), small.depth.ravel()):
+        returns = np.sort(block[block > 0])
+        assert found == (returns[(len(returns) - 1) // 2] if 2 * len(returns) >= len(block) else 0.0)
+
+
 def test_a_pixel_of_a_plane_lies_on_it_to_a_pixel_of_the_large_image() -> None:
     camera = PinholeCamera.from_size(64, 36)
     slope = camera.rays() @ np.array([0.3, 0.2, 1.0])

@@ -7,8 +7,7 @@ import pytest
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.density import same_surface, surface_samples
-from tests.mapping.surfaces import SPACING, dense, farthest, mapped, picture, plane
+from tests.mapping.surfaces import SPACING, all_samples, dense, farthest, linked, mapped, picture, plane
 
 
 @pytest.mark.parametrize("slope", [-0.75, -0.7, -0.6])
@@ -20,7 +19,7 @@ def test_every_point_of_a_slanted_floor_has_a_mean_near_as_far_as_gaps_are_fille
     cells = (np.maximum(down[:, 1:], down[:, :-1]) < 2.0) & (floor.depth > 0)[:-1, :-1] & (floor.depth > 0)[1:, 1:]
     inside = np.repeat(np.repeat(cells, 8, axis=0), 8, axis=1).ravel()
     mapper = mapped(floor)
-    samples = surface_samples(floor, np.full(floor.depth.shape, SPACING, np.float32))
+    samples = all_samples(floor, np.full(floor.depth.shape, SPACING, np.float32))
     pose = floor.world_from_camera
     assert farthest(samples.points @ pose[:3, :3].T + pose[:3, 3], mapper).max() < SPACING + 1e-5
     distance = farthest(dense(floor), mapper)
@@ -65,7 +64,7 @@ def test_a_cell_is_filled_only_if_all_four_edges_are() -> None:
     depth[11, 12:] = 30.1
     camera = PinholeCamera(24, 24, 100.0, 100.0, 12.0, 12.0)
     frame = Frame(np.zeros((24, 24, 3), np.uint8), depth, np.eye(4), camera)
-    assert same_surface(depth, 11, 10, 0, 1)
-    samples = surface_samples(frame, np.full(depth.shape, 0.1, np.float32))
+    assert linked(depth, 11, 10, down=False)
+    samples = all_samples(frame, np.full(depth.shape, 0.1, np.float32))
     cell = samples.points[samples.pixels == 10 * 24 + 10]
     assert len(cell) > 4 and cell[:, 2] == pytest.approx(30.0, abs=1e-4)  # on the upper and the left edge

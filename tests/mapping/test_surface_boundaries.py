@@ -10,6 +10,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.seeding import pixel_samples, seed_disks
 from activestructure_gym.mapping.surface_boundaries import nearest_boundaries
+from activestructure_gym.mapping.surface_links import surface_links
 
 CAMERA = PinholeCamera.from_size(40, 30)  # f = 20, so a pixel at 2 m is 10 cm wide
 FAR = 100.0  # metres to look
@@ -25,7 +26,7 @@ def at(row: int, column: int) -> np.ndarray:
 
 
 def border(frame: Frame, row: int, column: int, reach: float = FAR) -> tuple[float, list[float]]:
-    found = nearest_boundaries(frame, at(row, column), np.array([reach]))
+    found = nearest_boundaries(frame, surface_links(frame.depth), at(row, column), np.array([reach]))
     return float(found.distance[0]), found.direction[0].tolist()
 
 
@@ -104,7 +105,7 @@ def test_on_a_slanted_surface_the_distance_is_metric(slope: float, turn: float) 
     block = seed_disks(frame, seeds, sigma, thickness=1e-3, border_sigmas=1.0)
     axes, sigmas = axes_and_sigmas(block)
     ends = block[:3, 0] + np.outer([-sigmas[0], sigmas[0]], axes[:, 0])
-    found = nearest_boundaries(frame, seeds.pixels, sigma)
+    found = nearest_boundaries(frame, surface_links(frame.depth), seeds.pixels, sigma)
     pixels = ends[:, :2] / ends[:, 2:] * CAMERA.fx + [CAMERA.cx, CAMERA.cy] - [20.5, 15.5]
     # To first order in the step, which on a slanted surface is not all of it.
     assert np.abs(pixels @ found.direction[0]).mean() == pytest.approx(found.distance[0], rel=0.1)

@@ -64,7 +64,7 @@ USERS_INSIDE = {
     "activestructure_gym/mapping/systems/co_slam/mapper.py": {"CoSLAMMapper.persistent_map"},
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
-    "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
+    "activestructure_gym/splatting/torch_rasterizer.py": {"TorchSteps.step"},
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
     "activestructure_gym/volume/config.py": {"grid_shape"},
     "activestructure_gym/volume/rays.py": {"PixelRays.sums", "PixelRays._of_voxels"},

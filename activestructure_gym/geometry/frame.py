@@ -21,3 +21,8 @@ class Frame:
     def world_points(self) -> np.ndarray:  # [M, 3] float64
         """Return the world points in metres of all pixels with depth above 0, in row-major order of the pixels."""
         return transform_points(self.world_from_camera, self.camera.backproject(self.depth)[self.depth > 0])
+
+
+def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
+    """Return the colours of a frame as numbers in 0..1."""
+    return frame.rgb * np.float32(1.0 / 255.0)

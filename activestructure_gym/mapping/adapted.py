@@ -11,10 +11,10 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.mapping.base import BaseMapperConfig, MapperProtocol, MappingReport
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, psnr, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, psnr
 from activestructure_gym.splatting import Rendering
 
 _NAMES = ("observe", "refine", "render", "render_depth_alpha", "keyframes", "map")

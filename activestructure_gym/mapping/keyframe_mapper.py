@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.mapping.base import BaseMapperConfig, MappingReport
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
@@ -196,11 +196,6 @@ def report_of(
         ssim=float(means[2]),
         psnr=psnr,
     )
-
-
-def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
-    """Return the colours of a frame as numbers in 0..1."""
-    return frame.rgb * np.float32(1.0 / 255.0)
 
 
 def psnr(shown: np.ndarray, true: np.ndarray) -> float:  # any equal shapes, 0..1

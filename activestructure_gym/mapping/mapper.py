@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from activestructure_gym.mapping.density import (
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of
 from activestructure_gym.mapping.keyframes import draw_views
 from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
@@ -294,43 +295,38 @@ class Mapper(KeyframeMapper):
         pruned = 0
         # Chunks changed since the last pruning; at first all may have changed.
         changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)
-        parts: MapParts | None = None  # boxes that remain valid for all remaining steps
-        for step, view in enumerate(views):
-            if step in config.prune_steps:
-                pruned, parts = pruned + self._prune(changed), None
+        starts = [step for step in range(len(views)) if step == 0 or step in config.prune_steps]
+        for start, stop in pairwise([*starts, len(views)]):
+            if start in config.prune_steps:
+                pruned += self._prune(changed)
             if not self.map.count:
                 break
-            if parts is None:
-                parts = MapParts(self.map, **self._slack(len(views), refining=refining), kept=True)
-                changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
-            if config.adam_reset:
-                # Adam's bias correction is applied to learning rate and epsilon, since the kernel has none.
-                root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
-                rates = own_rates * (root / (1.0 - config.adam_beta1 ** (step + 1)))
-                epsilon = config.adam_epsilon * root
-            frame = self._store.frames[view]
-            unseen = parts.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
-            stepped = np.ones_like(changed) if unseen is None else ~unseen
-            changed |= stepped
-            self.map.touched(stepped)
-            result = self.rasterizer.mapping_step(
+            # Boxes that remain valid for all remaining steps.
+            parts = MapParts(self.map, **self._slack(len(views), refining=refining), kept=True)
+            changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
+            steps = self.rasterizer.begin(
                 self.map.parameters,
                 self.map.first_moment,
                 self.map.second_moment,
                 self.map.count,
-                frame.camera,
-                frame.world_from_camera,
-                unit_rgb(frame),
-                frame.depth,
                 weights=self._weights,
-                learning_rates=rates,
                 beta1=config.adam_beta1,
                 beta2=config.adam_beta2,
-                epsilon=epsilon,
                 isotropic=config.isotropic,
-                unseen=unseen,
             )
-            losses[step] = result.color, result.depth, result.ssim
+            for step in range(start, stop):
+                if config.adam_reset:
+                    # Adam's bias correction is applied to learning rate and epsilon, since the kernel has none.
+                    root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
+                    rates = own_rates * (root / (1.0 - config.adam_beta1 ** (step + 1)))
+                    epsilon = config.adam_epsilon * root
+                frame = self._store.frames[views[step]]
+                unseen = parts.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
+                stepped = np.ones_like(changed) if unseen is None else ~unseen
+                changed |= stepped
+                self.map.touched(stepped)
+                steps.step(frame, learning_rates=rates, epsilon=epsilon, unseen=unseen)
+            losses[start:stop] = steps.end()
         if -1 in config.prune_steps:
             pruned += self._prune(changed)
         self._after_steps()

@@ -8,11 +8,13 @@ logarithm of the standard deviations in metres, 10 opacity logit, 11-13 colour (
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.workspace import (
@@ -183,7 +185,10 @@ def mapping_step(
     shape or type, or for isotropic Gaussians with different learning rates of the log-scales.
     """
     check_map(parameters, count)
-    check_step(parameters, first_moment, second_moment, learning_rates, isotropic=isotropic)
+    check_state(parameters, first_moment, second_moment)
+    log_scale_rates = np.broadcast_to(learning_rates, PARAMETER_ROWS)[7:10]
+    if isotropic and np.ptp(log_scale_rates):
+        raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {log_scale_rates}")
     rates = np.empty(layout.RATES, np.float32)
     rates[: layout.ROWS] = learning_rates
     rates[layout.ROWS :] = beta1, beta2, epsilon, layout.TO_ADAM, isotropic
@@ -214,6 +219,36 @@ def mapping_step(
         if copy is not array:
             array[:] = copy[:, : array.shape[1]]
     return StepLosses(color, depth, ssim)
+
+
+class Steps:
+    """Take the optimiser steps of a mapping event by `mapping_step`; implements `rasterizers.Steps`."""
+
+    def __init__(
+        self,
+        parameters: np.ndarray,  # [14, capacity] float32
+        first_moment: np.ndarray,  # [14, capacity] float32
+        second_moment: np.ndarray,  # [14, capacity] float32
+        count: int,
+        **options: Any,  # weights, beta1, beta2 and isotropic of `mapping_step`
+    ) -> None:
+        self._state, self._options = (parameters, first_moment, second_moment, count), options
+        self._losses: list[tuple[float, float, float]] = []
+
+    def step(self, frame: Frame, **options: Any) -> None:
+        """Take one step on the loss of a frame; ``options`` are the others of `mapping_step`."""
+        losses = mapping_step(
+            *self._state, frame.camera, frame.world_from_camera, unit_rgb(frame), frame.depth,
+            **self._options, **options,
+        )  # fmt: skip
+        self._losses.append((losses.color, losses.depth, losses.ssim))
+
+    def end(self) -> np.ndarray:  # [steps, 3] float64
+        """Return colour loss, depth loss in metres and SSIM of each step. The arrays are already changed."""
+        return np.array(self._losses, np.float64).reshape(-1, 3)
+
+
+begin = Steps
 
 
 def pose_gradient(
@@ -259,18 +294,8 @@ def check_map(parameters: np.ndarray, count: int) -> None:
         raise ValueError(f"count must lie in 0..{parameters.shape[1]}, got {count}")
 
 
-def check_step(
-    parameters: np.ndarray,
-    first_moment: np.ndarray,
-    second_moment: np.ndarray,
-    learning_rates: np.ndarray,
-    *,
-    isotropic: bool,
-) -> None:
-    """Raise `ValueError` unless the Adam moments have the shape of the parameters and the learning rates fit them."""
+def check_state(parameters: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray) -> None:
+    """Raise `ValueError` unless the Adam moments have shape and type of the parameters."""
     for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
         if array.shape != parameters.shape or array.dtype != np.float32:
             raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
-    rates = np.broadcast_to(learning_rates, PARAMETER_ROWS)
-    if isotropic and not rates[7] == rates[8] == rates[9]:
-        raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")

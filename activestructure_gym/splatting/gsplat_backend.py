@@ -9,12 +9,21 @@ import importlib.util
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting.reference import BLUR_VARIANCE, camera_centre, depth_slopes, project_means
+from activestructure_gym.splatting.reference import (
+    BLUR_VARIANCE,
+    NEAR_PLANE,
+    camera_centre,
+    depth_slopes,
+    lens,
+    project,
+    world_axes,
+)
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
 VERSION = "1.5"  # of gsplat; later versions have other cut-offs
 MAX_ALPHA = 0.999  # upper limit of alpha, compiled into gsplat
 DEVICE = "cuda"  # type of torch device on which gsplat runs
+_TILE = 16  # pixels, gsplat's own default
 
 
 @functools.cache
@@ -74,39 +83,79 @@ def rasterize_gsplat(
         own = torch.stack([evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world])
     parts = [own] if channels is None else [own, channels.expand(cameras, -1, -1)]
     if not centre_depth:
-        parts.append(depth_planes(means, quaternions, log_scales, camera_from_world, camera))
+        parts.append(depth_planes(means, world_axes(quaternions, log_scales), camera_from_world, camera))
     features = torch.cat(parts, dim=-1)  # [C, N, F], all channels
-    intrinsics = torch.tensor(camera.matrix, dtype=torch.float32, device=means.device)
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,
-        intrinsics.expand(cameras, 3, 3).contiguous(), camera.width, camera.height,
-        near_plane=0.01, eps2d=blur_variance, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
+        _intrinsics(camera, means.device).expand(cameras, 3, 3).contiguous(), camera.width, camera.height,
+        near_plane=NEAR_PLANE, eps2d=blur_variance, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
     )  # fmt: skip
-    extra = None if channels is None else output[..., 3 : 3 + channels.shape[1]]
-    depth = output[..., -1] if centre_depth else depth_of_planes(output[..., -3:])
-    return output[..., :3], depth, alpha[..., 0], extra
+    more = 0 if channels is None else channels.shape[1]
+    color, extra, last = output.split([3, more, 1 if centre_depth else 3], dim=-1)
+    depth = last[..., 0] if centre_depth else depth_of_planes(last, camera)
+    return color, depth, alpha[..., 0], extra if more else None
 
 
-def depth_planes(
+def depth_alpha_gsplat(
     means: torch.Tensor,  # [N, 3]
     quaternions: torch.Tensor,  # [N, 4]
     log_scales: torch.Tensor,  # [N, 3]
+    opacity_logits: torch.Tensor,  # [N]
     camera_from_world: torch.Tensor,  # [C, 4, 4]
     camera: PinholeCamera,
-) -> torch.Tensor:  # [C, N, 3]
+) -> torch.Tensor:  # [2, C, H, W]
+    """Return accumulated depth in metres and alpha of C cameras, without gradients.
+
+    Only the three channels of the depth are blended, and only for the Gaussians in the view of each camera
+    (gsplat's packed form).
+    """
+    from gsplat import fully_fused_projection, isect_offset_encode, isect_tiles, rasterize_to_pixels
+
+    cameras, (width, height) = len(camera_from_world), (camera.width, camera.height)
+    opacities = torch.sigmoid(opacity_logits)
+    _, camera_ids, ids, radii, means2d, depths, conics, _ = fully_fused_projection(
+        means, None, quaternions, torch.exp(log_scales), camera_from_world,
+        _intrinsics(camera, means.device).expand(cameras, 3, 3).contiguous(), width, height,
+        eps2d=BLUR_VARIANCE, near_plane=NEAR_PLANE, packed=True, opacities=opacities,
+    )  # fmt: skip
+    axes = world_axes(quaternions, log_scales)[ids, None]
+    planes = depth_planes(means[ids, None], axes, camera_from_world[camera_ids], camera)[:, 0]
+    tiles_x, tiles_y = -(-width // _TILE), -(-height // _TILE)
+    _, keys, order = isect_tiles(
+        means2d, radii, depths, _TILE, tiles_x, tiles_y,
+        packed=True, n_images=cameras, image_ids=camera_ids, gaussian_ids=ids,
+    )  # fmt: skip
+    blended, alpha = rasterize_to_pixels(
+        means2d, conics, planes, opacities[ids], width, height, _TILE,
+        isect_offset_encode(keys, cameras, tiles_x, tiles_y), order, packed=True,
+    )  # fmt: skip
+    return torch.stack([depth_of_planes(blended, camera), alpha[..., 0]])
+
+
+def depth_planes(
+    means: torch.Tensor,  # [..., N, 3]
+    axes: torch.Tensor,  # [..., N, 3, 3] see `world_axes`
+    camera_from_world: torch.Tensor,  # [..., 4, 4]
+    camera: PinholeCamera,
+) -> torch.Tensor:  # [..., N, 3]
     """Return coefficients a, b, c of the depth a + b x + c y at which a pixel's ray meets each Gaussian.
 
-    The pixel coordinates x and y are relative to the image centre.
+    The pixel coordinates x and y are relative to the principal point.
     """
-    position, depth = project_means(means, camera_from_world, camera)
-    slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
-    from_middle = position - position.new_tensor([0.5 * camera.width, 0.5 * camera.height])
-    return torch.cat([(depth - (slope * from_middle).sum(dim=-1))[..., None], slope], dim=-1)
+    position, depth, in_camera = project(means, axes, camera_from_world, camera)
+    slope = depth_slopes(in_camera)
+    from_centre = position - lens(camera, position.dtype, position.device)[1]
+    return torch.cat([(depth - (slope * from_centre).sum(dim=-1))[..., None], slope], dim=-1)
 
 
-def depth_of_planes(blended: torch.Tensor) -> torch.Tensor:  # [C, H, W, 3] -> [C, H, W] metres
+def depth_of_planes(blended: torch.Tensor, camera: PinholeCamera) -> torch.Tensor:  # [C, H, W, 3] -> [C, H, W] metres
     """Return the accumulated depth from an image of blended coefficients of `depth_planes`."""
-    height, width = blended.shape[-3:-1]
-    x = torch.arange(width, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * width)
-    y = torch.arange(height, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * height)
-    return blended[..., 0] + blended[..., 1] * x + blended[..., 2] * y[:, None]
+    x = torch.arange(camera.width, dtype=blended.dtype, device=blended.device) + (0.5 - camera.cx)
+    y = torch.arange(camera.height, dtype=blended.dtype, device=blended.device) + (0.5 - camera.cy)
+    constant, by_x, by_y = blended.unbind(-1)
+    return constant + by_x * x + by_y * y[:, None]
+
+
+@functools.lru_cache(64)
+def _intrinsics(camera: PinholeCamera, device: torch.device) -> torch.Tensor:  # [3, 3] float32
+    return torch.tensor(camera.matrix, dtype=torch.float32, device=device)

@@ -1,8 +1,8 @@
 """Define the protocol of a rasteriser, with which the mapper and the features render and optimise a map.
 
-Implementations have names. The map is always in numpy arrays on the host. Functions that compute results per Gaussian
-(`fisher`, `passes`) exist only as compiled CPU kernels. They use the same arrays, so they work with every
-implementation.
+Implementations have names. The map is in numpy arrays on the host, except during the steps of a mapping event.
+Functions that compute results per Gaussian (`fisher`, `passes`) exist only as compiled CPU kernels. They use the same
+arrays, so they work with every implementation.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.backends import BACKENDS, WORKS
 
@@ -21,8 +22,8 @@ from activestructure_gym.splatting.backends import BACKENDS, WORKS
 class Rasterizer(Protocol):
     """Render a map and take optimiser steps; rows and units of the arrays are described at `splatting.cpu`.
 
-    No state is kept between calls. ``unseen`` marks chunks of 1024 Gaussians that are known to be outside the view. It
-    only saves time: images are the same without it.
+    No state is kept between calls, except by the `Steps` of an event. ``unseen`` marks chunks of 1024 Gaussians that
+    are known to be outside the view. It only saves time: images are the same without it.
     """
 
     def render(
@@ -47,29 +48,44 @@ class Rasterizer(Protocol):
         """Render accumulated depth (metres) and alpha of C cameras."""
         ...
 
-    def mapping_step(
+    def begin(
         self,
-        parameters: np.ndarray,  # [14, capacity] float32, changed in place
-        first_moment: np.ndarray,  # [14, capacity] float32, changed in place
-        second_moment: np.ndarray,  # [14, capacity] float32, changed in place
+        parameters: np.ndarray,  # [14, capacity] float32
+        first_moment: np.ndarray,  # [14, capacity] float32
+        second_moment: np.ndarray,  # [14, capacity] float32
         count: int,  # number of Gaussians
-        camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [4, 4]
-        target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
-        target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
         *,
         weights: cpu.LossWeights,
-        learning_rates: np.ndarray,  # [14] float32
         beta1: float = 0.9,
         beta2: float = 0.999,
-        epsilon: float = 1e-15,
         isotropic: bool = False,
+    ) -> Steps:
+        """Begin the optimiser steps of a mapping event on a map and its Adam moments.
+
+        Until `Steps.end`, the arrays must be neither read nor changed.
+        """
+        ...
+
+
+class Steps(Protocol):
+    """Take the optimiser steps of a mapping event; a device may hold the map in the meantime."""
+
+    def step(
+        self,
+        frame: Frame,
+        *,
+        learning_rates: np.ndarray,  # [14] float32
+        epsilon: float = 1e-15,
         unseen: np.ndarray | None = None,  # [chunks] bool
-    ) -> cpu.StepLosses:
-        """Take one optimiser step on the loss of one image; only Gaussians that contribute to some pixel change.
+    ) -> None:
+        """Take one optimiser step on the loss of a frame; only Gaussians that contribute to some pixel change.
 
         The step is Adam without bias correction; other Gaussians keep their moments.
         """
+        ...
+
+    def end(self) -> np.ndarray:  # [steps, 3] float64
+        """Write the map into its arrays, and return the terms of `StepLosses` of every step."""
         ...
 
 

@@ -7,6 +7,9 @@ below 1/255 skipped. A pixel stops before the Gaussian that would reduce its tra
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import numpy as np
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
@@ -61,10 +64,9 @@ def blend_reference(
     The median depth is the depth of the Gaussian at which the transmittance first falls to 0.5 or below, and 0 if there
     is none. It has no gradient.
     """
-    position, inverse_covariance, depth = project_gaussians(
-        means, quaternions, log_scales, camera_from_world, camera, blur_variance
-    )
-    slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
+    position, depth, axes = project(means, world_axes(quaternions, log_scales), camera_from_world, camera)
+    inverse_covariance = _inverse_covariances(axes, blur_variance)
+    slope = depth_slopes(axes)
     slope = torch.zeros_like(slope) if centre_depth else slope
     opacity = torch.sigmoid(opacity_logits)
     kept = torch.nonzero((depth.detach() >= NEAR_PLANE) & (opacity.detach() >= MIN_ALPHA))[:, 0]
@@ -119,88 +121,93 @@ def project_gaussians(
     blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx, xy, yy, depth [N]
     """Project Gaussians by EWA splatting, with the Jacobian at the mean, clamped near the image border."""
-    position, depth = project_means(means, camera_from_world, camera)
-    factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
-    covariance = factor[:, :2] @ factor[:, :2].transpose(1, 2)
+    position, depth, axes = project(means, world_axes(quaternions, log_scales), camera_from_world, camera)
+    return position, _inverse_covariances(axes, blur_variance), depth
+
+
+def _inverse_covariances(axes: torch.Tensor, blur_variance: float) -> torch.Tensor:  # [N, 3, 3] -> [N, 3] xx, xy, yy
+    covariance = axes[..., :2].transpose(1, 2) @ axes[..., :2]
     xx, xy, yy = covariance[:, 0, 0] + blur_variance, covariance[:, 0, 1], covariance[:, 1, 1] + blur_variance
-    determinant = xx * yy - xy**2
-    inverse = torch.stack([yy, -xy, xx], dim=1) / determinant[:, None]
-    return position, inverse, depth
+    return torch.stack([yy, -xy, xx], dim=1) / (xx * yy - xy**2)[:, None]
 
 
-def project_means(
-    means: torch.Tensor,  # [N, 3]
-    camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
+def project(
+    means: torch.Tensor,  # [..., N, 3] metres, world
+    axes: torch.Tensor,  # [..., N, 3 axes, 3] metres, see `world_axes`
+    camera_from_world: torch.Tensor,  # [..., 4, 4]
     camera: PinholeCamera,
-) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 2] px, [..., N] metres
-    """Return the pixel positions and depths of means. The position of a mean in front of the near plane is finite."""
-    points, inverse_depth = _camera_points(means, camera_from_world)
-    focal, centre = points.new_tensor([camera.fx, camera.fy]), points.new_tensor([camera.cx, camera.cy])
-    return points[..., :2] * inverse_depth[..., None] * focal + centre, points[..., 2]
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [..., N, 2] px, [..., N] metres, [..., N, 3 axes, 3]
+    """Return the pixel positions and depths of means, and the axes of each Gaussian in pixels (x, y) and metres (z).
+
+    The position of a mean in front of the near plane is finite.
+    """
+    focal, centre, lowest, highest = lens(camera, means.dtype, means.device)
+    turn = camera_from_world[..., :3, :3].transpose(-1, -2)
+    beside, z = (means @ turn + camera_from_world[..., None, :3, 3]).split([2, 1], dim=-1)
+    # Points in front of the near plane are removed later. A finite depth keeps their gradient finite (and zero).
+    inverse_depth = 1.0 / torch.where(z.detach() >= NEAR_PLANE, z, 1.0)
+    slope = beside * inverse_depth
+    turned, along = (axes @ turn[..., None, :, :]).split([2, 1], dim=-1)
+    clamped = slope.clamp(lowest, highest)[..., None, :]
+    across = (focal * inverse_depth)[..., None, :] * (turned - clamped * along)
+    return slope * focal + centre, z[..., 0], torch.cat([across, along], dim=-1)
 
 
-def depth_slopes(
-    means: torch.Tensor,  # [N, 3]
-    quaternions: torch.Tensor,  # [N, 4]
-    log_scales: torch.Tensor,  # [N, 3]
-    camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
-    camera: PinholeCamera,
-) -> torch.Tensor:  # [..., N, 2] metres per pixel
-    """Return the slope of each Gaussian's depth in the image at its mean, in metres per pixel.
+@lru_cache(64)
+def lens(camera: PinholeCamera, dtype: torch.dtype, device: torch.device) -> tuple[torch.Tensor, ...]:
+    """Return focal length and principal point in pixels, lowest and highest slope x / z, y / z ([2] each).
+
+    They are kept, since a transfer to a device takes longer than projecting.
+    """
+    size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
+    centre, margin = np.array([camera.cx, camera.cy]), CLAMP_MARGIN * 0.5 * size / focal
+    rows = np.stack([focal, centre, -centre / focal - margin, (size - centre) / focal + margin])
+    return torch.tensor(rows, dtype=dtype, device=device).unbind()
+
+
+def depth_slopes(axes: torch.Tensor) -> torch.Tensor:  # [..., N, 3 axes, 3] -> [..., N, 2] metres per pixel
+    """Return the slope of each Gaussian's depth in the image at its mean, from the axes of `project`.
 
     The depth is that at which a ray meets the Gaussian: at its highest density along the ray ([yu2024]). To first order
     of the projection, it is a linear function of the pixel. Its slope is the covariance of pixel and depth divided by
     the covariance of the pixel ([zhang2024]). For a flat Gaussian this is the slope of its plane.
     """
-    factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
-    x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]
+    x, y, z = axes.unbind(-1)  # [..., N, axis]
     # Cross products avoid cancellation for needle-shaped Gaussians: |x cross y|^2 = xx yy - xy^2, and so on.
     area = torch.linalg.cross(x, y, dim=-1)
-    numerators = [
-        (torch.linalg.cross(z, y, dim=-1) * area + SLANT_VARIANCE * z * x).sum(dim=-1),
-        (torch.linalg.cross(x, z, dim=-1) * area + SLANT_VARIANCE * z * y).sum(dim=-1),
-    ]
-    determinant = (area * area + SLANT_VARIANCE * (x * x + y * y)).sum(dim=-1) + SLANT_VARIANCE**2
-    return torch.stack(numerators, dim=-1) / determinant[..., None]
+    sides = torch.linalg.cross(torch.stack([z, x], dim=-2), torch.stack([y, z], dim=-2), dim=-1)
+    pixels = torch.stack([x, y], dim=-2)
+    numerators = torch.addcmul(sides * area[..., None, :], z[..., None, :], pixels, value=SLANT_VARIANCE).sum(dim=-1)
+    squares = (area * area).sum(dim=-1, keepdim=True) + SLANT_VARIANCE * (pixels * pixels).sum(dim=(-1, -2))[..., None]
+    return numerators / (squares + SLANT_VARIANCE**2)
 
 
-def _camera_points(
-    means: torch.Tensor, camera_from_world: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 3] metres, [..., N] 1 / depth
-    points = means @ camera_from_world[..., :3, :3].transpose(-1, -2) + camera_from_world[..., None, :3, 3]
-    z = points[..., 2]
-    # Points in front of the near plane are removed later. A finite depth keeps their gradient finite (and zero).
-    return points, 1.0 / torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
-
-
-def _projected_axes(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    log_scales: torch.Tensor,
-    camera_from_world: torch.Tensor,
-    camera: PinholeCamera,
-) -> torch.Tensor:  # [..., N, 3, 3]
-    """Return the axes of each Gaussian as columns, one standard deviation long, in pixels (x, y) and metres (z)."""
-    points, inverse_depth = _camera_points(means, camera_from_world)
-    slope_x, slope_y = points[..., 0] * inverse_depth, points[..., 1] * inverse_depth
-    margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
-    margin_y = CLAMP_MARGIN * 0.5 * camera.height / camera.fy
-    clamped_x = slope_x.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
-    clamped_y = slope_y.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
-    fx, fy = camera.fx * inverse_depth, camera.fy * inverse_depth
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    rows = [fx, zero, -fx * clamped_x, zero, fy, -fy * clamped_y, zero, zero, one]
-    jacobian = torch.stack(rows, dim=-1).reshape(*fx.shape, 3, 3)
-    turned = camera_from_world[..., None, :3, :3] @ rotation_matrices(quaternions)
-    return jacobian @ turned * torch.exp(log_scales)[:, None, :]
+def world_axes(
+    quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
+    log_scales: torch.Tensor,  # [N, 3]
+) -> torch.Tensor:  # [N, 3 axes, 3] metres, world
+    """Return the axes of each Gaussian as rows, one standard deviation long."""
+    return rotation_matrices(quaternions).transpose(1, 2) * torch.exp(log_scales)[..., None]
 
 
 def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:  # [N, 4] wxyz -> [N, 3, 3]
-    """Return the rotation matrices of quaternions of any length above 0."""
-    w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=1, keepdim=True), dim=1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, dim=1).reshape(-1, 3, 3)
+    """Return the rotation matrices of quaternions of any length above 0.
+
+    Each entry is a sum of products of two components, so one matrix product gives all of them.
+    """
+    unit = quaternions / quaternions.norm(dim=1, keepdim=True)
+    products = (unit[:, :, None] * unit[:, None, :]).reshape(-1, 16)
+    return (products @ _rotation_terms(unit.dtype, unit.device)).reshape(-1, 3, 3)
+
+
+@lru_cache
+def _rotation_terms(dtype: torch.dtype, device: torch.device) -> torch.Tensor:  # [16, 9]
+    """Return the factor of each product of two components (ww, wx, ...) in each entry of a rotation matrix."""
+    terms = np.zeros((4, 4, 3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        terms[0, 0, i, i] = terms[i + 1, i + 1, i, i] = 1.0
+        terms[j + 1, j + 1, i, i] = terms[k + 1, k + 1, i, i] = -1.0
+        terms[i + 1, j + 1, i, j] = terms[i + 1, j + 1, j, i] = 2.0
+        terms[0, k + 1, i, j], terms[0, k + 1, j, i] = -2.0, 2.0
+    return torch.tensor(terms.reshape(16, 9), dtype=dtype, device=device)

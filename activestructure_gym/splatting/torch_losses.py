@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-import numpy as np
 import torch
 
 from activestructure_gym.splatting.cpu import LossWeights
@@ -18,9 +17,7 @@ class MappingLoss(NamedTuple):
     """Hold the weighted sum of a mapping loss, and its terms as in `StepLosses`."""
 
     total: torch.Tensor
-    color: float  # mean absolute colour difference
-    depth: float  # metres
-    ssim: float  # mean SSIM; nan if its weight is 0
+    terms: torch.Tensor  # [3] without gradient: colour difference, depth difference in metres, SSIM
 
 
 def mapping_loss(
@@ -31,19 +28,24 @@ def mapping_loss(
     target_depth: torch.Tensor,  # [H, W] metres, 0 = no return
     weights: LossWeights,
 ) -> MappingLoss:
-    """Return the loss of one rendered image, as defined at `LossWeights`."""
+    """Return the loss of one rendered image, as defined at `LossWeights`.
+
+    Pixels are left out by masks and not by indices, so that nothing waits for a device.
+    """
     measured = target_depth > 0
     by_color = (color - target_rgb).abs().mean()
-    compared = measured & (alpha.detach() > 0.5) if weights.normalised_depth else measured
-    shown = depth[compared] / alpha[compared] if weights.normalised_depth else depth[compared]
-    by_depth = (shown - target_depth[compared]).abs().sum() / max(1, int(measured.sum()))
-    missing = (1.0 - alpha[measured]).square().sum() / alpha.numel()
+    compared, shown = measured, depth
+    if weights.normalised_depth:
+        compared = measured & (alpha.detach() > 0.5)
+        shown = depth / alpha.clamp_min(0.5)
+    by_depth = ((shown - target_depth).abs() * compared).sum() / measured.sum().clamp_min(1)
+    missing = ((1.0 - alpha).square() * measured).sum() / alpha.numel()
     total = weights.image * weights.l1_share * by_color + weights.depth * by_depth + weights.alpha * missing
-    of_ssim, similarity = weights.image * (1.0 - weights.l1_share), float("nan")
+    of_ssim, similarity = weights.image * (1.0 - weights.l1_share), by_color.new_full((), torch.nan)
     if of_ssim:
-        alike = ssim(color, target_rgb)
-        total, similarity = total + of_ssim * (1.0 - alike), float(alike.detach())
-    return MappingLoss(total, float(by_color.detach()), float(by_depth.detach()), similarity)
+        similarity = ssim(color, target_rgb)
+        total = total + of_ssim * (1.0 - similarity)
+    return MappingLoss(total, torch.stack([by_color, by_depth, similarity]).detach())
 
 
 def ssim(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:  # [H, W, 3] each -> scalar
@@ -69,24 +71,19 @@ def _taps() -> torch.Tensor:  # [11] float64
     return taps / taps.sum()
 
 
-class Adam(NamedTuple):
-    """Hold the constants of an Adam step without bias correction ([adam])."""
-
-    learning_rates: np.ndarray  # [14]
-    beta1: float
-    beta2: float
-    epsilon: float
-
-    def step(
-        self,
-        gradient: torch.Tensor,  # [14, n]
-        parameters: torch.Tensor,  # [14, n]
-        first_moment: torch.Tensor,  # [14, n]
-        second_moment: torch.Tensor,  # [14, n]
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return parameters, first moment and second moment after one step."""
-        first_moment = first_moment + (gradient - first_moment) * (1.0 - self.beta1)
-        second_moment = second_moment + (gradient.square() - second_moment) * (1.0 - self.beta2)
-        rates = torch.as_tensor(self.learning_rates).to(gradient)[:, None]
-        parameters = parameters - rates * first_moment / (second_moment.sqrt() + self.epsilon)
-        return parameters, first_moment, second_moment
+def adam(
+    parameters: torch.Tensor,  # [N, D], changed in place
+    gradient: torch.Tensor,  # [N, D]
+    first_moment: torch.Tensor,  # [N, D], changed in place
+    second_moment: torch.Tensor,  # [N, D], changed in place
+    seen: torch.Tensor,  # [N] bool: the others keep parameters and moments
+    rate: float,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+) -> None:
+    """Take an Adam step without bias correction ([adam]), as gsplat's compiled function of this name does."""
+    mask = seen[:, None]
+    first_moment.lerp_(torch.where(mask, gradient, first_moment), 1.0 - beta1)
+    second_moment.lerp_(torch.where(mask, gradient.square(), second_moment), 1.0 - beta2)
+    parameters -= torch.where(mask, rate * first_moment / (second_moment.sqrt() + epsilon), 0.0)

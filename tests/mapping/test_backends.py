@@ -1,4 +1,4 @@
-"""A mapping event by the reference is the event of the kernels."""
+"""A mapping event by another backend is the event of the kernels."""
 
 import dataclasses
 
@@ -8,6 +8,7 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera, se3_exp
 from activestructure_gym.mapping import MAPPERS, Mapper
 from activestructure_gym.mapping.config import MapperConfig
+from tests.splatting.gsplat_on_cpu import on_cpu
 
 CAMERA = PinholeCamera.from_size(32, 24)
 # Turned about their axis: of rows that lie level, all depths of a floor's row are equal, and rounding sorts them.
@@ -19,9 +20,9 @@ def rolled_frames(render_room, room_frames):
     return [render_room(frame.world_from_camera @ ROLL, CAMERA) for frame in room_frames[:2]]
 
 
-def observed(frames, iterations, recipe="default", **changes):
+def observed(frames, iterations, recipe="default", other="reference", **changes):
     maps, reports = [], []
-    for backend in ("cpu", "reference"):
+    for backend in ("cpu", other):
         config = MapperConfig(**{**vars(MAPPERS.get(recipe)), "backend": backend, **changes})
         mapper = Mapper(config, np.random.default_rng(0))
         reports.append([mapper.observe(frame, iterations=iterations) for frame in frames])
@@ -32,6 +33,15 @@ def observed(frames, iterations, recipe="default", **changes):
         for name in ("color_loss", "depth_loss", "ssim", "psnr"):
             assert getattr(reference, name) == pytest.approx(getattr(kernels, name), rel=1e-4, abs=1e-6, nan_ok=True)
     return maps
+
+
+@pytest.mark.parametrize("recipe", ["default", "splatam"])
+def test_an_event_by_gsplat_prunes_and_steps_alike(recipe, rolled_frames):
+    pytest.importorskip("gsplat")
+    with on_cpu():
+        kernels, gsplat = observed(rolled_frames, 4, recipe, other="gsplat", adam_epsilon=1e-5, prune_steps=(0, 2, -1))
+    difference = np.abs(kernels.parameters[:3, : kernels.count] - gsplat.parameters[:3, : kernels.count])
+    assert np.quantile(difference, 0.99) <= 1e-4
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ ONE = np.float32(1.0)
 CHANNELS = (1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513)
 
 CALLS = Counter()  # calls of each compiled function
+RUNNING: list[str] = []  # the function that is running
 
 
 # Projection: gsplat's torch formulas with its float32 determinant.
@@ -287,8 +288,12 @@ def _compiled(name):
             if isinstance(argument, torch.Tensor):
                 assert argument.is_contiguous(), f"argument {number} of {name} must be contiguous"
                 assert argument.dtype != torch.float64, f"argument {number} of {name} is float64"
-        with torch.no_grad():
-            return _FUNCTIONS[name](*arguments)
+        RUNNING.append(name)
+        try:
+            with torch.no_grad():
+                return _FUNCTIONS[name](*arguments)
+        finally:
+            RUNNING.pop()
 
     return call
 

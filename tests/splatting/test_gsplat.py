@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.splatting import LossWeights, backend_status, cpu, gsplat_backend, rasterize
+from activestructure_gym.splatting import backend_status, cpu, gsplat_backend, rasterize
 from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.splatting.reference import blend_reference
 
@@ -81,6 +81,28 @@ def test_pictures_and_gradients(kind, gsplat_device, splats_of, settled):
     _assert_gradients_agree(expected, gradients, names, within)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_scoring(kind, gsplat_device, splats_of):
+    """Depth and alpha of three cameras at once; the last sees nothing."""
+    splats, count = splats_of(kind, seed=1), len(splats_of(kind, seed=1).means)
+    beside, away = (splats.world_from_camera @ np.diag([turn, 1.0, turn, 1.0]) for turn in (1.0, -1.0))
+    beside[:3, 3] += 0.1
+    poses = np.stack([splats.world_from_camera, beside, away @ _moved(1e3)])
+    depth, alpha = rasterizer("gsplat").render_depth_alpha(splats.parameters(), count, splats.camera, poses)
+    assert not depth[2].any() and not alpha[2].any()
+    for number in range(2):
+        pose = torch.from_numpy(np.linalg.inv(poses[number]))
+        exact = blend_reference(*splats.tensors, pose, splats.camera, min_depth=-math.inf)[1:3]
+        for one, other in zip(exact, (depth[number], alpha[number])):
+            _assert_pictures_agree(one, torch.from_numpy(other), NEEDLES if kind == "needle" else PLAIN)
+
+
+def _moved(metres):
+    pose = np.eye(4)
+    pose[2, 3] = metres
+    return pose
+
+
 def test_only_the_kernels_limit_depth_at_the_near_plane(gsplat_device, splats_of):
     """The planes of large Gaussians reach behind the camera; elsewhere the limit changes nothing."""
     for kind, changed in (("random", False), ("flat", False), ("large", True)):
@@ -143,28 +165,3 @@ def test_another_version_of_gsplat_is_refused(gsplat_device, monkeypatch):
         "gsplat 1.6.0 is installed, expected 1.5: pip install 'activestructure-gym[gpu]'"
     )
     gsplat_backend.gsplat_status.cache_clear()
-
-
-@pytest.mark.parametrize("normalised", [True, False])
-def test_a_mapping_step_is_the_kernels(normalised, gsplat_device, splats_of):
-    splats = splats_of("random", seed=3)  # no opacity reaches the limit of any version
-    count, camera, pose = len(splats.means), splats.camera, splats.world_from_camera
-    rng = np.random.default_rng(0)
-    target = rng.random((camera.height, camera.width, 3), dtype=np.float32)
-    depth = rng.uniform(0.5, 4.0, (camera.height, camera.width)).astype(np.float32)
-    weights = LossWeights(alpha=0.3, normalised_depth=normalised)
-    states, losses = [], []
-    for one in (cpu, rasterizer("gsplat")):
-        state = [splats.parameters(), *(np.zeros((14, count), np.float32) for _ in range(2))]
-        rates = np.full(14, 1e-3, np.float32)
-        losses.append(
-            one.mapping_step(*state, count, camera, pose, target, depth, weights=weights, learning_rates=rates)
-        )
-        states.append(state)
-    kernels, gsplat = losses
-    assert (gsplat.color, gsplat.depth, gsplat.ssim) == pytest.approx(
-        (kernels.color, kernels.depth, kernels.ssim), rel=1e-3
-    )
-    for row in range(14):
-        by_kernels, by_gsplat = states[0][1][row], states[1][1][row]
-        assert np.linalg.norm(by_gsplat - by_kernels) <= 1e-3 * np.linalg.norm(by_kernels), row

@@ -15,11 +15,11 @@ import torch
 from scipy.spatial import cKDTree
 
 from activestructure_gym.geometry import invert_rigid
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, report_of
 from activestructure_gym.mapping.systems.dense_config import DenseConfig
 from activestructure_gym.splatting import LossWeights, gsplat_backend
 from activestructure_gym.splatting.api import Rasterization, rasterize
@@ -115,7 +115,8 @@ class DenseMapper(KeyframeMapper):
             shown, torch.from_numpy(unit_rgb(frame)).to(shown.color), torch.from_numpy(frame.depth).to(shown.color)
         )
         loss.total.backward()  # type: ignore[no-untyped-call]
-        return loss.color, loss.depth, loss.ssim
+        color, depth, similarity = loss.terms.tolist()
+        return color, depth, similarity
 
     def _step(
         self,

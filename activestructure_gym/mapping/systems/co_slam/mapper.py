@@ -26,11 +26,11 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.downsampling import reduced
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, psnr, report_of, unit_rgb
+from activestructure_gym.mapping.keyframe_mapper import KeyframeMapper, checked_frame, psnr, report_of
 from activestructure_gym.mapping.systems.co_slam.config import CoSLAMConfig
 from activestructure_gym.mapping.systems.co_slam.joint_encoding import JointField, distance_losses, ray_weights
 from activestructure_gym.mapping.systems.co_slam.zero_level import VertexGrid, disks

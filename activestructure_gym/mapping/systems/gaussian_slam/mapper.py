@@ -154,7 +154,7 @@ def submap_loss(
     by_depth = (shown.depth - depth)[measured].abs().sum() / count
     alike = ssim(shown.color, rgb)
     total = image * (l1_share * by_color + (1.0 - l1_share) * (1.0 - alike)) + depth_weight * by_depth
-    return MappingLoss(total, float(by_color.detach()), float(by_depth.detach()), float(alike.detach()))
+    return MappingLoss(total, torch.stack([by_color, by_depth, alike]).detach())
 
 
 def exceeds(origin: np.ndarray, pose: np.ndarray, *, metres: float, degrees: float) -> bool:  # [4, 4] each

@@ -141,7 +141,7 @@ def window_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor, co
     by_color = ((shown.color - rgb) * lit).abs().mean()
     by_depth = ((shown.depth - depth) * measured).abs().mean()
     total = color_share * by_color + (1.0 - color_share) * by_depth
-    return MappingLoss(total, float(by_color.detach()), float(by_depth.detach()), float("nan"))
+    return MappingLoss(total, torch.stack([by_color, by_depth, by_color.new_full((), torch.nan)]).detach())
 
 
 def mean_rate(config: MonoGSConfig, step: int) -> float:

@@ -48,28 +48,23 @@ class Recipe:
 
     mapper: str  # name of the mapper
     iterations: int  # optimiser iterations per frame
-    stride: int = 2  # pixels between new Gaussians along each image axis, by the seeding rule of SplaTAM
 
     def __str__(self) -> str:
-        return f"{self.mapper} at {self.iterations}" + (f", stride {self.stride}" if self.stride != 2 else "")
+        return f"{self.mapper} at {self.iterations}"
 
     def make(self, rng: np.random.Generator) -> Mapper:
         """Return a mapper of this recipe with an empty map."""
         config = mapper_config(self.mapper)
         if not isinstance(config, MapperConfig):
             raise InputError(f"mapper '{self.mapper}' is no recipe of MapperConfig")
-        return Mapper(replace(config, iterations=self.iterations, seed_stride=self.stride), rng)
+        return Mapper(replace(config, iterations=self.iterations), rng)
 
 
-# SplaTAM adds a Gaussian at every pixel of its 1200 x 680 frames, or at every second pixel in its faster setting, which
-# is the default here. At 160 x 90 pixels the latter gives few Gaussians, so recipes with every pixel are added.
 RECIPES = (
     Recipe("default", 5),
     Recipe("default", 15),
     Recipe("splatam", 5),
     Recipe("splatam", 15),
-    Recipe("splatam", 5, stride=1),
-    Recipe("splatam", 15, stride=1),
 )
 
 

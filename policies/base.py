@@ -33,7 +33,7 @@ class Policy(ABC):
     criterion: ClassVar[str] = ""  # one line for lists: how views are scored; default: first line of the docstring
     travel_term: ClassVar[str] = "none"  # one line for lists: how the original paper includes the path to a view
     source: ClassVar[str] = ""  # one line for lists: the paper
-    native_settings: ClassVar[NativeSettings] = NativeSettings()  # configuration in the native setup
+    native_settings: NativeSettings = NativeSettings()  # configuration in the native setup
     # Features that the env evaluates for every candidate. An instance may have its own tuple if its options change it.
     required_features: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # names of the columns of ``candidate_features``; None before `bind`

@@ -82,6 +82,9 @@ def native_settings_of(policy: Any, setup: Setup) -> NativeSettings:
     return settings if setup == "native" else NativeSettings()
 
 
+# The camera of planners that were written for Habitat's challenges: 256 x 256 pixels, 90 x 90 degrees.
+SQUARE_CAMERA = {"sensor.width": 256, "sensor.height": 256}
+
 # Settings of the ActiveStructure paper, which runs all compared systems with SplaTAM's mapper and 15 iterations.
 SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of 1200 x 680, 15 iterations (Sec. 4.1)")
 

@@ -14,7 +14,7 @@ from activestructure_gym.mapping.registry import MAPPERS
 from activestructure_gym.ranges import check_ranges
 
 _RANGES = {
-    "seed_stride": "[1, 1024]",
+    "seed_columns": "[1, 65536]",
     "seed_spacing": "[0.01, 1]",  # a smaller spacing would create thousands of samples per pixel
     "seed_pixels": "[0.5, 1000]",
     "depth_noise_scale": "[0, 1000]",
@@ -80,7 +80,8 @@ class MapperConfig(BaseMapperConfig):
     depth_noise_scale: float = 0.0
 
     # Seeding by SplaTAM's rule: at pixels missing in the rendered map
-    seed_stride: int = 2  # pixels between two seeds
+    # Seeds across the width of an image, up to rounding; at most one per pixel (SplaTAM-S: 600 of 1200 pixels).
+    seed_columns: int = 600
     covered_alpha: float = 0.5  # a pixel with at least this accumulated alpha is mapped (SplaTAM; row B20)
     in_front_factor: float = 50.0  # depth tolerance of a mapped pixel, as a factor on the median depth error (SplaTAM)
     # Metres, smallest depth tolerance of a mapped pixel (own choice: no seeds from sensor noise).

@@ -202,8 +202,9 @@ class Mapper(KeyframeMapper):
             )
         else:
             missing = frame.depth > 0
-        rows, columns = grid_pixels(missing, config.seed_stride)
-        footprint = config.seed_footprint * config.seed_stride / (0.5 * (camera.fx + camera.fy))
+        stride = max(1, round(camera.width / config.seed_columns))
+        rows, columns = grid_pixels(missing, stride)
+        footprint = config.seed_footprint * stride / (0.5 * (camera.fx + camera.fy))
         sigma = footprint * frame.depth[rows, columns]
         return pixel_samples(frame, rows, columns), sigma, float(np.count_nonzero(missing)) / missing.size
 

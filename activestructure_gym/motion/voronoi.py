@@ -21,6 +21,7 @@ MERGED_M = 0.5  # metres: nodes closer than this along the graph are merged
 # factor.
 _DETOUR = 1.2
 _SPECK = 4  # cells: unknown islands of up to this size count as free
+FOOT_M, HEAD_M = 0.25, 2.0  # metres above the ground: occupied space in between blocks the agent ([activesplat, code])
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,12 @@ def planar_graph(
 
 
 def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
-    """Return the free cells at the height of ``position`` [3] that are connected to it; all False if it is not free.
+    """Return the cells on which an agent can stand that are connected to ``position`` [3]; all False if there are none.
 
-    Unknown islands of up to 4 cells in free space, which all rays missed, count as free.
+    A cell is free at the height of ``position``, and nothing is occupied from 0.25 to 2 m above the ground. The ground
+    is the most frequent height of the first occupied voxel below; if none is known, the agent's height alone counts.
+    Unknown islands of up to 4 cells in free space, which all rays missed, count as free. If the cell of ``position`` is
+    blocked, as above a table, the nearest free cell takes its place.
     """
     i, j, k = volume.voxel_of(position)
     plan = np.zeros(volume.shape[:2], dtype=bool)
@@ -78,8 +82,27 @@ def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~free).astype(np.uint8), connectivity=8)
     solid = np.bincount(labels.ravel(), weights=(layer == OCCUPIED).ravel(), minlength=count) > 0
     free |= ((stats[:, cv2.CC_STAT_AREA] <= _SPECK) & ~solid)[labels]
+    if not free[i, j]:
+        return plan
+    free &= ~_blocked(volume, free, k)
+    if not free.any():
+        return plan
     _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
-    return free & (labels == labels[i, j]) if free[i, j] else plan
+    cells = np.argwhere(free)
+    here = cells[np.square(cells - [i, j]).sum(axis=1).argmin()]
+    return free & (labels == labels[tuple(here)])
+
+
+def _blocked(volume: VoxelVolume, free: np.ndarray, layer: int) -> np.ndarray:  # [X, Y] bool, [X, Y] bool
+    """Return the cells with an occupied voxel between foot and head, over the ground below the ``free`` ones."""
+    occupied = volume.state == OCCUPIED
+    below = occupied[:, :, :layer][free]  # [n, layer]
+    depth = below[:, ::-1].argmax(axis=1)[below.any(axis=1)]
+    if not len(depth):
+        return np.zeros(free.shape, dtype=bool)
+    ground = layer - np.bincount(depth).argmax()  # first voxel above the ground
+    foot, head = (ground + round(height / volume.voxel_size) for height in (FOOT_M, HEAD_M))
+    return np.asarray(occupied[:, :, foot:head].any(axis=2))
 
 
 def voronoi_graph(

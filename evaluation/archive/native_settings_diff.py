@@ -23,13 +23,13 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
     The list is empty in the shared setup, for plug-in policies (`plugin_code` covers them), and for runs whose
     configuration cannot be read.
     """
-    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.native_settings import native_settings_of
 
     name = job.policy.name
     if job.conditions.setup == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
-    settings = native_settings_of(POLICIES.get(name), job.conditions.setup)
+    settings = native_settings_of(make_policy(job.policy), job.conditions.setup)
     config = configure(job.conditions.preset, settings.overrides() | dict(job.conditions.overrides))
     now = json_files.as_read(dataclasses.asdict(config))
     try:

@@ -11,7 +11,7 @@ from activestructure_gym.policies.anm_s.policy import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, at_current_pose, best_valid, nearest_new
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.native_settings import NativeSettings
+from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSettings
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
 ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a wheeled robot
@@ -36,6 +36,7 @@ class ActiveINR(Planner):
     native_settings = NativeSettings(
         stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
         candidates=512,
+        changes=SQUARE_CAMERA,
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
     )
 

@@ -11,7 +11,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto.policy import forward
-from activestructure_gym.policies.native_settings import SPLATAM
+from activestructure_gym.policies.native_settings import SPLATAM, SQUARE_CAMERA
 from activestructure_gym.policies.scored import record_scores
 
 UNARRIVED_M = 0.65  # metres from the path travelled (10 steps of 6.5 cm); a node farther away is unarrived
@@ -40,7 +40,9 @@ class ActiveSplat(Planner):
     criterion = "integer score of Voronoi nodes by what panoramas of the map lack"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
-    native_settings = replace(SPLATAM, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees")
+    native_settings = replace(
+        SPLATAM, changes=SQUARE_CAMERA, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees"
+    )
     required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
     def __init__(self, travel: Travel = "native") -> None:

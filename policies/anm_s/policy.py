@@ -17,7 +17,7 @@ from activestructure_gym.policies.base import (
 )
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.native_settings import NativeSettings
+from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSettings
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the path travelled (15 steps of 6.5 cm); a node farther away is unarrived
@@ -55,6 +55,7 @@ class AnmS(Planner):
         stages=(("nodes?rows=504", "turns?count=8"),),
         candidates=512,
         iterations=10,
+        changes=SQUARE_CAMERA,
         budget="1000 steps (2000, 10000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees, 10 iterations",
     )
 

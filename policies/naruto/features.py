@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voxel_errors import squared_depth_error, voxel_sums
+from activestructure_gym.geometry import invert_rigid, transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import KeyframeMapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
@@ -20,6 +23,7 @@ POOL_SHARE = 0.035  # maximum size of the pool as a share of all voxels: 4000 of
 TARGET_SHARE = 0.075  # maximum number of targets as a share of the pool
 MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and a target that it sees
 SAMPLES = 30  # number of points between goal and target that must be free
+LOOKS = 2  # keyframes within 2 m that see an unmeasured place before its sigma is `FLOOR`
 LISTED = 10  # maximum number of targets in the look-at list
 
 
@@ -65,12 +69,21 @@ def find_targets(context: FeatureContext) -> Targets:
 
 def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, positions: np.ndarray) -> Targets:  # [K, 3] metres
     """Return up to 300 of the most uncertain places, and their visibility from each of K positions (metres, world)."""
-    voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
+    voxels, sigma = learned_uncertainty(mapper, volume)
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
-    kept = chosen(voxel_ids, sigma, volume.state.size)
+    kept = chosen(voxel_ids, sigma, volume.state.size, len(mapper.keyframes))
     targets = volume.center_of(voxels[kept])
     places, place_of = np.unique(positions, axis=0, return_inverse=True)
     return Targets(targets, sigma[kept], visible(volume, places, targets)[place_of.ravel()])
+
+
+def learned_uncertainty(mapper: KeyframeMapper, volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray]:
+    """Return the result of `uncertainty`; sigma is `FLOOR` at unmeasured places that `LOOKS` keyframes looked at."""
+    voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
+    unmeasured = np.flatnonzero(sigma >= INITIAL)
+    looks = looked_at(mapper.keyframes, volume, volume.center_of(voxels[unmeasured]))
+    sigma[unmeasured[looks >= LOOKS]] = FLOOR
+    return voxels, sigma
 
 
 def uncertainty(
@@ -105,6 +118,30 @@ def uncertainty(
     return voxels, np.where(seen > 0, np.maximum(around(errors) / np.maximum(seen, 1.0), FLOOR), unmeasured)
 
 
+def looked_at(keyframes: Sequence[Frame], volume: VoxelVolume, places: np.ndarray) -> np.ndarray:  # [P, 3] -> [P] int64
+    """Return the number of keyframes that see each place from within 2 m, counted up to `LOOKS`.
+
+    In [naruto, code] each keyframe teaches sigma in two steps of rate 1. So a place that two keyframes looked at has a
+    small sigma, whether or not its surface was measured. Without this rule, the agent would return to such a place for
+    ever.
+    """
+    counts = np.zeros(len(places), np.int64)
+    for frame in keyframes:
+        left = np.flatnonzero(counts < LOOKS)
+        if not len(left):
+            break
+        camera, pose = frame.camera, frame.world_from_camera
+        x, y, z = transform_points(invert_rigid(pose), places[left]).T
+        ahead = z > 0.0
+        depth = np.where(ahead, z, 1.0)
+        u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+        inside = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        near = left[inside & (x**2 + y**2 + z**2 < MAX_TARGET_DISTANCE_M**2)]
+        if len(near):
+            counts[near] += volume.line_of_sight_free(pose[:3, 3], places[near])
+    return counts
+
+
 def _neighbour_sum(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 neighbours
     total = np.zeros_like(values)
     for axis in range(3):
@@ -115,17 +152,30 @@ def _neighbour_sum(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over t
     return total
 
 
-def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
+def chosen(
+    voxel_ids: np.ndarray,  # [V] flat indices
+    sigma: np.ndarray,  # [V]
+    voxels: int,  # number of all voxels of the grid
+    keyframes: int,
+) -> np.ndarray:  # [T] rows
     """Return the rows of the voxels that become targets, the most uncertain first.
 
-    They are a random part of the most uncertain voxels. A hash of the voxel's index replaces random numbers and breaks
-    ties, so that the choice is the same in every step. ``voxels`` is the number of all voxels of the grid.
+    They are a random part of the most uncertain voxels, which changes with the number of ``keyframes``. A hash of the
+    voxel's index and of this number replaces random numbers, so that all features of a decision have the same targets.
     """
-    key = voxel_ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
+    key = _scrambled(voxel_ids.astype(np.uint64) ^ _scrambled(np.array([keyframes], np.uint64)))
     pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
     candidates = np.lexsort((key, -sigma))[:pool]
     kept = candidates[np.argsort(key[candidates])][: min(TARGETS, int(np.ceil(TARGET_SHARE * pool)))]
     return kept[np.lexsort((key[kept], -sigma[kept]))]
+
+
+def _scrambled(numbers: np.ndarray) -> np.ndarray:  # [N] uint64 below 2^32, both
+    """Return a hash of each number: two rounds of Knuth's multiplicative hash, with the high bits folded down."""
+    for _ in range(2):
+        numbers = numbers * np.uint64(2654435761) % np.uint64(2**32)
+        numbers ^= numbers >> np.uint64(16)
+    return numbers
 
 
 def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.ndarray:  # [P, 3], [T, 3] -> [P, T]

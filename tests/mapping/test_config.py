@@ -11,7 +11,7 @@ from activestructure_gym.mapping.registry import mapper_config
 @pytest.mark.parametrize(
     "change",
     [
-        {"seed_stride": 0},
+        {"seed_columns": 0},
         {"iterations": -1},
         {"max_gaussians": 0},
         {"seed_opacity": 1.0},

@@ -36,22 +36,22 @@ def test_a_ball_by_hand():
     assert block[11:, 0] * 255 == pytest.approx(3 * (2 * 8 + 6) + np.arange(3))
 
 
-@pytest.mark.parametrize("stride", [1, 2])
-def test_a_ball_is_as_large_as_its_pixels(stride):
-    """One pixel is 2 m / 4 = .5 m wide, two are 1 m."""
-    mapper = _mapper(iterations=0, seed_stride=stride)
+@pytest.mark.parametrize(("columns", "stride"), [(600, 1), (8, 1), (4, 2)])
+def test_a_ball_is_as_large_as_its_pixels(columns, stride):
+    """One of the 8 pixels is 2 m / 4 = 0.5 m wide, two are 1 m."""
+    mapper = _mapper(iterations=0, seed_columns=columns)
     mapper.observe(_frame())
     assert np.exp(mapper.map.parameters[7:10, : mapper.map.count]) == pytest.approx(0.5 * stride)
 
 
 def test_seeds_are_the_grid_row_by_row():
     frame = _frame()
-    mapper = _mapper(iterations=0)
+    mapper = _mapper(iterations=0, seed_columns=4)
     assert mapper.observe(frame).added == 12
     order = np.lexsort((mapper.map.means[:, 0], mapper.map.means[:, 1]))  # by row, then by column
     assert order.tolist() == list(range(12))
     assert np.exp(mapper.map.parameters[7:10, :12]) == pytest.approx(1.0)
-    assert _mapper(iterations=0, seed_stride=1).observe(frame).added == 48
+    assert _mapper(iterations=0).observe(frame).added == 48
 
 
 def test_missing_is_what_is_transparent_or_far_behind():
@@ -181,7 +181,7 @@ def test_first_half_local_second_half_global(room_frames):
 
 
 def test_the_bound_is_the_default_mapper_s(room_frames):
-    mapper = _mapper(max_gaussians=1000, iterations=0)
+    mapper = _mapper(max_gaussians=1000, iterations=0, seed_columns=40)
     reports = [mapper.observe(frame) for frame in room_frames[:3]]
     assert (reports[0].added, reports[0].left_out) == (22 * 40, 0)
     assert (reports[1].added, reports[2].added) == (120, 0)

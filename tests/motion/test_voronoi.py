@@ -126,3 +126,29 @@ def test_the_plan_is_the_layer_of_the_place_without_other_rooms_and_without_spec
     assert len(graph)
     cells = volume.voxel_of(np.column_stack([graph.nodes, np.full(len(graph), 1.25)]))
     assert free[cells[:, 0], cells[:, 1]].all()
+
+
+def test_a_table_below_the_camera_and_a_lamp_above_it_block_the_plan() -> None:
+    volume = VoxelVolume(np.array([[0.0, 0, 0], [6.0, 4, 2.7]]))
+    volume.state[:] = FREE
+    k = volume.voxel_of(np.array([1.0, 1.0, 1.55]))[2]
+    volume.state[:, :, 1] = OCCUPIED  # the ground
+    above = 2
+    volume.state[10:14, 10:14, k - 6] = OCCUPIED  # a table
+    volume.state[20:24, 20:24, above + 19] = OCCUPIED  # a lamp, lower than 2 m
+    volume.state[30:34, 10:14, above + 20] = OCCUPIED  # a beam above the head
+    volume.state[30:34, 20:24, above + 1] = OCCUPIED  # a carpet edge below the foot
+    free = free_plan(volume, np.array([1.0, 1.0, 1.55]))
+    expected = np.ones_like(free)
+    expected[10:14, 10:14] = expected[20:24, 20:24] = False
+    np.testing.assert_array_equal(free, expected)
+    np.testing.assert_array_equal(
+        free_plan(volume, volume.center_of(np.array([11, 11, k]))), expected
+    )  # over the table
+
+
+def test_without_a_known_ground_the_layer_of_the_agent_is_the_plan() -> None:
+    volume = VoxelVolume(np.array([[0.0, 0, 0], [3.0, 3, 2.5]]))
+    volume.state[:] = FREE
+    volume.state[5, 5, -2] = OCCUPIED  # above the agent
+    assert free_plan(volume, np.array([1.0, 1.0, 1.25])).all()

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.actors import build
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import planar_graph
-from activestructure_gym.policies import POLICIES, NativeSettings, Policy, make_env_and_policy
+from activestructure_gym.policies import POLICIES, NativeSettings, Policy, make_env_and_policy, make_policy
 from activestructure_gym.policies.native_settings import native_settings_of
 from activestructure_gym.scenes import load_scene
 
@@ -209,3 +209,17 @@ def test_wrong_terms_and_declarations_are_said() -> None:
         native_settings_of(type("Odd", (), {"native_settings": {"mapper": "splatam"}}), "native")
     with pytest.raises(InputError, match="give config as a dictionary"):
         make_env_and_policy(Bringer, "box", setup="native", config=configure("fast"))
+
+
+def test_chance_has_the_views_of_a_planner_and_nothing_else_of_it() -> None:
+    floor = make_policy("random?views_of=anm_s")
+    assert native_settings_of(floor, "native") == POLICIES.get("anm_s").native_settings
+    assert floor.required_features == make_policy("random").required_features == ()
+    assert native_settings_of(make_policy("random"), "native") == NativeSettings()
+    assert native_settings_of(floor, "shared") == NativeSettings()
+    env, policy, observation = begin("random?views_of=anm_s")
+    assert env.config.views.stages == POLICIES.get("anm_s").native_settings.stages
+    assert observation["action_mask"][policy.act(observation)]
+    env.close()
+    with pytest.raises(InputError, match="unknown policy 'anms'; did you mean 'anm_s'"):
+        make_policy("random?views_of=anms")

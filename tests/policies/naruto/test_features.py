@@ -15,10 +15,13 @@ from activestructure_gym.policies.naruto.features import (
     FLOOR,
     INITIAL,
     LISTED,
+    LOOKS,
     POOL,
     TARGETS,
     chosen,
     find_targets,
+    learned_uncertainty,
+    looked_at,
     uncertainty,
     visible,
 )
@@ -123,7 +126,7 @@ def test_of_two_walls_that_were_looked_at_as_often_the_badly_rendered_one_is_unc
 
 def test_targets_are_of_the_most_uncertain_and_the_same_whatever_their_order(rng: np.random.Generator) -> None:
     names, sigma = np.arange(20000) * 7, rng.uniform(0, 1, 20000)
-    kept = chosen(names, sigma, 115200)
+    kept = chosen(names, sigma, 115200, 0)
     assert len(kept) == TARGETS
     pool = np.sort(sigma)[-POOL]
     assert sigma[kept].min() >= pool
@@ -131,20 +134,59 @@ def test_targets_are_of_the_most_uncertain_and_the_same_whatever_their_order(rng
     assert sigma[kept].mean() == pytest.approx((pool + 1) / 2, abs=0.01)  # spread over the pool, not its top
     order = rng.permutation(20000)
     np.testing.assert_array_equal(
-        np.sort(names[order][chosen(names[order], sigma[order], 115200)]), np.sort(names[kept])
+        np.sort(names[order][chosen(names[order], sigma[order], 115200, 0)]), np.sort(names[kept])
     )
 
 
 def test_in_a_small_volume_the_numbers_of_targets_are_shares() -> None:
     # 3.5 % of 10,000 voxels are 350, 7.5 % of these 27.
-    assert len(chosen(np.arange(5000), np.ones(5000), 10000)) == 27
-    assert len(chosen(np.arange(5), np.ones(5), 10000)) == 5
-    assert len(chosen(np.arange(0), np.ones(0), 10000)) == 0
+    assert len(chosen(np.arange(5000), np.ones(5000), 10000, 0)) == 27
+    assert len(chosen(np.arange(5), np.ones(5), 10000, 0)) == 5
+    assert len(chosen(np.arange(0), np.ones(0), 10000, 0)) == 0
 
 
 def test_equals_are_spread_over_the_volume() -> None:
-    kept = chosen(np.arange(4000), np.ones(4000), 115200)
+    kept = chosen(np.arange(4000), np.ones(4000), 115200, 0)
     assert np.histogram(kept, bins=10, range=(0, 4000))[0].min() > 15
+
+
+def test_the_targets_change_with_the_keyframes() -> None:
+    """A voxel that is no target now can be one later, as long as the pool stays the same."""
+    kept = [set(chosen(np.arange(4000), np.ones(4000), 115200, keyframes)) for keyframes in range(60)]
+    assert len(set.union(*kept)) > 0.98 * 4000  # 1 - 0.925^60
+    assert 5 < len(kept[0] & kept[1]) < 45  # 300 x 7.5 % by chance
+
+
+def test_an_unmeasured_place_that_two_keyframes_saw_is_settled() -> None:
+    volume = box((4.0, 2.0, 2.0))
+    volume.state[20, 10, 10] = UNKNOWN  # never resolved: no ray ends there
+    place = volume.center_of(np.array([20, 10, 10]))
+    wide = PinholeCamera.from_size(40, 24)
+
+    def seen_from(x: float, direction: float) -> Frame:
+        pose = look_along(np.array([x, place[1], place[2]]), np.array([direction, 0.0, 0.0]))
+        return Frame(np.zeros((24, 40, 3), np.uint8), np.zeros((24, 40), np.float32), pose, wide)
+
+    near, far, away = seen_from(place[0] - 1.0, 1.0), seen_from(place[0] - 2.1, 1.0), seen_from(place[0] - 1.0, -1.0)
+    assert looked_at([near], volume, place[None]).tolist() == [1]
+    assert looked_at([near, near, near], volume, place[None]).tolist() == [LOOKS]
+    assert looked_at([far, away], volume, place[None]).tolist() == [0]
+    volume.state[14] = OCCUPIED  # a wall in between
+    assert looked_at([near], volume, place[None]).tolist() == [0]
+
+
+def test_a_place_that_stays_unknown_is_no_trap() -> None:
+    volume = box((4.0, 2.0, 2.0))
+    volume.state[20, 10, 10] = UNKNOWN
+    place = volume.center_of(np.array([20, 10, 10]))
+    wide = PinholeCamera.from_size(40, 24)
+    pose = look_along(place - [1.0, 0.0, 0.0], X)
+    frame = Frame(np.zeros((24, 40, 3), np.uint8), np.full((24, 40), 3.0, np.float32), pose, wide)
+    depth = np.full((24, 40), 3.0, np.float32)
+    for looks, expected in ((1, INITIAL), (2, FLOOR)):
+        voxels, sigma = learned_uncertainty(Shown([frame] * looks, [depth] * looks), volume)
+        beside = np.abs(voxels - [20, 10, 10]).sum(axis=1) == 1
+        assert beside.sum() == 6 and (sigma[beside] == expected).all()
 
 
 def test_visible_by_hand() -> None:

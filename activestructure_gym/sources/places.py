@@ -10,6 +10,7 @@ from activestructure_gym.geometry import look_along
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.views import CandidatePool, ViewConfig
+from activestructure_gym.volume import VoxelVolume
 
 _TRIES = 16  # positions drawn per row, since most are in walls or unknown space
 
@@ -28,10 +29,11 @@ class Lattice(Source):
     directions: int = 5
     heights_m: tuple[float, ...] = (0.0,)  # metres above the start camera
     from_floor: bool = False  # whether heights are above the floor of the workspace instead
+    from_occupied_m: float = 0.0  # metres, minimum distance to occupied voxels; unknown space may be nearer
     rows: int = 1024
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"rows": f"[1, {MAX_ROWS}]"})
+        check_ranges(self, {"rows": f"[1, {MAX_ROWS}]", "from_occupied_m": "[0, 10]"})
         self._layout(ViewConfig(), 0.0)
 
     def _layout(
@@ -55,6 +57,8 @@ class Lattice(Source):
         camera_m = float(context.start[2] - context.bounds[0, 2]) if self.from_floor else 0.0
         layout = self._layout(context.pool.config, camera_m)
         pool = CandidatePool(context.start, context.bounds, layout, seed, clearance_m=context.clearance_m)
+        if self.from_occupied_m:
+            pool.close(_distance_to_occupied(context.volume, pool.positions) < self.from_occupied_m)
         for stop in context.agent.stops:
             pool.mark_visited(stop)
         table = pool.offer(
@@ -65,6 +69,17 @@ class Lattice(Source):
             room=min(context.room, self.rows),
         )
         return Proposals(table.world_from_camera)
+
+
+def _distance_to_occupied(volume: VoxelVolume, positions: np.ndarray) -> np.ndarray:  # [P, 3] -> [P] metres
+    """Return the distance from each position to the centre of the nearest occupied voxel, up to a voxel's diagonal."""
+    from scipy.ndimage import distance_transform_edt
+
+    distance = distance_transform_edt(~volume.occupied) if volume.occupied.any() else np.full(volume.shape, np.inf)
+    inside = volume.contains(positions)
+    found = np.full(len(positions), np.inf)
+    found[inside] = distance[tuple(volume.voxel_of(positions[inside]).T)] * volume.voxel_size
+    return found
 
 
 @SOURCES.register("around")

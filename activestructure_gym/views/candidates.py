@@ -160,6 +160,10 @@ class CandidatePool:
         similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg)) - 1e-9
         self._open[np.ix_(near, similar)] = False
 
+    def close(self, positions: np.ndarray) -> None:
+        """Remove all views at the ``positions`` [P] bool."""
+        self._open[positions] = False
+
     def drop(self, candidate_id: int) -> None:
         """Remove the view with this id, since it is unreachable. A negative id is ignored."""
         if candidate_id >= 0:

@@ -19,10 +19,11 @@ GOOD_PSNR = 34.0  # dB; post-refinement ends when 90 % of the keyframes exceed i
 
 # Candidate sources in the native setup, one per stage ([activegamer, code]); heights are above the floor.
 SOURCES = (
-    "lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&rows=512",
-    "lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&rows=1024",
+    "lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&from_occupied_m=0.3&rows=512",
+    "lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&from_occupied_m=0.3&rows=1024",
     "stay",
 )
+END = "finish"  # source of the row that ends the episode, offered with the last stage
 
 # Limits that the original does not have: a stage ends early, and a view is not chosen again and again.
 PATIENCE = 3  # successive decisions without a view above POOL_SHARE that end a stage; tables are random parts of a pool
@@ -65,8 +66,8 @@ class ActiveGAMER(Planner):
 
     IG_c is the share of uncovered pixels of candidate c (feature `uncovered`), and d_c the distance from the agent in
     metres. Views with IG_c below 0.005 leave the pool after the choice. A stage ends when its pool is empty. In the
-    native setup, the pools are the lattices themselves, and post-refinement optimises the map without motion. Source:
-    [activegamer, code].
+    native setup, the pools are the lattices themselves, post-refinement optimises the map without motion, and the
+    episode ends when 90 % of the keyframes exceed 34 dB. Source: [activegamer, code].
     """
 
     criterion = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
@@ -76,9 +77,12 @@ class ActiveGAMER(Planner):
     native_settings = NativeSettings(
         mapper="splatam",
         iterations=15,
-        stages=tuple((source,) for source in SOURCES),
-        candidates=1026,
-        clearance_m=0.3,  # the original's value for Matterport3D's furnished houses; it has 0.5 m for Replica's rooms
+        stages=((SOURCES[0],), (SOURCES[1],), (SOURCES[2], END)),
+        candidates=1027,
+        # A view is 0.3 m from known surface (`SOURCES`), the original's value for Matterport3D's houses; for Replica's
+        # rooms it has 0.5 m. Unknown space may be nearer, so the agent itself needs 0.1 m only.
+        clearance_m=0.1,
+        changes={"motion.min_clearance": 0.1},
         budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)",
     )
 
@@ -155,9 +159,11 @@ class ActiveGAMER(Planner):
                 return choice
             self._stage += 1
             self._begin_stage()
-        if self._stage == 2 and float(observation["fidelity"][0]) >= GOOD_PSNR:
-            self._stage = 1  # nine tenths of the keyframes are good: continue with the fine stage
-            self._begin_stage()
+        if candidates.offers(END) and float(observation["fidelity"][0]) >= GOOD_PSNR:
+            ending = np.flatnonzero(candidates.source(END) & valid)
+            if len(ending):
+                self._trace = {"stage": "end", "pool": 0}
+                return int(ending[0])
         self._trace = {"stage": STAGES[self._stage], "pool": 0}
         offered = valid & candidates.source(SOURCES[self._active])
         stages = [self._stage] if offered.any() else [self._stage, 0, 1, 2]  # without candidates, switch to any stage

@@ -8,6 +8,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, row_columns
 from activestructure_gym.policies.activegamer.policy import (
     COARSE_DIRECTIONS,
+    END,
     GOOD_PSNR,
     MAX_VISITS,
     PATIENCE,
@@ -233,4 +234,10 @@ def test_stages_follow_each_other_and_refinement_stands_still() -> None:
             assert policy.act(stay) == 0 and policy.trace()["stage"] == "post-refinement"
         assert np.isneginf(compared[-1].scores[1:]).all()  # requests for other stages are not compared
     _, good = lattice_views(2, [(0.0, 0.0)], psnr=35.0)
-    assert policy.act(good) == 2 and policy.trace()["stage"] == "fine"  # discovery goes on
+    good["candidates"] = np.vstack([good["candidates"], np.zeros((1, len(columns)), np.float32)])
+    good["candidates"][-1, columns.index(f"from_{END}")] = 1.0
+    good["candidate_features"] = np.vstack([good["candidate_features"], [[0.0]]]).astype(np.float32)
+    good["action_mask"] = np.ones(4, np.int8)
+    assert policy.act(good) == 3 and policy.trace()["stage"] == "end"  # the original's run is done
+    good["action_mask"][3] = 0
+    assert policy.act(good) == 0  # not yet offered

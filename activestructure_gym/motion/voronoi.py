@@ -66,7 +66,7 @@ def planar_graph(
 
 
 def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
-    """Return the cells on which an agent can stand that are connected to ``position`` [3]; all False if there are none.
+    """Return the cells free for an agent that are connected to ``position`` [3]; all False if there are none.
 
     A cell is free at the height of ``position``, and nothing is occupied from 0.25 to 2 m above the ground. The ground
     is the most frequent height of the first occupied voxel below; if none is known, the agent's height alone counts.

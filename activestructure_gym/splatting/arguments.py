@@ -24,13 +24,6 @@ class Lists(NamedTuple):
     entries: np.ndarray  # [ENTRY_ROWS, room] uint64 entries: `layout.KEY ...`
 
 
-class Found(NamedTuple):
-    """Hold the Gaussians that a camera may see, for rendering many cameras."""
-
-    shapes: np.ndarray  # [N * RECORD] float32 data of all Gaussians: `projection.shape_of`
-    places: np.ndarray  # [N + LANES] int32, increasing indices of the Gaussians found, then undefined
-
-
 class Kept(NamedTuple):
     """Hold the alphas that blending stores for the backward pass."""
 

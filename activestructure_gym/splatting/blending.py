@@ -157,9 +157,9 @@ def depth_at(records, base, z, t, s, view):
     return larger(depth, spread(peek(view, MIN_DEPTH)))
 
 
-# Floats of state per block. While blending: transmittance, depth, and with colour red, green, blue. In the backward
-# pass: transmittance, remaining sum, gradients with respect to red, green, blue, depth, alpha.
-SCORING_STATE, COLORED_STATE = 32, 112
+# Floats of state per block. While blending: transmittance, depth, red, green, blue. In the backward pass: transmittance,
+# remaining sum, gradients with respect to red, green, blue, depth, alpha.
+COLORED_STATE = 112
 
 
 @inline
@@ -173,76 +173,60 @@ def splat_at(records, base, x, y):
     return along, dy * peek(records, base + L11)
 
 
-def _make_forward(with_color):
-    """Return the forward loop over the entries of a tile, with or without colour.
+@inner
+def blend_forward(tile, alive, lists, state, kept, keeps):
+    """Blend the entries of a tile into ``state``.
 
-    Without colour, for scoring candidates, no data for the backward pass are stored.
+    Return the first entry that was not needed, as all pixels had stopped. ``alive`` has one bit per block with
+    unstopped pixels. The alphas are written to ``kept``, ``keeps`` floats apart, with 0 for stopped
+    pixels. The blocks that each entry reached replace its reach, so that the backward loop visits the same blocks.
     """
-    width = COLORED_STATE if with_color else SCORING_STATE
-
-    @inner
-    def forward(tile, alive, lists, state, kept, keeps):
-        """Blend the entries of a tile into ``state``.
-
-        Return the first entry that was not needed, as all pixels had stopped. ``alive`` has one bit per block with
-        unstopped pixels. With colour, the alphas are written to ``kept``, ``keeps`` floats apart, with 0 for stopped
-        pixels. The blocks that each entry reached replace its reach, so that the backward loop visits the same blocks.
-        """
-        entries, records, view = lists.entries, lists.records, lists.camera
-        start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
-        left, top = corner_of(tile, lists.grid)
-        x, y = F(left), F(top)
-        room, at_kept = entries.shape[1], 0
-        for entry in range(start, stop):
-            if alive == 0:
-                return entry
-            _fetch_ahead(entries, entry, stop, records)
-            reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
-            if with_color:
-                poke(entries, SORTED_REACH * room + entry, U64(reach))
-            if reach == 0:
-                continue
-            base = RECORD * np.int64(peek(entries, SORTED_SPLAT * room + entry) & U64(0xFFFFFFFF))
-            along, across = splat_at(records, base, x, y)
-            z = spread(peek(records, base + DEPTH))
-            r, g, b = (
-                spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
-                spread(peek(records, base + BLUE)),
-            )  # fmt: skip
-            while reach != 0:
-                block = lowest_bit(reach)
-                reach &= reach - 1
-                at = width * block
-                t, s = place_of(records, base, block, along, across)
-                opaque = alpha_at(records, base, t, s, view)
-                before = load(state, at)
-                after = fma(neg(opaque), before, before)
-                goes_on = after > peek(view, MIN_LEFT)
-                opaque = sel(goes_on, opaque, F(0.0))
-                weight = opaque * before
-                # With colour, a branch hides the latency of this test from the next Gaussian on the block. Without
-                # colour (small, saturated images) its mispredictions cost more. Both were measured.
-                if not with_color or bits(goes_on) != 0xFFFF:
-                    after = sel(goes_on, after, stopped(before))
-                    if bits(goes_on) == 0:
-                        alive &= ~(1 << block)
-                store(state, at, after)
-                here = depth_at(records, base, z, t, s, view)
-                store(state, at + 16, fma(weight, here, load(state, at + 16)))
-                if with_color:
-                    store(state, at + 32, fma(weight, r, load(state, at + 32)))
-                    store(state, at + 48, fma(weight, g, load(state, at + 48)))
-                    store(state, at + 64, fma(weight, b, load(state, at + 64)))
-                    store(kept, at_kept, opaque)
-                    prefetch(kept, at_kept + 16 * LANES)  # a write to a distant cache line costs more than the block
-                    at_kept += keeps
-        return stop
-
-    return forward
-
-
-blend_forward = _make_forward(True)
-blend_forward_without_color = _make_forward(False)
+    entries, records, view = lists.entries, lists.records, lists.camera
+    start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
+    left, top = corner_of(tile, lists.grid)
+    x, y = F(left), F(top)
+    room, at_kept = entries.shape[1], 0
+    for entry in range(start, stop):
+        if alive == 0:
+            return entry
+        _fetch_ahead(entries, entry, stop, records)
+        reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
+        poke(entries, SORTED_REACH * room + entry, U64(reach))
+        if reach == 0:
+            continue
+        base = RECORD * np.int64(peek(entries, SORTED_SPLAT * room + entry) & U64(0xFFFFFFFF))
+        along, across = splat_at(records, base, x, y)
+        z = spread(peek(records, base + DEPTH))
+        r, g, b = (
+            spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+            spread(peek(records, base + BLUE)),
+        )  # fmt: skip
+        while reach != 0:
+            block = lowest_bit(reach)
+            reach &= reach - 1
+            at = COLORED_STATE * block
+            t, s = place_of(records, base, block, along, across)
+            opaque = alpha_at(records, base, t, s, view)
+            before = load(state, at)
+            after = fma(neg(opaque), before, before)
+            goes_on = after > peek(view, MIN_LEFT)
+            opaque = sel(goes_on, opaque, F(0.0))
+            weight = opaque * before
+            # A branch hides the latency of this test from the next Gaussian on the block (measured).
+            if bits(goes_on) != 0xFFFF:
+                after = sel(goes_on, after, stopped(before))
+                if bits(goes_on) == 0:
+                    alive &= ~(1 << block)
+            store(state, at, after)
+            here = depth_at(records, base, z, t, s, view)
+            store(state, at + 16, fma(weight, here, load(state, at + 16)))
+            store(state, at + 32, fma(weight, r, load(state, at + 32)))
+            store(state, at + 48, fma(weight, g, load(state, at + 48)))
+            store(state, at + 64, fma(weight, b, load(state, at + 64)))
+            store(kept, at_kept, opaque)
+            prefetch(kept, at_kept + 16 * LANES)  # a write to a distant cache line costs more than the block
+            at_kept += keeps
+    return stop
 
 
 @inner
@@ -329,30 +313,28 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
 
 
 @inner
-def write_tile(tile, grid, state, width, pictures):
-    """Write the blocks of a tile into the images ``pictures``; without colour if ``width`` is `SCORING_STATE`."""
+def write_tile(tile, grid, state, pictures):
+    """Write the blocks of a tile into the images ``pictures``."""
     color, depth, alpha = pictures
     x, y = corner_of(tile, grid)
     for block in range(grid[TILE_BLOCKS]):
-        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), COLORED_STATE * block
         pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
         if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
             rest = load(state, at)
             store_block(alpha, pixel, grid[WIDTH], F(1.0) - larger(rest, neg(rest)))
             store_block(depth, pixel, grid[WIDTH], load(state, at + 16))
-            if width != SCORING_STATE:
-                r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
-                store_color_block(color, place, grid[STRIDE], r, g, b)
+            r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+            store_color_block(color, place, grid[STRIDE], r, g, b)
             continue
         for row in range(min(4, grid[HEIGHT] - top)):
             for column in range(min(4, grid[WIDTH] - left)):
                 lane = at + 4 * row + column
                 poke(alpha, pixel + row * grid[WIDTH] + column, F(1.0) - abs(peek(state, lane)))
                 poke(depth, pixel + row * grid[WIDTH] + column, peek(state, lane + 16))
-                if width != SCORING_STATE:
-                    for channel in range(3):
-                        value = peek(state, lane + 32 + 16 * channel)
-                        poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
+                for channel in range(3):
+                    value = peek(state, lane + 32 + 16 * channel)
+                    poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
 
 
 @inner

@@ -16,7 +16,7 @@ from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.splatting import kernels, layout
+from activestructure_gym.splatting import layout, scoring
 from activestructure_gym.splatting.workspace import (
     MAX_ALPHA,
     PooledWorkspace,
@@ -153,8 +153,10 @@ def render_depth_alpha(
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     threads = min(threads or default_threads(), max(1, len(poses)))
     grid, shapes = make_grid(count, parameters.shape[1], camera), aligned_zeros(layout.RECORD * parameters.shape[1])
-    TEAM.run(kernels.shape, (np.zeros(1, np.int64), parameters, grid, shapes), threads)
-    TEAM.run(kernels.score, (np.zeros(1, np.int64), parameters, shapes, views, grid, depth, alpha), threads)
+    reaches = aligned_zeros(parameters.shape[1])
+    TEAM.run(scoring.shape, (np.zeros(1, np.int64), parameters, grid, shapes, reaches), threads)
+    sources = (parameters, shapes, reaches)
+    TEAM.run(scoring.score, (np.zeros(1, np.int64), *sources, views, grid, depth, alpha), threads)
     shape = (len(poses), camera.height, camera.width)
     return depth.reshape(shape), alpha.reshape(shape)
 

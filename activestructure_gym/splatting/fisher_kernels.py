@@ -427,7 +427,7 @@ def inform(tickets, parameters, lists, scratch, asked, pictures, told):
             kept = scratch_of(LANES * (blocks + blocks // 4))
         alive = blending.open_tile(tile, grid, state, np.int64(blending.COLORED_STATE))
         done = blending.blend_forward(tile, alive, lists, state, kept, np.int64(LANES))
-        blending.write_tile(tile, grid, state, np.int64(blending.COLORED_STATE), pictures)
+        blending.write_tile(tile, grid, state, pictures)
         _turn_back(state, tile, grid, pixel_values)
         for at in range(0, 64 * LANES * width, LANES):
             store(painted, at, no_light)

@@ -26,13 +26,10 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.splatting.arguments import Found, Lists, Pictures
 from activestructure_gym.splatting.blending import (
     COLORED_STATE,
-    SCORING_STATE,
     blend_backward,
     blend_forward,
-    blend_forward_without_color,
     open_tile,
     read_tile,
     write_tile,
@@ -63,30 +60,20 @@ from activestructure_gym.splatting.image_losses import (
     means_of_group,
 )
 from activestructure_gym.splatting.layout import (
-    CAPACITY,
-    CHUNK,
-    CHUNKS,
-    COUNT,
     DIGITS,
-    ENTRY_ROWS,
     HEIGHT,
-    PLACES,
-    RECORD,
     SCRATCH,
     TILES_X,
     TILES_Y,
     WIDTH,
 )
-from activestructure_gym.splatting.memory import load, scratch_of, store, store_transposed
-from activestructure_gym.splatting.projection import shape_of
+from activestructure_gym.splatting.memory import load, store
 from activestructure_gym.splatting.simd import LANES, fma
 from activestructure_gym.splatting.stepping import step_parameters
 from activestructure_gym.splatting.tile_lists import (
     fill_chunk,
-    find_in_view,
     plan_entries,
     project_chunk,
-    project_found_chunk,
     sort_tile,
 )
 from activestructure_gym.splatting.tile_losses import compare_tile
@@ -140,7 +127,7 @@ def blend(tickets, lists, scratch, kept, pictures):
         alive = open_tile(tile, grid, state, np.int64(COLORED_STATE))
         keep = alphas[place:] if keeps != 0 else state[SCRATCH - LANES :]
         places[2 * tile + 1] = blend_forward(tile, alive, lists, state, keep, keeps)
-        write_tile(tile, grid, state, np.int64(COLORED_STATE), pictures)
+        write_tile(tile, grid, state, pictures)
 
 
 @kernel
@@ -235,60 +222,6 @@ def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, ste
         blend_backward(tile, done, lists, state, keep, keeps, slots)
         take_ticket(tickets, TILES_DONE)
     step_parameters(tickets, lists, step, scratch[:0], scratch[own : own + SCRATCH])
-
-
-@kernel
-def shape(tickets, parameters, grid, shapes):
-    """Compute the camera-independent data of every Gaussian for `score`: ``shapes``, 16 floats each (`shape_of`)."""
-    while True:
-        chunk = take_ticket(tickets, 0)
-        if chunk >= grid[CHUNKS]:
-            return
-        for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
-            store_transposed(shapes, RECORD * i, shape_of(parameters, grid[CAPACITY], i))
-
-
-@kernel
-def score(tickets, parameters, shapes, views, whole, depth, alpha):
-    """Render depth and alpha of many cameras; each thread renders one camera at a time.
-
-    ``views`` [C, VIEW_SIZE] are the cameras, ``shapes`` the data from `shape`, and ``whole`` the sizes of the map.
-    Visible Gaussians are found first, and only these are projected, 16 at a time: of 16 neighbours in the map, a narrow
-    view contains about four.
-    """
-    grid, tiles = whole.copy(), whole[TILES_X] * whole[TILES_Y]
-    places, taken = np.zeros(whole[COUNT] + LANES, np.int32), np.arange(whole[CHUNKS])
-    visible = np.empty(whole[CHUNKS] * (CHUNK // LANES), np.int32)
-    histogram, chunk_entries = np.empty(whole[CHUNKS] * tiles, np.int32), np.empty(whole[CHUNKS], np.int64)
-    tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
-    digits = np.empty(DIGITS, np.int64)
-    state, no_color = scratch_of(64 * SCORING_STATE), np.empty(0, np.float32)
-    records, entries = scratch_of(CHUNK * RECORD), np.empty((ENTRY_ROWS, 1024), np.uint64)
-    pixels = grid[WIDTH] * grid[HEIGHT]
-    while True:
-        camera = take_ticket(tickets, 0)
-        if camera >= views.shape[0]:
-            return
-        count = find_in_view(parameters, views[camera], whole, places)
-        chunks, grid[COUNT] = (count + CHUNK - 1) // CHUNK, count
-        if chunks * CHUNK * RECORD > len(records):
-            records = scratch_of(2 * chunks * CHUNK * RECORD)
-        lists = Lists(views[camera], grid, records, taken[:chunks], visible, tile_start, tile_order, entries)
-        for chunk in range(chunks):
-            project_found_chunk(chunk, Found(shapes, places), lists, histogram, chunk_entries)
-        total = plan_entries(lists, histogram, chunk_entries)
-        if total > entries.shape[1]:
-            entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
-            lists = Lists(views[camera], grid, records, taken[:chunks], visible, tile_start, tile_order, entries)
-        for chunk in range(chunks):
-            fill_chunk(chunk, lists, histogram, chunk_entries)
-        first, end = camera * pixels, (camera + 1) * pixels
-        pictures = Pictures(no_color, depth[first:end], alpha[first:end])
-        for tile in range(tiles):
-            sort_tile(tile, lists, digits)
-            alive = open_tile(tile, grid, state, np.int64(SCORING_STATE))
-            blend_forward_without_color(tile, alive, lists, state, state, 0)
-            write_tile(tile, grid, state, np.int64(SCORING_STATE), pictures)
 
 
 @kernel

@@ -212,20 +212,39 @@ def load_transposed(typingctx, array, index):
 
 
 @intrinsic
-def load_rows_transposed(typingctx, array, rows, index):
-    """Load 16 vectors transposed: lane k of all vectors is in the 16 floats from ``16 rows[index + k]`` on."""
+def load_rows_transposed(typingctx, array, keys, index):
+    """Load 16 vectors transposed: lane k of all vectors is in the 16 floats from ``16 r`` on.
+
+    ``r`` is in the low 32 bits of ``keys[index + k]``.
+    """
 
     def codegen(context, builder, sig, args):
         lines = []
         for lane in range(LANES):
             at = builder.add(args[2], ir.Constant(I64, lane))
-            row = builder.load(pointer_to(context, builder, sig.args[1], args[1], at))
-            position = builder.mul(builder.sext(row, I64), ir.Constant(I64, LANES))
-            pointer = pointer_to(context, builder, sig.args[0], args[0], position)
+            key = builder.load(pointer_to(context, builder, sig.args[1], args[1], at))
+            row = builder.and_(key, ir.Constant(I64, 0xFFFFFFFF))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], builder.mul(row, ir.Constant(I64, LANES)))
             lines.append(builder.load(builder.bitcast(pointer, FLOATS.as_pointer()), align=4, typ=FLOATS))
         return context.make_tuple(builder, sig.return_type, _transposed(builder, lines))
 
-    return types.UniTuple(floats, LANES)(array, rows, types.intp), codegen
+    return types.UniTuple(floats, LANES)(array, keys, types.intp), codegen
+
+
+def _repeated(lanes):
+    """Return an intrinsic that loads four floats from ``index`` on, float ``lanes[k]`` into lane k."""
+
+    def codegen(context, builder, sig, args):
+        kind = ir.VectorType(F32, 4)
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        four = builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind)
+        return builder.shuffle_vector(four, ir.Constant(kind, ir.Undefined), ir.Constant(INTS, lanes))
+
+    return intrinsic(lambda typingctx, array, index: (floats(array, types.intp), codegen))
+
+
+load_columns = _repeated([lane % 4 for lane in range(LANES)])  # one float per column of a block of 4 x 4 pixels
+load_lines = _repeated([lane // 4 for lane in range(LANES)])  # one float per row of a block
 
 
 def _four(builder, vector, row):

@@ -37,7 +37,7 @@ from activestructure_gym.splatting.layout import (
     SLANT_VARIANCE,
     WIDTH,
 )
-from activestructure_gym.splatting.memory import load, load_rows_transposed, store_transposed
+from activestructure_gym.splatting.memory import load, store_transposed
 from activestructure_gym.splatting.simd import (
     F,
     bits,
@@ -191,23 +191,13 @@ def project_block(parameters, i, view, grid, records):
     return _write_records(live, shape_of(parameters, capacity, i), colors, i, view, grid, records)
 
 
-@inner
-def project_found(found, i, view, grid, records):
-    """Write the records of Gaussians ``found.places[i]`` to ``found.places[i + 15]``, without colour.
-
-    ``found`` is an `arguments.Found`. Returns the bits of Gaussians that reach a block of pixels.
-    """
-    none = spread(F(0.0))
-    live = lane_index() < F(grid[COUNT] - i)
-    shape = load_rows_transposed(found.shapes, found.places, i)
-    return _write_records(live, shape, (none, none, none), i, view, grid, records)
-
-
 @inline
-def _write_records(live, shape, colors, i, view, grid, records):
-    """Project 16 Gaussians and write records i to i + 15; return the bits of Gaussians that reach a block of pixels.
+def ellipse_of(live, shape, view):
+    """Return the ellipses of 16 Gaussians in the image, from their data by `shape_of`.
 
-    ``live`` is a mask of Gaussians to project, and ``shape`` is from `shape_of`.
+    ``live`` is a mask of the Gaussians to project. The values are this mask without those that are visible nowhere, the
+    upper limit of t^2 + s^2 at visible pixels, ten values of the record (u, v, z, l00, l01, l11, both slopes), and
+    the covariance's entries xx, xy and yy.
     """
     mx, my, mz = shape[0], shape[1], shape[2]
     r = (shape[3], shape[4], shape[5], shape[6], shape[7], shape[8], shape[9], shape[10], shape[11])
@@ -252,10 +242,21 @@ def _write_records(live, shape, colors, i, view, grid, records):
     # The same slopes per t and s. The slope per s is that with the blurred covariance, plus a correction.
     zy = dot3(z0, z1, z2, n0, n1, n2) * view[SLANT]
     slope_t, slope_s = slope_x / l00, fma(slope_y, view[BLUR] - SLANT_VARIANCE, zy) / (root_yy * ROOT)
+    return live, inside, u, v, z, l00, l01, l11, slope_t, slope_s, xx, xy, yy
+
+
+@inline
+def _write_records(live, shape, colors, i, view, grid, records):
+    """Project 16 Gaussians and write records i to i + 15; return the bits of Gaussians that reach a block of pixels.
+
+    ``live`` is a mask of Gaussians to project, and ``shape`` is from `shape_of`.
+    """
+    live, inside, u, v, z, l00, l01, l11, slope_t, slope_s, xx, xy, yy = ellipse_of(live, shape, view)
+    log_opacity, one = shape[15], spread(F(1.0))
 
     # Bounding box of the ellipse, in blocks with a pixel centre that it can contain.
     root = sqrt(inside) * (one / ROOT)
-    root_xx = sqrt(xx)
+    root_xx, root_yy = sqrt(xx), sqrt(yy)
     radius_x, radius_y = root * root_xx + SLACK, root * root_yy + SLACK
     far = spread(F(1e6))
     quarter = F(0.25)

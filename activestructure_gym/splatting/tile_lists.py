@@ -40,8 +40,8 @@ from activestructure_gym.splatting.layout import (
     V,
 )
 from activestructure_gym.splatting.memory import count_bits, lowest_bit, peek, peek_bits, poke, poke_add, poke_bits
-from activestructure_gym.splatting.projection import project_block, project_found, reaches_image
-from activestructure_gym.splatting.simd import LANES, U64, F, bits, inline, inner
+from activestructure_gym.splatting.projection import project_block
+from activestructure_gym.splatting.simd import LANES, U64, F, inline, inner
 
 # Bytes with the lowest 8 - shift bits set: columns of blocks that remain in a tile after a shift.
 _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
@@ -113,52 +113,30 @@ def _one_tile(x0, y0, x1, y1):
     return ((x0 ^ x1) | (y0 ^ y1)) < 8
 
 
-def _make_project(project):
-    """Return the loop over the Gaussians of a chunk; ``project`` projects 16 of the map, or of those found in view."""
-
-    @inner
-    def project_chunk(number, source, lists, histogram, chunk_entries):
-        """Project the 1024 Gaussians of chunk ``lists.taken[number]``, and count their entries per tile."""
-        view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
-        tiles_x = grid[TILES_X]
-        tiles = tiles_x * grid[TILES_Y]
-        for tile in range(tiles):
-            poke(histogram, number * tiles + tile, np.int32(0))
-        entries, chunk = 0, lists.taken[number]
-        for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
-            seen = project(source, i, view, grid, records)
-            poke(visible, i // LANES, np.int32(seen))
-            while seen != 0:
-                base = RECORD * (i + lowest_bit(seen))
-                seen &= seen - 1
-                x0, y0, x1, y1 = _box(records, base)
-                alone = _one_tile(x0, y0, x1, y1)
-                for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
-                    for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
-                        if alone or _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != U64(0):
-                            at = number * tiles + tile_y * tiles_x + tile_x
-                            poke(histogram, at, peek(histogram, at) + np.int32(1))
-                            entries += 1
-        chunk_entries[number] = entries
-
-    return project_chunk
-
-
-project_chunk = _make_project(project_block)
-project_found_chunk = _make_project(project_found)
-
-
 @inner
-def find_in_view(parameters, view, grid, places):
-    """Write the indices of the Gaussians that may reach a pixel to ``places``; return their number."""
-    count = 0
-    for i in range(0, grid[COUNT], LANES):
-        seen = np.int64(bits(reaches_image(parameters, i, view, grid)))
+def project_chunk(number, parameters, lists, histogram, chunk_entries):
+    """Project the 1024 Gaussians of chunk ``lists.taken[number]``, and count their entries per tile."""
+    view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
+    tiles_x = grid[TILES_X]
+    tiles = tiles_x * grid[TILES_Y]
+    for tile in range(tiles):
+        poke(histogram, number * tiles + tile, np.int32(0))
+    entries, chunk = 0, lists.taken[number]
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+        seen = project_block(parameters, i, view, grid, records)
+        poke(visible, i // LANES, np.int32(seen))
         while seen != 0:
-            poke(places, count, np.int32(i + lowest_bit(seen)))
+            base = RECORD * (i + lowest_bit(seen))
             seen &= seen - 1
-            count += 1
-    return count
+            x0, y0, x1, y1 = _box(records, base)
+            alone = _one_tile(x0, y0, x1, y1)
+            for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
+                for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
+                    if alone or _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != U64(0):
+                        at = number * tiles + tile_y * tiles_x + tile_x
+                        poke(histogram, at, peek(histogram, at) + np.int32(1))
+                        entries += 1
+    chunk_entries[number] = entries
 
 
 @inner

@@ -157,8 +157,8 @@ def depth_at(records, base, z, t, s, view):
     return larger(depth, spread(peek(view, MIN_DEPTH)))
 
 
-# Floats of state per block. While blending: transmittance, depth, red, green, blue. In the backward pass: transmittance,
-# remaining sum, gradients with respect to red, green, blue, depth, alpha.
+# Floats of state per block. While blending: transmittance, depth, red, green, blue. In the backward pass:
+# transmittance, remaining sum, gradients with respect to red, green, blue, depth, alpha.
 COLORED_STATE = 112
 
 
@@ -178,8 +178,8 @@ def blend_forward(tile, alive, lists, state, kept, keeps):
     """Blend the entries of a tile into ``state``.
 
     Return the first entry that was not needed, as all pixels had stopped. ``alive`` has one bit per block with
-    unstopped pixels. The alphas are written to ``kept``, ``keeps`` floats apart, with 0 for stopped
-    pixels. The blocks that each entry reached replace its reach, so that the backward loop visits the same blocks.
+    unstopped pixels. The alphas are written to ``kept``, ``keeps`` floats apart, with 0 for stopped pixels. The blocks
+    that each entry reached replace its reach, so that the backward loop visits the same blocks.
     """
     entries, records, view = lists.entries, lists.records, lists.camera
     start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]

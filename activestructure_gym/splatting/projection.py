@@ -195,9 +195,9 @@ def project_block(parameters, i, view, grid, records):
 def ellipse_of(live, shape, view):
     """Return the ellipses of 16 Gaussians in the image, from their data by `shape_of`.
 
-    ``live`` is a mask of the Gaussians to project. The values are this mask without those that are visible nowhere, the
-    upper limit of t^2 + s^2 at visible pixels, ten values of the record (u, v, z, l00, l01, l11, both slopes), and
-    the covariance's entries xx, xy and yy.
+    ``live`` is a mask of the Gaussians to project. The first value is this mask without Gaussians that are visible
+    nowhere. The second is the upper limit of t^2 + s^2 at visible pixels. Eight fields of the record follow: U, V,
+    DEPTH, L00, L01, L11 and both slopes. The last three are the entries xx, xy and yy of the covariance in the image.
     """
     mx, my, mz = shape[0], shape[1], shape[2]
     r = (shape[3], shape[4], shape[5], shape[6], shape[7], shape[8], shape[9], shape[10], shape[11])

@@ -1,11 +1,11 @@
 """Run the kernels that render depth and alpha of many small images, for scoring candidates.
 
-They need neither colour nor a backward pass, and have few pixels per Gaussian. So there are no tiles: each thread takes
-one camera at a time, finds the Gaussians that may reach a pixel, and sorts them by depth. It then projects 16 of them at
-a time and blends each into the whole image, in windows of 4 x 4 pixels that begin at the corner of its bounding box.
+A thread takes one camera at a time. It finds the Gaussians that may reach a pixel and sorts them by depth. Then it
+projects 16 of them at a time and blends each into the whole image, in windows of 4 x 4 pixels that begin at the first
+pixel of the Gaussian's bounding box. There are no tiles, since these images fit into a cache.
 
-The images have the same bits as those of `kernels`, since every operation on a pixel is the same. So offsets are
-computed from the corner of a tile and of a block there, which ``lattice`` contains.
+The images have the same bits as those of `kernels`, because the operations on a pixel are the same. `kernels` computes
+offsets from a block of a tile, so ``lattice`` holds the tile and the block of every column and row (`_write_lattice`).
 """
 
 # mypy: ignore-errors
@@ -51,7 +51,6 @@ from activestructure_gym.splatting.memory import (
     load,
     load_block,
     load_columns,
-    load_lines,
     load_rows_transposed,
     lowest_bit,
     peek,
@@ -81,8 +80,8 @@ from activestructure_gym.splatting.simd import (
     sqrt,
 )
 
-_SIDE = 4  # pixels per side of a window
-# Fields of 16 projected Gaussians, one vector each.
+_SIDE, _LATTICE = 4, 3  # pixels per side of a window; rows of the lattice
+# Fields of 16 projected Gaussians, one vector each. The last four are the bounding box in whole pixels.
 _U, _V, _L00, _L01, _L11, _LOG_OPACITY, _Z, _SLOPE_T, _SLOPE_S, _LEFT, _TOP, _RIGHT, _BOTTOM, _FIELDS = range(14)
 _DIGIT = 11  # bits of a digit of the sort
 _AHEAD = 32  # Gaussians by which data are fetched before they are projected
@@ -92,8 +91,8 @@ _AHEAD = 32  # Gaussians by which data are fetched before they are projected
 def shape(tickets, parameters, grid, shapes, reaches):
     """Compute the camera-independent data of every Gaussian for `score`.
 
-    ``shapes`` has 16 floats each (`shape_of`). ``reaches`` [capacity] is the largest distance from the mean in metres
-    at which it is visible, or negative if it is nowhere visible.
+    ``shapes`` has 16 floats each (`shape_of`). ``reaches`` [capacity] is an upper bound of the distance in metres from
+    the mean at which it is visible. It is negative for a Gaussian that is visible nowhere.
     """
     capacity = grid[CAPACITY]
     while True:
@@ -108,6 +107,7 @@ def shape(tickets, parameters, grid, shapes, reaches):
 
 @inline
 def _reach_of(own, parameters, capacity, i, count):
+    """Return ``reaches`` of 16 Gaussians, whose data by `shape_of` are ``own``."""
     inside = own[15] + LOG2_255
     limit = spread(F(40.0))
     live = (lane_index() < F(count - i)) & (inside >= F(0.0))
@@ -127,12 +127,9 @@ def score(tickets, parameters, shapes, reaches, views, grid, depth, alpha):
     ``views`` [C, VIEW_SIZE] are the cameras, ``shapes`` and ``reaches`` the data from `shape`, and ``grid`` the sizes.
     """
     width, height = grid[WIDTH], grid[HEIGHT]
-    stride = width + _SIDE
-    lattice = scratch_of(3 * (max(width, height) + _SIDE))
-    span = max(width, height) + _SIDE
-    for at in range(span):
-        lattice[at], lattice[span + at] = at % 4 + F(0.5), TILE * (at // TILE)
-        lattice[2 * span + at] = at % TILE // 4 * 4
+    stride, span = width + _SIDE, max(width, height) + _SIDE
+    lattice = scratch_of(2 * _SIDE * _LATTICE * span)
+    _write_lattice(lattice, span)
     rest, deep = scratch_of(stride * (height + _SIDE)), scratch_of(stride * (height + _SIDE))
     keys, spare = np.empty(grid[COUNT] + LANES, np.uint64), np.empty(grid[COUNT] + LANES, np.uint64)
     digits, splats, line = np.empty(2 * DIGITS, np.int64), scratch_of(LANES * _FIELDS), scratch_of(LANES)
@@ -157,6 +154,22 @@ def score(tickets, parameters, shapes, reaches, views, grid, depth, alpha):
                 poke(alpha, place, F(1.0) - abs(peek(rest, row * stride + column)))
                 poke(depth, place, peek(deep, row * stride + column))
                 place += 1
+
+
+@inner
+def _write_lattice(lattice, span):
+    """Write three rows of ``span`` columns or rows of pixels, and again with every number four times in a row.
+
+    They are the pixel's centre in its block of 4 x 4 pixels, the first pixel of its tile, and that of its block there.
+    """
+    for at in range(span):
+        for kind in range(_LATTICE):
+            value = F(at % 4) + F(0.5)
+            if kind > 0:
+                value = F(TILE * (at // TILE)) if kind == 1 else F(at % TILE // 4 * 4)
+            poke(lattice, kind * span + at, value)
+            for column in range(_SIDE):
+                poke(lattice, _SIDE * ((_LATTICE + kind) * span + at) + column, value)
 
 
 @inner
@@ -192,9 +205,9 @@ def _find(parameters, reaches, view, grid, keys, line):
 
 @inner
 def _sort(keys, spare, count, digits):
-    """Sort keys by depth, with ties by index: by two or three digits of the depth's bits, then by insertion.
+    """Sort keys by depth, with ties by index: by two digits of the depth's bits, then by insertion.
 
-    Digits are the high bits in which depths differ. At most three low bits are left to the insertion.
+    Both digits together are the 22 high bits in which depths differ. The few bits below them are left to the insertion.
     """
     if count == 0:
         return
@@ -281,28 +294,35 @@ def _blend(live, splats, view, lattice, span, rest, deep, stride):
     while live != 0:
         lane = lowest_bit(live)
         live &= live - 1
-        u, v, z = peek(splats, LANES * _U + lane), peek(splats, LANES * _V + lane), peek(splats, LANES * _Z + lane)
+        u, v = spread(peek(splats, LANES * _U + lane)), spread(peek(splats, LANES * _V + lane))
+        z = spread(peek(splats, LANES * _Z + lane))
         l00, l01 = spread(peek(splats, LANES * _L00 + lane)), spread(peek(splats, LANES * _L01 + lane))
         l11, log_opacity = spread(peek(splats, LANES * _L11 + lane)), spread(peek(splats, LANES * _LOG_OPACITY + lane))
         slope_t = spread(peek(splats, LANES * _SLOPE_T + lane))
         slope_s = spread(peek(splats, LANES * _SLOPE_S + lane))
         left, right = np.int64(peek(splats, LANES * _LEFT + lane)), np.int64(peek(splats, LANES * _RIGHT + lane))
         top, bottom = np.int64(peek(splats, LANES * _TOP + lane)), np.int64(peek(splats, LANES * _BOTTOM + lane))
-        for y in range(top, bottom + 1, _SIDE):
-            dy = load_lines(lattice, y) - (spread(v) - load_lines(lattice, span + y))
-            by = load_lines(lattice, 2 * span + y)
+        x, y = left, top
+        while True:
+            dx = load_columns(lattice, x) - (u - load_columns(lattice, span + x))
+            dy = load(lattice, 4 * (3 * span + y)) - (v - load(lattice, 4 * (4 * span + y)))
+            by = load(lattice, 4 * (5 * span + y))
             s = fma(l11, by, dy * l11)
-            for x in range(left, right + 1, _SIDE):
-                dx = load_columns(lattice, x) - (spread(u) - load_columns(lattice, span + x))
-                t = fma(l00, load_columns(lattice, 2 * span + x), fma(l01, by, fma(dx, l00, dy * l01)))
-                power = fma(neg(s), s, fma(neg(t), t, log_opacity))
-                opaque = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
-                opaque = sel(power >= peek(view, MIN_POWER), opaque, F(0.0))
-                at = y * stride + x
-                before = load_block(rest, at, stride)
-                after = fma(neg(opaque), before, before)
-                goes_on = after > peek(view, MIN_LEFT)
-                weight = sel(goes_on, opaque, F(0.0)) * before
-                store_block(rest, at, stride, sel(goes_on, after, stopped(before)))
-                here = larger(fma(slope_t, t, fma(slope_s, s, spread(z))), spread(peek(view, MIN_DEPTH)))
-                store_block(deep, at, stride, fma(weight, here, load_block(deep, at, stride)))
+            t = fma(l00, load_columns(lattice, 2 * span + x), fma(l01, by, fma(dx, l00, dy * l01)))
+            power = fma(neg(s), s, fma(neg(t), t, log_opacity))
+            opaque = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
+            opaque = sel(power >= peek(view, MIN_POWER), opaque, F(0.0))
+            at = y * stride + x
+            before = load_block(rest, at, stride)
+            after = fma(neg(opaque), before, before)
+            goes_on = after > peek(view, MIN_LEFT)
+            weight = sel(goes_on, opaque, F(0.0)) * before
+            store_block(rest, at, stride, sel(goes_on, after, stopped(before)))
+            here = larger(fma(slope_t, t, fma(slope_s, s, z)), spread(peek(view, MIN_DEPTH)))
+            store_block(deep, at, stride, fma(weight, here, load_block(deep, at, stride)))
+            x += _SIDE
+            if x > right:
+                x = left
+                y += _SIDE
+                if y > bottom:
+                    break

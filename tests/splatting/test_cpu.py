@@ -53,8 +53,7 @@ def test_render_depth_alpha_is_render_for_each_camera(kind, splats_of):
     depth, alpha = render_depth_alpha(parameters, count, splats.camera, poses, threads=1)
     for index, pose in enumerate(poses):
         rendering = render(parameters, count, splats.camera, pose)
-        assert np.abs(depth[index] - rendering.depth).max() <= 1e-5
-        assert np.abs(alpha[index] - rendering.alpha).max() <= 1e-6
+        assert np.array_equal(depth[index], rendering.depth) and np.array_equal(alpha[index], rendering.alpha)
     if kind != "empty":
         assert alpha[1].max() > 0.5 and not np.array_equal(alpha[1], alpha[2])
     for threads in (2, 3):

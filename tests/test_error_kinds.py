@@ -66,6 +66,7 @@ USERS_INSIDE = {
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchSteps.step"},
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
+    "activestructure_gym/sensors/renderer.py": {"_by_warp"},
     "activestructure_gym/volume/config.py": {"grid_shape"},
     "activestructure_gym/volume/rays.py": {"PixelRays.sums", "PixelRays._of_voxels"},
     "activestructure_gym/volume/voxel_volume.py": {"VoxelVolume.rays"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.raycaster import tracer_in_use
@@ -86,13 +88,30 @@ def _by_raycast(scene: Scene) -> Renderer:
     return RaycastRenderer(scene)
 
 
+@RENDERERS.register("warp")
+def _by_warp(scene: Scene) -> Renderer:
+    try:
+        from activestructure_gym.sensors.warp_backend import WarpRenderer
+    except ModuleNotFoundError as error:
+        if error.name != "warp":
+            raise
+        raise InputError(f"the sensor backend 'warp' cannot run here: {_WARP_MISSING}") from None
+    return WarpRenderer(scene)
+
+
+_WARP_MISSING = "package warp-lang is missing: pip install 'activestructure-gym[warp]'"
+
+
 def renderer_status() -> dict[str, str]:
     """Return for each renderer "works", or the reason why it does not; for ray casting also the tracer in use.
 
     OpenGL is tried in a separate process, since a process that has used it must not fork.
     """
     tracer, reason = tracer_in_use()
-    status = {"raycast": f"works, with {tracer} ({reason})"}
+    status = {
+        "raycast": f"works, with {tracer} ({reason})",
+        "warp": _WARP_MISSING if importlib.util.find_spec("warp") is None else "works",
+    }
     command = "from activestructure_gym.sensors.pyrender_backend import probe; print(probe())"
     path = os.pathsep.join(path for path in sys.path if path)
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8:backslashreplace"}

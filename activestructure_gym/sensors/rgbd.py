@@ -40,7 +40,7 @@ class SensorConfig:
     intrinsics: tuple[float, float, float, float] | None = None  # fx, fy, cx, cy in pixels; overrides the field of view
     max_range: float = 10.0  # metres along the optical axis; farther returns become 0
     supersample: int = 2  # colour samples per pixel and axis; with 1, aliasing alone limits PSNR to about 30 dB
-    backend: str = "auto"  # renderer: auto, raycast, pyrender, or package.module:Name
+    backend: str = "auto"  # renderer: auto, raycast, warp, pyrender, or package.module:Name
     depth_noise: DepthNoise = "none"  # the paper has none
     noise_multiplier: float = 1.0  # scales every depth error; 0 = none
     edge_dropout: bool = False  # holes near depth edges and on slanted surfaces

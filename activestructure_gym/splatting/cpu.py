@@ -8,6 +8,7 @@ logarithm of the standard deviations in metres, 10 opacity logit, 11-13 colour (
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -234,15 +235,12 @@ class Steps:
         count: int,
         **options: Any,  # weights, beta1, beta2 and isotropic of `mapping_step`
     ) -> None:
-        self._state, self._options = (parameters, first_moment, second_moment, count), options
+        self._step = partial(mapping_step, parameters, first_moment, second_moment, count, **options)
         self._losses: list[tuple[float, float, float]] = []
 
     def step(self, frame: Frame, **options: Any) -> None:
         """Take one step on the loss of a frame; ``options`` are the others of `mapping_step`."""
-        losses = mapping_step(
-            *self._state, frame.camera, frame.world_from_camera, unit_rgb(frame), frame.depth,
-            **self._options, **options,
-        )  # fmt: skip
+        losses = self._step(frame.camera, frame.world_from_camera, unit_rgb(frame), frame.depth, **options)
         self._losses.append((losses.color, losses.depth, losses.ssim))
 
     def end(self) -> np.ndarray:  # [steps, 3] float64

@@ -77,12 +77,10 @@ def adam(
     first_moment: torch.Tensor,  # [N, D], changed in place
     second_moment: torch.Tensor,  # [N, D], changed in place
     seen: torch.Tensor,  # [N] bool: the others keep parameters and moments
-    rate: float,
-    beta1: float,
-    beta2: float,
-    epsilon: float,
+    *constants: float,  # learning rate, beta1, beta2, epsilon
 ) -> None:
     """Take an Adam step without bias correction ([adam]), as gsplat's compiled function of this name does."""
+    rate, beta1, beta2, epsilon = constants
     mask = seen[:, None]
     first_moment.lerp_(torch.where(mask, gradient, first_moment), 1.0 - beta1)
     second_moment.lerp_(torch.where(mask, gradient.square(), second_moment), 1.0 - beta2)

@@ -77,7 +77,10 @@ class TorchRasterizer:
             for first in range(0, len(poses), at_once):
                 some = slice(first, first + at_once)
                 if self.backend == "gsplat":
-                    found = gsplat_backend.depth_alpha_gsplat(*parts[:3], parts[3][:, 0], on_device[some], camera)
+                    means, quaternions, log_scales, logits, _ = parts
+                    found = gsplat_backend.depth_alpha_gsplat(
+                        means, quaternions, log_scales, logits[:, 0], on_device[some], camera
+                    )
                 else:
                     found = torch.stack(self.draw(parts, camera, on_device[some])[1:3])
                 images[:, some] = _array(found)

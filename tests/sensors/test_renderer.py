@@ -1,4 +1,5 @@
 import dataclasses
+import importlib.util
 import subprocess
 import sys
 
@@ -27,14 +28,16 @@ def test_status_names_the_tracer_and_what_hangs(monkeypatch):
 
     monkeypatch.setenv("ASG_RAYCASTER", "numba")
     monkeypatch.setattr(subprocess, "run", hang)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert renderer_status() == {
         "raycast": "works, with numba (ASG_RAYCASTER=numba)",
+        "warp": "package warp-lang is missing: pip install 'activestructure-gym[warp]'",
         "pyrender": "starting OpenGL took more than 60 s",
     }
 
 
 def test_status_of_every_renderer(status):
-    assert status.keys() == {"raycast", "pyrender"}
+    assert status.keys() == {"raycast", "warp", "pyrender"}
     assert status["raycast"].startswith("works, with ")
     assert status["pyrender"] == "works" or "libegl1 libgl1" in status["pyrender"]
 

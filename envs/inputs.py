@@ -10,12 +10,12 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import look_along
-from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
+from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, Layout, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import unrounded_start
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.worlds import World, is_world, load_world, names_world
 
-SceneSpec = str | PathLike[str] | Scene | GroundTruth | World
+SceneSpec = str | PathLike[str] | Scene | GroundTruth | Layout | World
 Scenes = SceneSpec | Sequence[SceneSpec]
 
 
@@ -42,6 +42,8 @@ def as_truth(scene: SceneSpec) -> GroundTruth:
     """Return the ground truth of a scene or scene spec; warn if only little of its surface can be seen."""
     if isinstance(scene, GroundTruth):
         return scene
+    if isinstance(scene, Layout):
+        return scene.truth()
     if names_world(scene) or not isinstance(scene, str | PathLike | Scene):
         raise InputError(f"a world has no scene to load, got {short_repr(scene)}")
     truth = ground_truth_of(load_scene(scene))

@@ -19,7 +19,7 @@ from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
 from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
-from activestructure_gym.ground_truth import GroundTruth
+from activestructure_gym.ground_truth import GroundTruth, Layout
 from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, StepResult
 from activestructure_gym.scenes import Scene
@@ -161,7 +161,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
-        if not all(isinstance(one, str | PathLike | Scene | GroundTruth) or is_world(one) for one in self._scenes):
+        if not all(
+            isinstance(one, str | PathLike | Scene | GroundTruth | Layout) or is_world(one) for one in self._scenes
+        ):
             raise InputError(
                 f"scene must be a name, a path, a Scene, a World, or a sequence of them, got {short_repr(scene)}"
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -11,11 +11,16 @@ import numpy as np
 from activestructure_gym.envs.inputs import Scenes
 from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv
 from activestructure_gym.errors import InputError, short_repr, unknown_keyword
+from activestructure_gym.ground_truth import Layout
+from activestructure_gym.ground_truth.layouts import MAX_LAYOUTS, layout_specs
 from activestructure_gym.scenes.library import with_options
+from activestructure_gym.scenes.procedural.layout import MAX_ROOMS
 from activestructure_gym.worlds import World, is_world
 from activestructure_gym.worlds.registry import PREFIX
 
 E = TypeVar("E", bound=type[ReconstructionEnv])
+
+_LAYOUTS = "int | none | draw the layout of every episode from the first N training layouts, which have no light"
 
 
 def task(sentence: str, **arguments: str) -> Callable[[E], E]:
@@ -42,19 +47,33 @@ def task(sentence: str, **arguments: str) -> Callable[[E], E]:
 @task(
     "**Room-v0**: one furnished procedural room; `scene_seed` picks the layout.",
     scene_seed="int | 0 | seed of the layout, at least 0",
+    layouts=_LAYOUTS,
 )
 class RoomEnv(ReconstructionEnv):
     """Explore one furnished procedural room."""
 
-    def __init__(self, *, scene: Scenes = "room", scene_seed: int | None = None, **options: Unpack[EnvOptions]) -> None:
-        _check_names(RoomEnv, options, "scene", "scene_seed")
-        super().__init__(_with_numbers(scene, scene_seed=scene_seed), **options)
+    def __init__(
+        self,
+        *,
+        scene: Scenes = "room",
+        scene_seed: int | None = None,
+        layouts: int | None = None,
+        **options: Unpack[EnvOptions],
+    ) -> None:
+        _check_names(RoomEnv, options, "scene", "scene_seed", "layouts")
+        if layouts is None:
+            scene = _with_numbers(scene, scene_seed=scene_seed)
+        else:
+            _check_alone(scene=scene != "room", scene_seed=scene_seed is not None)
+            scene = _layouts(layouts, (1,))
+        super().__init__(scene, **options)
 
 
 @task(
     "**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7) rooms; `scene_seed` picks the layout.",
-    rooms="int | 3 | number of rooms, 1 to 7",
+    rooms="int | 3 | number of rooms, 1 to 7; with `layouts` also several numbers, taken in turn",
     scene_seed="int | 0 | seed of the layout, at least 0",
+    layouts=_LAYOUTS,
 )
 class ApartmentEnv(ReconstructionEnv):
     """Explore a furnished procedural apartment."""
@@ -63,12 +82,18 @@ class ApartmentEnv(ReconstructionEnv):
         self,
         *,
         scene: Scenes = "apartment",
-        rooms: int | None = None,
+        rooms: int | Sequence[int] | None = None,
         scene_seed: int | None = None,
+        layouts: int | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
-        _check_names(ApartmentEnv, options, "scene", "rooms", "scene_seed")
-        super().__init__(_with_numbers(scene, rooms=rooms, scene_seed=scene_seed), **options)
+        _check_names(ApartmentEnv, options, "scene", "rooms", "scene_seed", "layouts")
+        if layouts is None:
+            scene = _with_numbers(scene, rooms=rooms, scene_seed=scene_seed)
+        else:
+            _check_alone(scene=scene != "apartment", scene_seed=scene_seed is not None)
+            scene = _layouts(layouts, 3 if rooms is None else rooms)
+        super().__init__(scene, **options)
 
 
 @task('**Mesh-v0**: any mesh file, `scene="file.glb"` or `scene="file.obj?units=mm&up=y"`.')
@@ -115,6 +140,29 @@ class WorldEnv(ReconstructionEnv):
         super().__init__(PREFIX + world.removeprefix(PREFIX) if isinstance(world, str) else world, **options)
 
 
+def _check_alone(**given: bool) -> None:
+    """Raise `InputError` if a keyword that chooses one scene was given in addition to ``layouts``."""
+    for name, was in given.items():
+        if was:
+            raise InputError(f"layouts takes the place of {name}; give one of them")
+
+
+def _layouts(count: Any, rooms: Any) -> list[Layout]:
+    """Return the first ``count`` training layouts of ``asg train``; raise `InputError` for invalid arguments."""
+    if not _is_whole(count) or not 1 <= count <= MAX_LAYOUTS:
+        raise InputError(f"layouts must be a whole number from 1 to {MAX_LAYOUTS}, got {short_repr(count)}")
+    each = (rooms,) if _is_whole(rooms) else rooms
+    if not isinstance(each, list | tuple) or not each or not all(_is_whole(n) and 1 <= n <= MAX_ROOMS for n in each):
+        raise InputError(
+            f"rooms must be a whole number from 1 to {MAX_ROOMS}, or several of them, got {short_repr(rooms)}"
+        )
+    return [Layout(spec) for spec in layout_specs("train", int(count), [int(n) for n in each], lit=False)]
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
 def _check_names(kind: type, options: Mapping[str, Any], *own: str) -> None:
     """Raise `UnknownKeyword` for a keyword that is neither in `EnvOptions` nor in ``own``."""
     known = EnvOptions.__annotations__.keys() | set(own)
@@ -137,14 +185,14 @@ def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:
     return scene
 
 
-def _with_numbers(scene: Any, **numbers: int | None) -> Any:
+def _with_numbers(scene: Any, **numbers: Any) -> Any:
     """Return the scene with the options that are not None; ``scene_seed`` becomes its option ``seed``.
 
     Raises `InputError` for a number that is invalid or that the scene has no option for.
     """
     given = {name: number for name, number in numbers.items() if number is not None}
     for name, number in given.items():
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**63:
+        if not _is_whole(number) or not 0 <= number < 2**63:
             raise InputError(f"{name} must be a whole number from 0 to 2^63 - 1, got {short_repr(number)}")
     options = {name.removeprefix("scene_"): int(number) for name, number in given.items()}
     return _with_options(scene, options) if options else scene

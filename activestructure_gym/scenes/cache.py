@@ -31,7 +31,7 @@ except ImportError:  # Windows, where an open file cannot be removed anyway
 
 # Part of every key; increase it when the meaning of any cached array changes.
 CACHE_VERSION = 3
-DEFAULT_LIMIT = 4 << 30  # bytes: 3500 apartments, or 20 scenes with the views of the protocol `activegamer`
+DEFAULT_LIMIT = 4 << 30  # bytes: 1200 apartments, or 20 scenes with the views of the protocol `activegamer`
 
 _LOCAL_HEADER = 30  # bytes of an entry in a zip file before its name
 _SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) *([kmgt]?)i?b?", re.IGNORECASE)

@@ -26,6 +26,7 @@ from activestructure_gym.scenes.loaders.scannet import (
     load_scannet_scene,
     load_scannetpp_scene,
 )
+from activestructure_gym.scenes.procedural.kept import kept_scene
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -109,17 +110,24 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 @SCENES.register("room")
 @_shared
 def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural.apartment import make_apartment
-
-    return make_apartment(seed=seed, rooms=1, furnished=furnished, lit=lit)
+    return _kept_apartment(seed=seed, rooms=1, furnished=furnished, lit=lit)
 
 
 @SCENES.register("apartment")
 @_shared
 def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural.apartment import make_apartment
+    return _kept_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
 
-    return make_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
+
+def _kept_apartment(**options: int | bool) -> Scene:
+    """Return a procedural apartment, from the cache directory if it is there."""
+
+    def make() -> Scene:
+        from activestructure_gym.scenes.procedural.apartment import make_apartment
+
+        return make_apartment(**options)
+
+    return kept_scene("-".join(["apartment", *(f"{name}={value}" for name, value in options.items())]), make)
 
 
 def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:

@@ -18,18 +18,18 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
 from activestructure_gym.evaluation.training.config import WITH_TRUTH, TrainingConfig
-from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores
 from activestructure_gym.evaluation.training.process_pool import spread
 from activestructure_gym.evaluation.training.training_env import (
     STARTS,
     draw_noise,
+    layout_order,
     learning_layouts,
     learning_reward,
-    learning_truth,
     make_env,
 )
 from activestructure_gym.files import replaced
+from activestructure_gym.ground_truth import Layout
 from activestructure_gym.npz import read_npz
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies.candidates import Candidates
@@ -69,6 +69,12 @@ def description(config: TrainingConfig) -> dict[str, Any]:
     return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
 
 
+def missing_files(config: TrainingConfig, directory: Path) -> list[int]:
+    """Return the numbers of the files of demonstrations that ``directory`` lacks."""
+    numbers = range(-(-config.episodes // config.world.episodes_per_layout))
+    return [number for number in numbers if not _file(directory, number).is_file()]
+
+
 def collect(
     config: TrainingConfig, directory: Path, *, workers: int = 1, notify: Callable[[int, int], None] = lambda *_: None
 ) -> int:
@@ -80,11 +86,10 @@ def collect(
     directory.mkdir(parents=True, exist_ok=True)
     check_description(config, directory)
     write_json(directory / _DESCRIPTION, description(config))
-    numbers = list(range(-(-config.episodes // config.world.episodes_per_layout)))
-    missing = [number for number in numbers if not _file(directory, number).is_file()]
-    notify(len(numbers) - len(missing), len(numbers))
+    missing, total = missing_files(config, directory), -(-config.episodes // config.world.episodes_per_layout)
+    notify(total - len(missing), total)
     for done in spread(_write, [(config, directory, number) for number in missing], workers):
-        notify(len(numbers) - len(missing) + done, len(numbers))
+        notify(total - len(missing) + done, total)
     return len(missing)
 
 
@@ -105,8 +110,7 @@ def check_description(config: TrainingConfig, directory: Path) -> None:
 def load(config: TrainingConfig, directory: Path) -> Demonstrations:
     """Load all demonstrations; raise `InputError` if a file is missing, damaged or of other settings."""
     check_description(config, directory)
-    numbers = range(-(-config.episodes // config.world.episodes_per_layout))
-    missing = [number for number in numbers if not _file(directory, number).is_file()]
+    missing, numbers = missing_files(config, directory), range(-(-config.episodes // config.world.episodes_per_layout))
     if missing:
         raise InputError(f"'{directory}' lacks {len(missing)} of {len(numbers)} files of demonstrations")
     files = [_read(_file(directory, number), config) for number in numbers]
@@ -153,7 +157,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     extra = () if config.teacher in WITH_TRUTH else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.features, *extra))
     rng = np.random.default_rng([config.seed, number])
-    truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
+    truth = Layout(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]]).truth()
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, *_RECORDED)}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):

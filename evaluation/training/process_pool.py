@@ -1,18 +1,35 @@
-"""Distribute function calls over spawned processes with one thread each, which end when this process ends."""
+"""Distribute function calls over processes with one thread each, which end when this process ends."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
+from multiprocessing.context import BaseContext
 from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.threads import single_threaded_children
+
+_PRELOADED = ["activestructure_gym.envs.preload", "activestructure_gym.evaluation.training.demonstrations"]
+
+
+def worker_context(*modules: str) -> BaseContext:
+    """Return how worker processes are started: forked from a server that has imported everything and run nothing.
+
+    The server also imports ``modules``. A fork of this process itself would hang if it has used threads of numba or
+    torch. Processes are spawned where the system has no forkserver.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([*_PRELOADED, *modules])  # without effect once the server runs
+    return context
 
 
 def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
@@ -27,8 +44,7 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             yield done
         return
     with single_threaded_children():
-        # Spawned, not forked: a fork of a process that has used threads of numba or torch would hang.
-        pool = ProcessPoolExecutor(min(workers, len(calls)), get_context("spawn"), initializer=follow_parent)
+        pool = ProcessPoolExecutor(min(workers, len(calls)), worker_context(), initializer=follow_parent)
         try:
             waiting = [pool.submit(function, *call) for call in calls]
             for done, future in enumerate(as_completed(waiting), start=1):

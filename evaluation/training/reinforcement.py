@@ -23,8 +23,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
-from activestructure_gym.evaluation.training.layouts import layout_order
-from activestructure_gym.evaluation.training.process_pool import one_thread
+from activestructure_gym.evaluation.training.process_pool import one_thread, worker_context
 from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
@@ -32,6 +31,7 @@ from activestructure_gym.evaluation.training.runs import (
 )
 from activestructure_gym.evaluation.training.stopwatch import Timing
 from activestructure_gym.evaluation.training.supervised import Notify, Validate
+from activestructure_gym.evaluation.training.training_env import layout_order
 from activestructure_gym.policies.learned.network import CandidateNetwork
 from activestructure_gym.policies.learned.sb3 import CandidatePolicy
 
@@ -41,11 +41,11 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
     """Make a vector of environments, one by each function in ``makers``.
 
-    With ``processes``, each environment is in its own spawned process, else in this one; both give equal results.
+    With ``processes``, each environment is in its own process, else in this one; both give equal results.
     """
-    # Spawned, not forked: a fork of a process that has used threads of numba or torch would hang.
     if processes:
-        return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method="spawn")
+        method = worker_context(__name__).get_start_method()
+        return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method=method)
     return DummyVecEnv(list(makers))
 
 

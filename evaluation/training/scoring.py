@@ -25,8 +25,8 @@ from activestructure_gym.evaluation.report.tables.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
 from activestructure_gym.evaluation.training.config import WorldConfig
-from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.process_pool import spread
+from activestructure_gym.ground_truth.layouts import layout_specs
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.config import ReconstructionConfig, configure, replaced
+from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import observation_space
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.training.config import Reward, WorldConfig
-from activestructure_gym.evaluation.training.layouts import layout_specs
-from activestructure_gym.ground_truth import GroundTruth
+from activestructure_gym.ground_truth import GroundTruth, Layout
+from activestructure_gym.ground_truth.layouts import layout_specs
 from activestructure_gym.policies.learned.config import USED_KEYS
-from activestructure_gym.scenes import load_scene
 
 _PERFECT_SHARE = 0.3  # share of episodes without sensor noise; comparisons have none
 _DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")  # settings drawn by `draw_noise`
 _NOISE_RANGE = (0.5, 2.0)  # multiples of the Kinect depth noise
 _RATE_FRAMES = 5.0  # frames; constant of the travel discount 1 / (1 + frames / 5) of all greedy planners
 _COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")  # independent of colours
-_SURFACE_SAMPLES = 12_000  # sample points on a layout's surface: a quarter of the default, for a quarter of the time
+_OF_THE_MAP = (  # these features are the same for all candidates if no Gaussians are mapped
+    "activepolicy", "deficiency", "fisherrf", "fisherrf_path", "gauss_mi", "next_best_sense", "pixel",
+    "popgs_cov_trace", "popgs_cov_trace_block", "popgs_info_trace", "popgs_logdet", "popgs_logdet_block",
+    "popgs_min_eig", "uncovered", "unseen_sides", "view_angle",
+)  # fmt: skip
 STARTS = 16  # number of start poses without a candidate after which another layout is drawn
 
 
@@ -32,7 +35,7 @@ def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> R
     """Return the configuration of training episodes without sensor noise.
 
     ``features`` replaces the features of ``world``. Raise `InputError` if the overrides of ``world`` set the features,
-    or set noise that every episode draws.
+    or set noise that every episode draws, or if a feature reads the map and nothing is mapped.
     """
     changes: dict[str, Any] = {"features": tuple(world.features if features is None else features)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
@@ -44,7 +47,20 @@ def world_config(world: WorldConfig, features: Sequence[str] | None = None) -> R
         raise InputError("the policy's features are set by --features, not by --set features=...")
     if world.frames is not None:
         changes["frame_budget"] = world.frames
-    return configure(world.preset, dict(world.overrides) | changes)
+    config = configure(world.preset, dict(world.overrides) | changes)
+    empty = [name for name in config.features if name in _OF_THE_MAP]
+    if empty and not config.mapper.enabled:
+        raise InputError(
+            f"the feature '{empty[0]}' reads the map, which is empty here (mapper.enabled=false): use unknown_volume, "
+            "which reads the volume, or another preset than rl"
+        )
+    return config
+
+
+def default_features(preset: Preset, overrides: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the features that a policy gets by default: those of the map if there is one, else of the volume."""
+    mapped = configure(preset, {k: v for k, v in overrides.items() if k.startswith("mapper")}).mapper.enabled
+    return ("pixel", "hole_area") if mapped else ("unknown_volume",)
 
 
 def sees_colour(config: ReconstructionConfig) -> bool:
@@ -67,9 +83,9 @@ def learning_layouts(
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, features)))
 
 
-def learning_truth(spec: str) -> GroundTruth:
-    """Load the layout ``spec`` with `_SURFACE_SAMPLES` sample points, fewer than in a comparison."""
-    return GroundTruth(load_scene(spec), _SURFACE_SAMPLES)
+def layout_order(seed: int, count: int) -> np.ndarray:  # [count]
+    """Return a random permutation of the indices of ``count`` training layouts."""
+    return np.random.default_rng([seed, 0, count]).permutation(count)
 
 
 def make_env(
@@ -151,10 +167,10 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         observation: dict[str, np.ndarray] = {}
         drawn, attempts = int(self.np_random.integers(len(self.layouts))), 0
         if seed is not None or self._truth is None:
-            self._truth = learning_truth(self.layouts[(options or {}).get("layout", drawn)])
+            self._truth = Layout(self.layouts[(options or {}).get("layout", drawn)]).truth()
         while not observation or not observation["action_mask"].any():  # without a candidate, draw another start
             if attempts and attempts % STARTS == 0:
-                self._truth = learning_truth(self.layouts[int(self.np_random.integers(len(self.layouts)))])
+                self._truth = Layout(self.layouts[int(self.np_random.integers(len(self.layouts)))]).truth()
             attempts += 1
             self.close()
             noise = draw_noise(self.np_random) if self.world.noise else None

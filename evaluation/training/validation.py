@@ -15,8 +15,8 @@ from activestructure_gym.evaluation.archive.json_files import read_json, write_j
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.rollout import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE
-from activestructure_gym.evaluation.training.training_env import learning_layouts, learning_truth, make_env
-from activestructure_gym.ground_truth import GroundTruth
+from activestructure_gym.evaluation.training.training_env import learning_layouts, make_env
+from activestructure_gym.ground_truth import GroundTruth, Layout
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
@@ -72,7 +72,7 @@ class Validation:
             return
         for number, spec in enumerate(self._specs):
             self._notify(f"preparing validation layout {number + 1} of {len(self._specs)}")
-            self._truths.append(learning_truth(spec))
+            self._truths.append(Layout(spec).truth())
         stored: dict[str, Any] = {}
         if self._file.is_file():
             again = "delete it, and the references are played again"

@@ -171,7 +171,8 @@ def test_vectorised_in_processes(scene_files: dict[str, str]) -> None:
     makers = [
         functools.partial(gym.make, f"activestructure_gym:{name}", **options_of(name, scene_files)) for name in ENV_IDS
     ]
-    assert_vectorised(gym.vector.AsyncVectorEnv(makers, context="spawn"), len(ENV_IDS))
+    multiprocessing.set_forkserver_preload(["activestructure_gym.envs.preload"])
+    assert_vectorised(gym.vector.AsyncVectorEnv(makers, context="forkserver"), len(ENV_IDS))
 
 
 def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None:

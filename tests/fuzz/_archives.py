@@ -88,8 +88,8 @@ def training_run() -> Files:
     from activestructure_gym.evaluation.archive.json_files import write_json
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
-    from activestructure_gym.evaluation.training.layouts import layout_specs
     from activestructure_gym.evaluation.training.runs import TrainingRun, module_tensors, optimizer_tensors
+    from activestructure_gym.ground_truth.layouts import layout_specs
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
     world = WorldConfig(layouts=1, rooms=(1,), frames=5, max_planes=4, episodes_per_layout=1)

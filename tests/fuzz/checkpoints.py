@@ -122,7 +122,7 @@ def _resume() -> None:
     played = SimpleNamespace(auc=0.5, frames=[1], coverage=[0.5])
     made_up = {
         f"{place}.validation.learning_layouts": lambda world, kind, count, *_: _specs(world, kind, count),
-        f"{place}.validation.learning_truth": lambda spec: SimpleNamespace(),
+        f"{place}.validation.Layout": lambda spec: SimpleNamespace(truth=SimpleNamespace),
         f"{place}.validation.make_env": lambda *_: SimpleNamespace(close=lambda: None),
         f"{place}.validation.play": lambda *_: played,
         f"{place}.validation.play_policy": lambda *_: played,
@@ -136,6 +136,6 @@ def _resume() -> None:
 
 
 def _specs(world: Any, kind: str, count: int) -> list[str]:
-    from activestructure_gym.evaluation.training.layouts import layout_specs
+    from activestructure_gym.ground_truth.layouts import layout_specs
 
     return list(layout_specs(kind, min(count, 3), world.rooms))

@@ -90,6 +90,8 @@ def _run(
     torch.set_num_threads(1)
     one_thread()
     run = TrainingRun(directory, config)
+    episodes = Path(data) if data else directory / demonstrations.DATA
+    _announce(config, run.position, episodes, workers, live)
     validate = Validation(config, directory, live.say)
     try:
         if config.method == "ppo":
@@ -113,7 +115,6 @@ def _run(
             from activestructure_gym.evaluation.training.supervised import train_supervised
 
             refuse_links(directory, demonstrations.DATA)  # a directory given by --data may be a link
-            episodes = Path(data) if data else directory / demonstrations.DATA
             live.begin(f"demonstrations of {config.teacher}", 1, 0)
 
             def update(done: int, total: int) -> None:
@@ -130,6 +131,20 @@ def _run(
     finally:
         run.close()
     return run.best, (directory / BEST).is_file()
+
+
+def _announce(config: TrainingConfig, position: int, episodes: Path, workers: int, live: Live) -> None:
+    """Print the expected time of the rest of a run, whose first ``position`` units are finished."""
+    from activestructure_gym.evaluation.training.demonstrations import missing_files
+    from activestructure_gym.evaluation.training.forecast import forecast, run_trial
+
+    files = 0 if config.method == "ppo" else len(missing_files(config, episodes))
+    units = config.units - position
+    if units or files:
+        if config.method == "ppo":
+            workers = min(workers, config.envs)
+        wall, processor = forecast(config, run_trial(config), workers=workers, files=files, units=units)
+        live.note(f"expected: {wall:.1f} minutes, {processor:.1f} processor minutes (from a short trial)")
 
 
 def _unit(config: TrainingConfig) -> str:

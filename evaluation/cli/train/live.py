@@ -72,6 +72,10 @@ class Live:
         if not self._console.is_terminal:
             self._console.print(escape(title) + (f", {done} of {total} done before" if done else ""), highlight=False)
 
+    def note(self, text: str) -> None:
+        """Print the line ``text``."""
+        self._console.print(escape(text), highlight=False)
+
     def say(self, stage: str) -> None:
         """Show the text ``stage`` next to the bar."""
         if self._task is not None:

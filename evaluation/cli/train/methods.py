@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Names, Out, PathName, Switch, option
+from activestructure_gym.evaluation.cli.fields import NoNames, Out, PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
 from activestructure_gym.evaluation.training.config import Method, Reward, TrainingConfig, WorldConfig
@@ -32,8 +32,8 @@ class Learning(Episodes):
     """Set the random seed of layouts, starts, noise and weights; equal seeds give equal networks on one machine."""
     layouts: Annotated[int | None, option("N", "(default: 240)")] = None
     """Train on this many procedural apartments."""
-    features: Names = ("pixel", "hole_area")
-    """Give the policy these features of every candidate (see `asg list features`)."""
+    features: NoNames = ()
+    """Give the policy these features (default: pixel hole_area; without a map, as in rl: unknown_volume)."""
     use_planes: bool = True
     """Give the network the Plane Scene Graph, or an empty one (an ablation)."""
     noise: bool = True
@@ -130,17 +130,17 @@ class Ppo(Learning):
 
 def training_config(options: Learning) -> TrainingConfig:
     """Return the training configuration defined by the options; fields without an option have their defaults."""
+    from activestructure_gym.config import known_preset
     from activestructure_gym.envs.observation import feature_columns
+    from activestructure_gym.evaluation.training.training_env import default_features
     from activestructure_gym.policies.learned import learned_from
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    given["features"] = split_list(options.features)
+    overrides = parse_overrides(options.set)
+    given["features"] = split_list(options.features) or default_features(known_preset(options.preset), overrides)
     if given.get("start") is not None:
         chosen = learned_from(given["start"].removeprefix("learned:"))
-        if (
-            options.features != type(options)().features
-            and feature_columns(*given["features"]) != chosen.required_features
-        ):
+        if options.features and feature_columns(*given["features"]) != chosen.required_features:
             has = ", ".join(chosen.required_features)
             raise InputError(
                 f"leave out --features, or give those of --start: {has}; got {', '.join(given['features'])}"
@@ -148,7 +148,7 @@ def training_config(options: Learning) -> TrainingConfig:
         given |= {"start": chosen.spec.removeprefix("learned:"), "features": chosen.required_features}
     if options.layouts is None:
         del given["layouts"]
-    given["overrides"] = tuple(parse_overrides(options.set).items())
+    given["overrides"] = tuple(overrides.items())
 
     def of(kind: type[TrainingConfig | WorldConfig]) -> dict[str, Any]:
         return {field.name: given[field.name] for field in dataclasses.fields(kind) if field.name in given}

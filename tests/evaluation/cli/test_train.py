@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -172,3 +173,23 @@ def test_a_killed_run_goes_on_to_the_same_bytes(method: str, tmp_path: Path) -> 
     assert "going on" in again.stdout
     for name in ("last.safetensors", "best.safetensors", "log.jsonl"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_rl_has_features_of_the_volume_and_says_the_expected_time(boxes: None, tmp_path: Path, capsys) -> None:
+    assert training_config(Ppo(preset="rl")).world.features == ("unknown_volume",)
+    assert training_config(Ppo(set=("mapper.enabled=false",))).world.features == ("unknown_volume",)
+    assert training_config(Ppo()).world.features == ("pixel", "hole_area")
+    assert main(["train", "ppo", "--preset", "rl", "--features", "pixel", "--out", "no"]) == 2
+    assert "'pixel' reads the map, which is empty" in capsys.readouterr().err
+    assert main(["train", "eval", "--preset", "rl", "--policies", "pixel_only", "--out", "no"]) == 2
+    assert "'pixel' reads the map, which is empty" in capsys.readouterr().err and not (tmp_path / "no").exists()
+
+    tiny = ["--preset", "rl", "--validation-layouts", "1", "--workers", "1", *TINY]
+    assert main(["train", "bc", "--out", "bc", "--episodes", "2", "--epochs", "1", *tiny]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^expected: \d+\.\d minutes, \d+\.\d processor minutes", said, re.MULTILINE)
+    ppo = ["--start", "bc", "--iterations", "1", "--envs", "2", "--steps", "8", "--out", "ppo"]
+    assert main(["train", "ppo", *ppo, *tiny]) == 0
+    assert capsys.readouterr().out.index("expected: ") == 0
+    description = json.loads((tmp_path / "ppo" / "last.json").read_text())
+    assert description["network"]["features"] == ["unknown_volume", "unknown_volume_way"]

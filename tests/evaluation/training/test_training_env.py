@@ -13,17 +13,16 @@ from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.training import demonstrations, oracle, scoring, training_env
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
-from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
 from activestructure_gym.evaluation.training.training_env import (
     TrainingEnv,
     learning_layouts,
-    learning_truth,
     make_env,
     sees_colour,
     world_config,
 )
-from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
+from activestructure_gym.ground_truth import GroundTruth, Layout, ground_truth_of
+from activestructure_gym.ground_truth.layouts import layout_specs
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.random import Random
@@ -119,7 +118,7 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
 
 def test_without_light_nothing_that_is_learnt_from_changes() -> None:
     world = replace(SMALL, frames=80, features=("pixel", "hole_area", "structure", "unknown_volume"))
-    truth = learning_truth("apartment?rooms=1&seed=300000")
+    truth = Layout("apartment?rooms=1&seed=300000").truth()
     lit, unlit = truth.scene, load_scene("apartment?rooms=1&seed=300000&lit=false")
     np.testing.assert_array_equal(lit.mesh.vertices, unlit.mesh.vertices)
     np.testing.assert_array_equal(lit.mesh.faces, unlit.mesh.faces)
@@ -154,7 +153,7 @@ def test_layouts_are_lit_where_a_colour_could_be_seen() -> None:
 
 
 def test_a_layout_to_learn_on_has_fewer_samples_of_the_same_surface(box: Scene) -> None:
-    few, many = learning_truth("box"), ground_truth_of(box)
+    few, many = Layout("box").truth(), ground_truth_of(box)
     assert 0.2 < len(few.observable_surface.points) / len(many.observable_surface.points) < 0.3
     assert few.observable_surface.area == pytest.approx(many.observable_surface.area, rel=0.02)
     assert few.scene.content_hash == box.content_hash

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -11,11 +12,14 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.sensors.rasterize import hits_in_rows, triangles_in_image
 from activestructure_gym.sensors.shading import appearance_of, shade_pixels
 
 # Approximate number of rays of one band of image rows. Such a band fits into the cache, and one thread casts it, since
 # the ray caster splits larger batches over its own pool. Smaller bands would increase Python's overhead.
 _RAYS_PER_BAND = 16_000
+# A mesh with more triangles per ray is not drawn, since most triangles would cover no sample.
+_MAX_FACES_PER_RAY = 16
 
 
 @kernel
@@ -63,22 +67,27 @@ class RaycastRenderer:
     Depth comes from one exact ray through each pixel's centre. The image is cut into bands of rows, drawn by
     ``threads`` threads (`default_threads`); the result is the same for any number of threads. Geometry and appearance
     belong to the scene and are shared by all renderers of a process.
+
+    Images of at least ``draws_from`` pixels (None: no image) are drawn triangle by triangle (`rasterize`). This is 3 to
+    4 times as fast. The first hits are those of the same rays up to rounding: depth differs by about 1e-7 m, and one in
+    a million pixels, at the edge of a surface, shows the other surface.
     """
 
     name = "raycast"
 
-    def __init__(self, scene: Scene, *, threads: int | None = None) -> None:
+    def __init__(self, scene: Scene, *, threads: int | None = None, draws_from: int | None = None) -> None:
         if threads is None:
             threads = default_threads()
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._scene = scene
         self._threads = threads
+        self._draws_from = math.inf if draws_from is None else draws_from
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_scene": self._scene, "_threads": self._threads, "_pool": None, "_pool_process": 0}
+        return {**self.__dict__, "_pool": None, "_pool_process": 0}
 
     def _map(self, function: Any, items: list[Any]) -> None:
         if self._threads == 1 or len(items) == 1:
@@ -101,18 +110,26 @@ class RaycastRenderer:
         appearance, raycaster = appearance_of(self._scene), self._scene.raycaster
         rotation = np.array(world_from_camera[:3, :3], np.float64)
         origin = np.array(world_from_camera[:3, 3], np.float32)
-        samples = supersample * supersample
-        rays_per_pixel = samples + 1 - supersample % 2
+        samples, pixels = supersample * supersample, camera.width * camera.height
+        drawn = pixels >= self._draws_from and len(appearance.faces) <= _MAX_FACES_PER_RAY * pixels * samples
+        if drawn:
+            vertices = np.ascontiguousarray(self._scene.mesh.vertices, np.float32)
+            triangles = triangles_in_image(vertices, appearance.faces, camera, world_from_camera)
+        rays_per_pixel = samples if drawn else samples + 1 - supersample % 2
         centre = samples // 2 if supersample % 2 else samples
         rgb = np.empty((camera.height, camera.width, 3), np.uint8)
         depth = np.empty((camera.height, camera.width), np.float32)
 
         def draw(rows: slice) -> None:
-            pixels = (rows.stop - rows.start) * camera.width
-            directions = np.empty((pixels * rays_per_pixel, 3), np.float32)
-            _pixel_rays(rotation, camera.lens, camera.width, rows.start, rows.stop, supersample, directions)
-            hits = raycaster.cast(origin, directions)
-            distance = hits.distance[centre::rays_per_pixel]
+            first, last = rows.start, rows.stop
+            if drawn:
+                hits = hits_in_rows(triangles, first, last, camera.width, supersample)
+                distance = (hits if samples == 1 else hits_in_rows(triangles, first, last, camera.width, 1)).distance
+            else:
+                directions = np.empty(((last - first) * camera.width * rays_per_pixel, 3), np.float32)
+                _pixel_rays(rotation, camera.lens, camera.width, first, last, supersample, directions)
+                hits = raycaster.cast(origin, directions)
+                distance = hits.distance[centre::rays_per_pixel]
             depth[rows] = np.where(np.isfinite(distance), distance, 0.0).reshape(-1, camera.width)
             shade_pixels(hits.face, hits.u, hits.v, rays_per_pixel, samples, appearance, rgb[rows].reshape(-1, 3))
 

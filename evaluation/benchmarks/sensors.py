@@ -1,4 +1,4 @@
-"""Measure the frames per second of the RGB-D sensor when it renders the same views by ray casting and by pyrender."""
+"""Measure the frames per second of the RGB-D sensor when each renderer renders the same views."""
 
 from __future__ import annotations
 
@@ -63,22 +63,23 @@ def run_sensor_benchmark(
 ) -> list[dict[str, Any]]:
     """Return one row per scene and image size: median, 10th and 90th percentile of the frames per second.
 
-    ``raycast_fps`` and ``pyrender_fps`` are the medians. ``ratio`` is pyrender's time per frame divided by that of ray
-    casting, as the median over frames; above 1, ray casting is faster. If pyrender cannot run, its numbers are None and
-    ``note`` gives the reason. ``scenes`` are scenes or their names for `load_scene`; an unknown name raises
-    `InputError`.
+    ``auto_fps``, ``raycast_fps`` and ``pyrender_fps`` are the medians. ``ratio`` is pyrender's time per frame divided
+    by that of the default renderer ``auto``, as the median over frames; above 1, the default is faster. If pyrender
+    cannot run, its numbers are None and ``note`` gives the reason. ``scenes`` are scenes or their names for
+    `load_scene`; an unknown name raises `InputError`.
     """
     from activestructure_gym.scenes.library import load_scene
 
     if repeats < 1 or views < 1:
         raise InputError(f"repeats and views must be at least 1, got {repeats} and {views}")
     status = renderer_status()["pyrender"]
-    names: tuple[str, ...] = ("raycast", "pyrender") if status == "works" else ("raycast",)
+    names = ("auto", "raycast", "pyrender")
+    used = names if status == "works" else names[:2]
     rows = []
     for spec in scenes:
         scene = load_scene(spec)
         poses = benchmark_views(scene, views, np.random.default_rng(seed))
-        renderers = [make_renderer(name, scene) for name in names]
+        renderers = [make_renderer(name, scene) for name in used]
         try:
             for width, height in sizes:
                 camera = PinholeCamera.from_size(width, height)
@@ -90,11 +91,11 @@ def run_sensor_benchmark(
                     "supersample": supersample,
                     "frames": repeats * len(poses),
                 }
-                for index, name in enumerate(("raycast", "pyrender")):
-                    rates = 1.0 / seconds[index] if index < len(names) else None
+                for index, name in enumerate(names):
+                    rates = 1.0 / seconds[index] if name in used else None
                     row[f"{name}_fps"] = None if rates is None else float(np.median(rates))
                     row[f"{name}_p10_p90"] = None if rates is None else tuple(np.percentile(rates, (10, 90)).tolist())
-                row["ratio"] = float(np.median(seconds[1] / seconds[0])) if len(names) == 2 else None
+                row["ratio"] = float(np.median(seconds[2] / seconds[0])) if used == names else None
                 if status != "works":
                     row["note"] = status
                 rows.append(row)

@@ -8,6 +8,7 @@ import numbers
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal, TypeVar
 
 from activestructure_gym.errors import InputError, short_repr, unknown_name
@@ -177,8 +178,8 @@ def _recipe(changes: Any) -> BaseMapperConfig:
 
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:
     """Return a copy of a (nested) frozen dataclass with the named fields replaced."""
+    hints = _hints(type(config))
     names = {f.name for f in dataclasses.fields(config)}  # type: ignore[arg-type]
-    hints = typing.get_type_hints(type(config))
     changes = {}
     for name, value in overrides.items():
         if name not in names:
@@ -191,6 +192,12 @@ def replaced(config: T, overrides: Mapping[str, Any]) -> T:
         _check_kind(f"{type(config).__name__}.{name}", value, hints[name])
         changes[name] = value
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a dataclass; resolving their texts is slow."""
+    return typing.get_type_hints(kind)
 
 
 def _check_kind(what: str, value: Any, hint: Any) -> None:

@@ -101,6 +101,9 @@ class KeyframeMapper(ABC):
         world_from_camera: np.ndarray,  # [C, 4, 4] poses
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W] metres, alpha [C, H, W]
         """Render depth and alpha from many poses, for scoring candidate views."""
+        if not self.map.count:
+            empty = np.zeros((2, len(world_from_camera), camera.height, camera.width), np.float32)
+            return empty[0], empty[1]
         parameters, count = MapParts(self.map, kept=True).in_view(camera, world_from_camera)
         return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 

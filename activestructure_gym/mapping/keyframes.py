@@ -23,7 +23,7 @@ class KeyframeStore:
         self.psnr: list[float] = []  # [T] dB
         self.new_share: list[float] = []  # [T] 0..1
         self._border_share = border_share
-        self._sides: list[np.ndarray] = []  # [4, 4] per keyframe, see `viewing_sides`
+        self._sides: list[np.ndarray] = []  # [4, 4] per keyframe, see `viewing_sides`; computed at the first use
         self._measured: list[int] = []  # per keyframe, number of its last PSNR measurement; -1 if there was none
         self._measurements = 0
 
@@ -42,7 +42,6 @@ class KeyframeStore:
         self.psnr.append(0.0)
         self._measured.append(-1)
         self.new_share.append(new_share)
-        self._sides.append(viewing_sides(frame.camera, frame.world_from_camera, border_share=self._border_share))
         return len(self.frames) - 1
 
     def overlapping(
@@ -58,6 +57,8 @@ class KeyframeStore:
         Two keyframes overlap if a surface point of one projects into the image of the other; occlusion is not tested.
         This is SplaTAM's rule without its ranking by overlap, which has no effect before a random choice.
         """
+        for later in self.frames[len(self._sides) :]:
+            self._sides.append(viewing_sides(later.camera, later.world_from_camera, border_share=self._border_share))
         frame = self.frames[index]
         measured = np.flatnonzero(frame.depth)
         order = rng.permutation(len(self.frames))

@@ -125,6 +125,8 @@ def first_blocked(
     clearance between two samples (0.43 voxels), since frames sample the path at other points. So a path planned in the
     same volume is never blocked.
     """
+    if not len(poses):
+        return None
     positions = np.vstack([start[None, :3, 3], np.asarray(poses)[:, :3, 3]])
     # Edge n of these positions leads to pose n.
     return first_blocked_edge(volume, positions, min_clearance=min_clearance - SAMPLING_DIP * volume.voxel_size)

@@ -121,8 +121,10 @@ class PlaneSceneGraph:
         decision is used.
         """
         if detection is None:
-            enabled = self.config.enabled
-            detection = segment_planes(frame, self.config.detection) if enabled else no_planes(frame)
+            if not self.config.enabled:
+                self.keyframes += 1
+                return GraphUpdate(no_planes(frame), (), (), ())
+            detection = segment_planes(frame, self.config.detection)
         first_new = self._next_id
         owner = self._assign(frame, detection.segments)
         touched = sorted(set(owner) - {NO_NODE})
@@ -194,6 +196,8 @@ class PlaneSceneGraph:
         ``touched`` are the ids of the updated planes. The smaller id, that of the older plane, is kept.
         """
         merged: list[tuple[int, int]] = []
+        if not touched:
+            return merged
         queue = list(touched)
         near = may_be_same(self.nodes, self.config.matching)
         while queue:
@@ -220,6 +224,8 @@ class PlaneSceneGraph:
         Without them, only holes are deficient, and not areas that the map covers too coarsely.
         """
         self._map_points, self._coarse, self._deficiencies = map_points, None, None
+        if not self.nodes and self.keyframes:
+            return  # the state is that of an empty graph from the start: planes are never all removed
         if map_points is None or default_threads() == 1:
             self._assess(space_state)
             return

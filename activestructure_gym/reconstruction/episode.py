@@ -325,16 +325,20 @@ class Reconstruction(EpisodeState):
             self._correct_pose(frame.world_from_camera)
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
-        with ThreadPoolExecutor(1) as beside:
+        iterations = refine_factor * self.config.mapper.iterations
+        if self.config.mapper.enabled and self.config.planes.enabled and default_threads() > 1:
             # Map and planes are independent. Mapping runs mostly in kernels, which release the GIL.
-            planes = beside.submit(self.planes.integrate, frame) if default_threads() > 1 else None
-            with self._timed("mapping"):
-                self.mapper.observe(frame, iterations=refine_factor * self.config.mapper.iterations)
-            with self._timed("planes"):  # the time that mapping did not overlap
-                if planes is None:
-                    self.planes.integrate(frame)
-                else:
+            with ThreadPoolExecutor(1) as beside:
+                planes = beside.submit(self.planes.integrate, frame)
+                with self._timed("mapping"):
+                    self.mapper.observe(frame, iterations=iterations)
+                with self._timed("planes"):  # the time that mapping did not overlap
                     planes.result()
+        else:
+            with self._timed("mapping"):
+                self.mapper.observe(frame, iterations=iterations)
+            with self._timed("planes"):
+                self.planes.integrate(frame)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         self.refine_factors.append(refine_factor)
         return frame
@@ -375,8 +379,9 @@ class Reconstruction(EpisodeState):
         with self._timed("features"):
             views = self.candidates.views
             context = self.feature_context(self.candidates.world_from_camera[:views], self.candidates.revisit[:views])
-            asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
-            self.features = np.pad(evaluate_features(config.features, context), asks)
-            self.visible = np.pad(context.visible, asks)
+            features, visible = evaluate_features(config.features, context), context.visible
+            self.features = np.zeros((len(self.candidates), features.shape[1]), features.dtype)
+            self.visible = np.zeros((len(self.candidates), visible.shape[1]), visible.dtype)
+            self.features[:views], self.visible[:views] = features, visible
             # A row that ends the episode has a pose but gets no features.
             self.features[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False

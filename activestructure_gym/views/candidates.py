@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -143,9 +144,7 @@ class CandidatePool:
             axis=-1,
         )
         self.positions = anchor + grid.reshape(-1, 3)  # [P, 3]
-        self.directions = fibonacci_directions(config.directions)  # [K, 3]
-        # A camera's rotation depends on the view direction only.
-        self._rotations = np.stack([look_along(np.zeros(3), d)[:3, :3] for d in self.directions])  # [K, 3, 3]
+        self.directions, self._rotations = _directions(config.directions)  # [K, 3], [K, 3, 3]
         self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # [P, K] neither visited nor removed
 
     def __len__(self) -> int:
@@ -236,6 +235,16 @@ class CandidatePool:
         rank[by_position] = np.arange(len(position)) - np.repeat(start, counts)
         tie = rng.random(len(self.positions))[position]  # one random number per position, to order views of equal rank
         return np.sort(np.lexsort((tie, rank))[:count])
+
+
+@cache
+def _directions(count: int) -> tuple[np.ndarray, np.ndarray]:  # [K, 3], [K, 3, 3], read-only
+    """Return the Fibonacci directions and the rotation of a camera that looks along each of them."""
+    directions = fibonacci_directions(count)
+    rotations = np.stack([look_along(np.zeros(3), d)[:3, :3] for d in directions])
+    directions.setflags(write=False)
+    rotations.setflags(write=False)
+    return directions, rotations
 
 
 def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:

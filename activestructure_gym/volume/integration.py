@@ -161,12 +161,7 @@ def frustum_planes(
     - for each of the 64 parts of a voxel, the minimum of the first four a . p relative to the voxel's centre [64, 4];
     - half the extents of a voxel along the camera's axes [3].
     """
-    c = camera
-    planes = np.array([
-        [c.fx, 0.0, c.cx - 0.5, 0.0], [-c.fx, 0.0, c.width - 0.5 - c.cx, 0.0],
-        [0.0, c.fy, c.cy - 0.5, 0.0], [0.0, -c.fy, c.height - 0.5 - c.cy, 0.0],
-        [0.0, 0.0, 1.0, _MIN_DEPTH_M], [0.0, 0.0, -1.0, -max_range],
-    ])  # fmt: skip
+    planes = _sides_of_view(camera, max_range)
     rotation = camera_from_world[:3, :3]
     normals = planes[:, :3] @ rotation  # [6, 3] along the world's axes
     reach = 0.5 * voxel_size * np.abs(normals).sum(axis=1)
@@ -175,9 +170,35 @@ def frustum_planes(
 
 
 @cache
+def _sides_of_view(camera: PinholeCamera, max_range: float) -> np.ndarray:  # [6, 4], not to be changed
+    c = camera  # the array stays writable, because numba would compile `carve` again for a read-only one
+    planes = np.array([
+        [c.fx, 0.0, c.cx - 0.5, 0.0], [-c.fx, 0.0, c.width - 0.5 - c.cx, 0.0],
+        [0.0, c.fy, c.cy - 0.5, 0.0], [0.0, -c.fy, c.height - 0.5 - c.cy, 0.0],
+        [0.0, 0.0, 1.0, _MIN_DEPTH_M], [0.0, 0.0, -1.0, -max_range],
+    ])  # fmt: skip
+    return planes
+
+
+@cache
+def corner_rays(camera: PinholeCamera) -> np.ndarray:  # [5, 3], camera frame, read-only
+    """Return the camera's centre and the points at depth 1 on the rays through the four corners of the image."""
+    c = camera
+    corners = [((u - c.cx) / c.fx, (v - c.cy) / c.fy, 1.0) for v in (0.0, c.height) for u in (0.0, c.width)]
+    points = np.array([(0.0, 0.0, 0.0), *corners])
+    points.setflags(write=False)
+    return points
+
+
+def part_steps() -> np.ndarray:  # [4] in voxels
+    """Return the centres of a voxel's parts along one axis, relative to the voxel's centre."""
+    return (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
+
+
+@cache
 def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
     """Return the centre of each of the 64 parts of a voxel relative to the voxel's centre, in the order of the bits."""
-    steps = (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
+    steps = part_steps()
     centers = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     centers.setflags(write=False)
     return centers

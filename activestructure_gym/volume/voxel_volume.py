@@ -125,28 +125,36 @@ class VoxelVolume:
         lower = np.clip(self.voxel_of(center - radius), 0, self.shape)
         upper = np.clip(self.voxel_of(center + radius) + 1, 0, self.shape)
         box = tuple(slice(a, b) for a, b in zip(lower, upper))
-        axes = [np.arange(a, b) for a, b in zip(lower, upper)]
-        centers = self.center_of(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-        parts = self.voxel_size * integration.part_centers()
-        farthest = np.abs(centers[..., None, :] + parts - center) + 0.5 * self.voxel_size / integration.PARTS_PER_SIDE
-        bits = (np.linalg.norm(farthest, axis=-1) <= radius) @ (np.uint64(1) << np.arange(len(parts), dtype=np.uint64))
+        bits = self._parts_inside(center, radius, lower, upper)
         self._parts[box] |= np.where(self._solidity[box] == 0, bits, np.uint64(0))
         inside = self._parts[box] == integration.ALL_PARTS
         self.state[box][inside] = FREE
         self._miss_chance[box][inside] = 0.0
         self._changed()
 
+    def _parts_inside(
+        self, center: np.ndarray, radius: float, lower: np.ndarray, upper: np.ndarray
+    ) -> np.ndarray:  # [X, Y, Z] uint64, one bit per part
+        """Return the parts that are inside a sphere, for each voxel in the box [lower, upper)."""
+        side, steps = integration.PARTS_PER_SIDE, self.voxel_size * integration.part_steps()
+        squares = []  # per axis [voxels * parts]: square of the distance from the centre to the far side of each part
+        for axis in range(3):
+            centers = self.origin[axis] + (np.arange(lower[axis], upper[axis]) + 0.5) * self.voxel_size
+            farthest = np.abs(centers[:, None] + steps - center[axis]) + 0.5 * self.voxel_size / side
+            squares.append((farthest * farthest).ravel())
+        x, y, z = squares
+        inside = np.sqrt(x[:, None, None] + y[:, None] + z) <= radius
+        shape = tuple(upper - lower)
+        bits = inside.reshape(shape[0], side, shape[1], side, shape[2], side).transpose(0, 2, 4, 1, 3, 5)
+        return np.packbits(bits.reshape(*shape, side**3), axis=-1, bitorder="little").view("<u8")[..., 0]
+
     def _frustum_box(self, frame: Frame, farthest: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the box [lower, upper) of voxels around the view frustum, up to the largest depth that changes voxels.
 
         ``farthest`` is the largest free distance of a ray in metres.
         """
-        camera = frame.camera
         deepest = min(farthest + self.truncation, self.config.max_range)
-        world = np.array([[0.0, 0.0, 0.0]] + [
-            [(u - camera.cx) / camera.fx * deepest, (v - camera.cy) / camera.fy * deepest, deepest]
-            for v in (0.0, camera.height) for u in (0.0, camera.width)
-        ])  # fmt: skip
+        world = deepest * integration.corner_rays(frame.camera)
         world = world @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
         lower = np.clip(self.voxel_of(world.min(axis=0)), 0, self.shape)
         upper = np.clip(self.voxel_of(world.max(axis=0)) + 1, 0, self.shape)

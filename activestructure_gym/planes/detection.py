@@ -171,28 +171,23 @@ def _block_regions(
     shape = moments.shape[:2]
     flat = moments.reshape(-1, kernels.MOMENTS)
     planes, mean = kernels.fit_planes(flat)
-    needed = max(3.0, config.block_valid_share * size * size)
-    limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
-    accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
-    # The distance of the plane from the camera divided by the distance of the block is the cosine between ray and
-    # normal.
-    accepted &= planes[:, 3] > np.cos(np.radians(config.max_incidence_deg)) * np.linalg.norm(mean, axis=1)
-    # Standard deviation of the fitted normal in radians, for uniformly distributed points in a square: sigma * sqrt(12)
-    # / (side of the block * sqrt(pixels)). It is large for distant blocks of a noisy sensor.
-    edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
-    tilt = _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
-    unsure = accepted & (tilt > np.radians(config.window_tilt_deg))
+    accepted, unsure, tilt = kernels.planar_blocks(
+        flat, planes, mean, size, lens[0], scale,
+        (max(3.0, config.block_valid_share * size * size), config.block_sigma, config.block_tolerance,
+         cosine_deg(config.max_incidence_deg), np.radians(config.window_tilt_deg)),
+    )  # fmt: skip
     if unsure.any():
         _steady(moments, planes, mean, tilt, accepted, unsure, size * size, config)
     # Regions start from the flattest block first, and from blocks with an uncertain normal last.
-    order = np.lexsort((planes[:, 4], unsure))
+    able = np.flatnonzero(accepted)
+    order = able[np.lexsort((planes[able, 4], unsure[able]))]
     labels = np.full(shape, -1, np.int32)
     regions = np.zeros_like(flat)
     count = kernels.grow_regions(
         kernels.Blocks(
             moments, planes.reshape(*shape, 5), accepted.reshape(shape), config.link_sigma * tilt.reshape(shape)
         ),
-        order[accepted[order]], scale, np.radians(config.link_angle_deg), config.link_sigma, config.link_tolerance,
+        order, scale, np.radians(config.link_angle_deg), config.link_sigma, config.link_tolerance,
         labels, regions,
     )  # fmt: skip
     if not count:
@@ -255,7 +250,7 @@ def _refine(
     sometimes splits a tilted segment off a wall, and blocks across a distant edge look like a chamfer.
     """
     scale = config.depth_noise_scale
-    edge_on = np.cos(np.radians(config.max_incidence_deg))
+    edge_on = cosine_deg(config.max_incidence_deg)
     pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth, edge_on)
     labels = kernels.refine_pixels(depth, lens, kernels.Choice(size, block_labels, planes), *pixel)
     shares = kernels.explained_shares(

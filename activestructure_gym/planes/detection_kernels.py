@@ -168,6 +168,30 @@ def noise(z, scale):
 
 
 @kernel
+def planar_blocks(moments, planes, mean, size, focal, scale, limits):
+    """Return which blocks are planar [B], which of these have an uncertain normal [B], and its deviation [B] (radians).
+
+    The deviation is the standard deviation of the fitted normal for uniformly distributed points in a square: sigma *
+    sqrt(12) / (side of the block * sqrt(pixels)). It is large for distant blocks of a noisy sensor. ``moments``
+    [B, 10], ``planes`` [B, 5] and ``mean`` [B, 3] describe the blocks of ``size`` x ``size`` pixels. ``limits`` are the
+    fewest valid pixels, the factor on the noise and the tolerance of the rms distance, the least cosine between ray and
+    normal, and the largest deviation of a certain normal.
+    """
+    needed, sigma, tolerance, min_cosine, most = limits
+    count = len(moments)
+    accepted, unsure, tilt = np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.empty(count)
+    for n in range(count):
+        x, y, z = mean[n, 0], mean[n, 1], mean[n, 2]
+        spread = noise(z, scale)
+        tilt[n] = spread * np.sqrt(12.0) / (max(z, 1e-3) * size / focal * size)
+        # The distance of the plane from the camera divided by the distance of the block is the cosine.
+        facing = planes[n, 3] > min_cosine * np.sqrt(x * x + y * y + z * z)
+        accepted[n] = moments[n, 0] >= needed and planes[n, 4] < sigma * spread + tolerance and facing
+        unsure[n] = accepted[n] and tilt[n] > most
+    return accepted, unsure, tilt
+
+
+@kernel
 def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels, regions):
     """Join neighbouring planar blocks into regions, starting with the first in ``order``; return the number of regions.
 

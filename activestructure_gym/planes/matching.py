@@ -71,15 +71,9 @@ def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int,
 
     This tests all pairs of planes at once, before `same_surface` tests single pairs.
     """
-    planes = stack_planes(nodes)
-    normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
-    # [N, N] distance of the row's centroid to the column's plane, metres.
-    away = np.abs(centroids @ normals.T + offsets)
-    near = normals @ normals.T > cosine_deg(config.coplanar_angle_deg) - 1e-9
-    near &= np.minimum(away, away.T) < config.coplanar_distance + 1e-9
-    np.fill_diagonal(near, False)
+    limits = cosine_deg(config.coplanar_angle_deg) - 1e-9, config.coplanar_distance + 1e-9
     pairs: dict[int, list[int]] = {}
-    for row, column in zip(*(side.tolist() for side in np.nonzero(near))):
+    for row, column in kernels.near_pairs(stack_planes(nodes), *limits).tolist():
         pairs.setdefault(nodes[row].id, []).append(column)
     return pairs
 

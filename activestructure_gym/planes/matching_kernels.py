@@ -40,6 +40,28 @@ def qualifying(planes, normal, offset, centroid, limits):
 
 
 @kernel
+def near_pairs(planes, min_cosine, max_distance):
+    """Return the pairs of planes [M, 2], in both orders, that are nearly parallel and of which one is near the other.
+
+    Their normals have at least the cosine ``min_cosine``, and a centroid is within ``max_distance`` metres of the other
+    plane. ``planes`` [N, 7] holds normal, offset and centroid of each plane.
+    """
+    found, total = np.empty((len(planes) * len(planes), 2), np.int64), 0
+    for n in range(len(planes)):
+        p = planes[n]
+        for m in range(len(planes)):
+            q = planes[m]
+            if m == n or not p[0] * q[0] + p[1] * q[1] + p[2] * q[2] > min_cosine:
+                continue
+            away = abs(q[0] * p[4] + q[1] * p[5] + q[2] * p[6] + q[3])
+            back = abs(p[0] * q[4] + p[1] * q[5] + p[2] * q[6] + p[3])
+            if min(away, back) < max_distance:
+                found[total, 0], found[total, 1] = n, m
+                total += 1
+    return found[:total]
+
+
+@kernel
 def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
     """Return the distances [M] between points [P, 3] and a plane along their rays from ``eye``, times the rays' slant.
 

@@ -133,6 +133,7 @@ class PlaneNode:
             mine = self.normals.get(keyframe)
             seen = seen if mine is None else (1.0 - share) * mine + share * seen
             self.normals[keyframe] = seen / length(seen)
+        self.normals = dict(sorted(self.normals.items()))
         self._forget()
         self.surface.seat(self.normal, self.offset)
         self.surface.absorb(other.surface)
@@ -140,7 +141,8 @@ class PlaneNode:
 
     def _forget(self) -> None:
         """Remove the observed normals except those of the last ``window`` keyframes."""
-        self.normals = dict(sorted(self.normals.items())[-self._window :])
+        if len(self.normals) > self._window:
+            self.normals = dict(sorted(self.normals.items())[-self._window :])
 
     def _note_change(self, centroid: np.ndarray, area: float) -> None:
         self.shift = distance(self.centroid, centroid)

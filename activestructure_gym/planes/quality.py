@@ -107,14 +107,17 @@ class Deficiencies:
 
 @dataclass(frozen=True)
 class Interior:
-    """Hold the terms of Eq. 6 for the grid of one plane."""
+    """Hold the terms of Eq. 6 for the grid of one plane, and the outer edge of its cells."""
 
     mask: np.ndarray  # [R, C] uint8: I, the seen cells after closing, with enclosed holes filled
     missing_share: float  # g = |I \\ O| / |I|, with the seen cells O
     cells: int  # number of cells of I
-    hull_cells: int  # number of cells with their centre in the convex hull of the seen cells
+    hull_cells: int  # number of cells with their centre in the convex hull of I
     missing: np.ndarray  # [R', C'] bool: I \\ O in the bounding rectangle of the seen cells
     corner: np.ndarray  # [2] row and column in the grid at which ``missing`` begins
+    sides: int  # number of boundary sides: sides of cells of I towards other cells
+    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of the sides beyond which no image observed anything
+    density: float  # mean over O of the number of pixels per cell / its target, at most 1 per cell; 0 without cells
 
 
 def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
@@ -122,47 +125,22 @@ def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     known = surface.memo.get(("interior", config))
     if isinstance(known, Interior):
         return known
-    result = _interior(surface, config)
+    seen, beside = surface.seen, surface.beside
+    # Closing and filling stay inside the bounding rectangle of the seen cells.
+    mask, total, box, hull_cells, sides, unexplained, ratios = kernels.survey(
+        seen, surface.hits, beside, disc(config.closing_radius), config.density_target * surface.cell**2
+    )
+    top, left, height, width = box.tolist()
+    part = (slice(top, top + height), slice(left, left + width))
+    missing = mask[part] > seen[part]
+    if not config.count_explained_holes:
+        missing &= beside[part] == UNKNOWN
+    share = np.count_nonzero(missing) / total if total else 1.0
+    # The density is limited per cell, so that dense cells do not compensate for sparse ones.
+    density = float(np.add.reduce(ratios)) / len(ratios) if len(ratios) else 0.0
+    result = Interior(mask, share, total, hull_cells, missing, box[:2], sides, unexplained, density)
     surface.memo["interior", config] = result
     return result
-
-
-def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
-    seen = surface.seen
-    # Closing and filling stay inside the bounding rectangle of the seen cells.
-    left, top, width, height = cv2.boundingRect(seen) if seen.size else (0, 0, 0, 0)
-    if not width:
-        return Interior(np.zeros_like(seen), 1.0, 0, 0, np.zeros((0, 0), bool), np.zeros(2, np.int64))
-    pad = config.closing_radius + 1
-    part = (slice(top, top + height), slice(left, left + width))
-    padded = cv2.copyMakeBorder(seen[part].copy(), pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc(config.closing_radius))
-    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = np.zeros(padded.shape, np.uint8)
-    cv2.drawContours(filled, outlines, -1, 1, thickness=cv2.FILLED)
-    points = outlines[0] if len(outlines) == 1 else np.concatenate(outlines)
-    hull_cells = cells_in_polygon(cv2.convexHull(points)[:, 0])
-    inner = filled[pad:-pad, pad:-pad]
-    mask = np.zeros(seen.shape, np.uint8)
-    mask[part] = inner
-    missing = inner > seen[part]
-    if not config.count_explained_holes:
-        missing &= surface.beside[part] == UNKNOWN
-    total = cv2.countNonZero(mask)
-    share = int(np.count_nonzero(missing)) / max(total, 1)
-    return Interior(mask, share, total, hull_cells, missing, np.array([top, left]))
-
-
-def cells_in_polygon(corners: np.ndarray) -> int:
-    """Return the number of cells with their centre in or on a convex polygon; ``corners`` [N, 2] are cells.
-
-    By Pick's theorem it is area + half of the cells on the border + 1. Rasterising would also count cells that the
-    outline touches, a third more on a narrow oblique strip.
-    """
-    steps = np.roll(corners, -1, axis=0).astype(np.int64) - corners
-    doubled_area = abs(int((corners[:, 0] * steps[:, 1] - corners[:, 1] * steps[:, 0]).sum()))
-    border = int(np.gcd(steps[:, 0], steps[:, 1]).sum())
-    return (doubled_area + border) // 2 + 1
 
 
 def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:  # [D, 2], [D]
@@ -195,23 +173,6 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     return cells + np.array([top - 1, left - 1]), sizes
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """Hold the boundary sides of a plane's cells: sides of seen cells towards cells that are not seen."""
-
-    sides: int  # number of boundary sides
-    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of the sides beyond which no image observed anything
-
-
-def _edge(surface: SurfaceGrid, config: QualityConfig) -> _Edge:
-    known = surface.memo.get(("edge", config))
-    if isinstance(known, _Edge):
-        return known
-    result = _Edge(*kernels.edge_sides(interior(surface, config).mask, surface.beside))
-    surface.memo["edge", config] = result
-    return result
-
-
 def boundary_closure(
     nodes: Sequence[PlaneNode], config: QualityConfig, space_state: SpaceState | None = None
 ) -> np.ndarray:  # [N] in [0, 1]
@@ -224,7 +185,7 @@ def boundary_closure(
         return np.zeros(0)
     surfaces = [node.surface for node in nodes]
     grids = stack_grids(surfaces)
-    edges = [_edge(surface, config) for surface in surfaces]
+    edges = [interior(surface, config) for surface in surfaces]
     sides = np.array([edge.sides for edge in edges], np.float64)
     ends = np.cumsum([len(edge.unexplained) for edge in edges])
     near = np.concatenate([surface.near.ravel() for surface in surfaces])
@@ -261,11 +222,8 @@ def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
     modes = np.zeros(8)
     surface = node.surface
     inside = interior(surface, config)
-    hits = surface.hits[surface.seen.view(bool)]
-    if len(hits):
-        modes[0] = min(1.0, inside.cells / max(inside.hull_cells, 1))
-        # The density is limited per cell, so that dense cells do not compensate for sparse ones.
-        modes[1] = np.minimum(hits / (config.density_target * surface.cell**2), 1.0).mean()
+    modes[0] = min(1.0, inside.cells / max(inside.hull_cells, 1))
+    modes[1] = inside.density
     modes[2] = np.exp(-node.rms / config.fit_scale)
     modes[3] = min(1.0, node.observations / config.observations_target)
     modes[5] = normal_consistency([*node.normals.values()], config.normal_angle_deg)

@@ -39,17 +39,161 @@ def _may_touch(index, other, stack, cell, reach):
 
 
 @kernel
-def edge_sides(seen, beside):
+def survey(seen, hits, beside, disc, dense):
+    """Close the seen cells [R, C] of a grid, fill their holes, and measure the result.
+
+    Closing dilates by the structuring element ``disc`` [D, D], then erodes by it. ``hits`` [R, C] is the number of
+    pixels in each cell, and ``beside`` [R, C] what images observed in unseen cells. Returns
+
+    - the mask of the closed and filled cells [R, C], and their number;
+    - the first row, first column, number of rows and number of columns of the seen cells [4];
+    - the number of cells with their centre in the convex hull of the closed cells;
+    - the number of boundary sides, and the sides beyond which nothing was observed [M, 3], see `_edge_sides`;
+    - per seen cell [S], row by row, ``hits / dense``, at most 1.
+    """
+    mask, box = np.zeros(seen.shape, np.uint8), _box(seen)
+    top, left, height, width = box
+    ratios = np.empty(height * width)
+    if not height:
+        return mask, 0, box, 0, 0, np.empty((0, 3), np.int64), ratios
+    reach = len(disc) // 2
+    pad = reach + 1
+    across = width + 2 * pad  # cells of a padded row
+    size = (height + 2 * pad) * across
+    cells, wide, closed = np.zeros(size, np.uint8), np.zeros(size, np.uint8), np.ones(size, np.uint8)
+    count = 0
+    for r in range(height):
+        for c in range(width):
+            if seen[top + r, left + c]:
+                cells[(r + pad) * across + c + pad] = 1
+                ratios[count] = min(hits[top + r, left + c] / dense, 1.0)
+                count += 1
+    first, last = pad * across, size - pad * across  # the rows of the rectangle; shifts may reach one row of padding
+    for a in range(len(disc)):
+        for b in range(len(disc)):
+            if disc[a, b]:
+                shift = (a - reach) * across + b - reach
+                target, source = wide[first + shift : last + shift], cells[first:last]
+                for q in range(len(target)):
+                    target[q] |= source[q]
+    for a in range(len(disc)):
+        for b in range(len(disc)):
+            if disc[a, b]:
+                shift = (a - reach) * across + b - reach
+                target, source = closed[first:last], wide[first + shift : last + shift]
+                for q in range(len(target)):
+                    target[q] &= source[q]
+    # Cells that are reached from the padding in four directions are outside: a diagonal row of cells encloses a hole.
+    for q in range(size):
+        if q < first or q >= last:
+            closed[q] = 2
+    for q in range(first, last, across):
+        for c in range(pad):
+            closed[q + c] = closed[q + across - 1 - c] = 2
+    stack, waiting = np.empty(size, np.int64), 0
+    for q in range(first, last):
+        beyond = closed[q - 1] == 2 or closed[q + 1] == 2 or closed[q - across] == 2 or closed[q + across] == 2
+        if closed[q] == 0 and beyond:
+            closed[q] = 2
+            stack[waiting] = q
+            waiting += 1
+            while waiting:
+                waiting -= 1
+                here = stack[waiting]
+                for shift in (-across, -1, 1, across):
+                    if closed[here + shift] == 0:
+                        closed[here + shift] = 2
+                        stack[waiting] = here + shift
+                        waiting += 1
+    total = 0
+    ends = np.empty((height, 3), np.int64)  # row, first and last column of the closed cells of each row with some
+    kept = 0
+    for r in range(height):
+        begin, end = -1, -1
+        for c in range(width):
+            if closed[(r + pad) * across + c + pad] != 2:
+                mask[top + r, left + c] = 1
+                total += 1
+                begin, end = c if begin < 0 else begin, c
+        if begin >= 0:
+            ends[kept, 0], ends[kept, 1], ends[kept, 2] = r, begin, end
+            kept += 1
+    sides, open_ = _edge_sides(mask, beside, box)
+    return mask, total, box, _hull_cells(ends[:kept]), sides, open_, ratios[:count]
+
+
+@kernel
+def _box(seen):
+    """Return first row, first column, number of rows and number of columns of the cells [R, C] that are not 0."""
+    rows, columns = seen.shape
+    box = np.zeros(4, np.int64)
+    top, bottom, left, right = rows, -1, columns, -1
+    for r in range(rows):
+        some = np.uint8(0)
+        for c in range(columns):
+            some |= seen[r, c]
+        if some:
+            top, bottom = min(top, r), r
+            c = 0
+            while not seen[r, c]:
+                c += 1
+            left = min(left, c)
+            c = columns - 1
+            while not seen[r, c]:
+                c -= 1
+            right = max(right, c)
+    if bottom >= 0:
+        box[0], box[1], box[2], box[3] = top, left, bottom - top + 1, right - left + 1
+    return box
+
+
+@kernel
+def _hull_cells(ends):
+    """Return the number of cells with their centre in the convex hull of the given cells.
+
+    ``ends`` [N, 3] are row, first and last column of the cells in each row, for increasing rows. By Pick's theorem the
+    number is area + half of the cells on the border + 1.
+    """
+    chain = np.empty((2 * len(ends), 2), np.int64)
+    count = 0
+    for side in range(2):  # down along the first columns, then up along the last ones
+        start = count
+        for n in range(len(ends)):
+            k = n if side == 0 else len(ends) - 1 - n
+            row, column = ends[k, 0], ends[k, 1 + side]
+            while count - start > 1:
+                a, b = chain[count - 2], chain[count - 1]
+                if (b[0] - a[0]) * (column - a[1]) - (b[1] - a[1]) * (row - a[0]) > 0:
+                    break
+                count -= 1
+            chain[count, 0], chain[count, 1] = row, column
+            count += 1
+    doubled_area, border = 0, 0
+    for n in range(count):
+        m = n + 1 if n + 1 < count else 0
+        rows, columns = chain[m, 0] - chain[n, 0], chain[m, 1] - chain[n, 1]
+        doubled_area += chain[n, 0] * columns - chain[n, 1] * rows
+        a, b = abs(rows), abs(columns)
+        while b:  # greatest common divisor: cells on this side of the border
+            a, b = b, a % b
+        border += a
+    return (abs(doubled_area) + border) // 2 + 1
+
+
+@kernel
+def _edge_sides(seen, beside, box):
     """Find the boundary sides of a grid: sides of seen cells towards cells that are not seen, in four directions.
 
-    ``beside`` [R, C] states what images observed in unseen cells. Returns the number of sides, and row, column and
-    direction [M, 3] of the sides towards cells in which nothing was observed.
+    ``beside`` [R, C] states what images observed in unseen cells, and ``box`` is the rectangle of the seen cells, see
+    `_box`. Returns the number of sides, and row, column and direction [M, 3] of the sides towards cells in which
+    nothing was observed.
     """
     rows, columns = seen.shape
+    top, left, height, width = box
     total, sides = 0, 0
     found = np.empty((256, 3), np.int64)
-    for r in range(rows):
-        for c in range(columns):
+    for r in range(top, top + height):
+        for c in range(left, left + width):
             if not seen[r, c]:
                 continue
             for k in range(4):

@@ -7,7 +7,6 @@ not to the world's axes, so a rigid motion of scene and cameras changes no cell.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ import numpy as np
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneDetection
-from activestructure_gym.planes.vectors import cross, length
 
 # Additional cells when a grid grows, so that it is not copied at every keyframe.
 _MARGIN = 16
@@ -25,13 +23,12 @@ _MARGIN = 16
 _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
-@dataclass(frozen=True)
-class Patch:
+class Patch(NamedTuple):
     """Hold the observations of one image in a rectangle of cells of one grid."""
 
     low: np.ndarray  # [2] int64 row and column of the first cell
-    shown: np.ndarray  # [R, C] int32, number of times that the cell's centre was observed as this plane
-    denied: np.ndarray  # [R, C] int32, number of times that it was observed as something else
+    shown: np.ndarray  # [R, C] number of times that the cell's centre was observed as this plane
+    denied: np.ndarray  # [R, C] number of times that it was observed as something else
     hits: np.ndarray  # [R, C] int32, number of pixels in the cell
     beside: np.ndarray  # [R, C] uint8: what is in unseen cells, see `surface_kernels.look_up_cells`
 
@@ -66,14 +63,7 @@ class SurfaceGrid:
 
         Cells keep their indices.
         """
-        old = self.axes[2]
-        u = self.axes[0]
-        # The smallest rotation from the old to the new normal is applied to a vector in the old plane.
-        u = u - (u @ normal) / (1.0 + old @ normal) * (old + normal)
-        u = u - (u @ normal) * normal
-        u = u / length(u)
-        self.axes = np.array([u, cross(normal, u), normal])
-        self.origin = self.origin - (normal @ self.origin + offset) * normal
+        self.axes, self.origin = kernels.seat(self.axes, self.origin, normal, offset)
         self._forget()
 
     def add(self, patch: Patch) -> None:
@@ -81,9 +71,7 @@ class SurfaceGrid:
         if not patch.shown.size:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
-        kernels.join(
-            self._votes(), kernels.Votes(patch.shown, patch.denied, patch.hits, patch.beside), row, column, self.seen
-        )
+        kernels.join(self._votes(), kernels.Votes(*patch[1:]), row, column, self.seen)
         if not cv2.countNonZero(self.seen):
             self.seen[:] = self.hits > 0  # a sliver between the centres of cells still gets a cell
         self._forget()
@@ -115,26 +103,32 @@ class SurfaceGrid:
         rows, columns = self.seen.shape
         if rows and row >= 0 and column >= 0 and row + height <= rows and column + width <= columns:
             return row, column
-        first, high = low, low + (height, width)
-        if self.seen.size:
-            low, high = np.minimum(low, self.low), np.maximum(high, self.low + self.seen.shape)
-            grown_low = np.where(low < self.low, low - _MARGIN, low)
-            grown_high = np.where(high > self.low + self.seen.shape, high + _MARGIN, high)
-        else:
-            grown_low, grown_high = low, high
-        for name in ("seen", "shown", "denied", "hits", "beside"):
-            old = getattr(self, name)
-            new = np.zeros(tuple(grown_high - grown_low), old.dtype)
-            if old.size:
-                r, c = self.low - grown_low
-                new[r : r + old.shape[0], c : c + old.shape[1]] = old
-            setattr(self, name, new)
-        self.low = np.array(grown_low, np.int64)
-        row, column = (first - self.low).tolist()
-        return row, column
+        if not rows:
+            self._grow(low, 0, 0, height, width)
+            return 0, 0
+        above, left = (_MARGIN - row if row < 0 else 0), (_MARGIN - column if column < 0 else 0)
+        below, right = row + height - rows, column + width - columns
+        self._grow(
+            self.low - (above, left),
+            above,
+            left,
+            above + rows + (below + _MARGIN if below > 0 else 0),
+            left + columns + (right + _MARGIN if right > 0 else 0),
+        )
+        return row + above, column + left
+
+    def _grow(self, low: np.ndarray, row: int, column: int, rows: int, columns: int) -> None:
+        """Replace the arrays by arrays of ``rows`` x ``columns`` cells from cell ``low``, the old ones at (row, column)."""
+        old = self.seen, self.beside, self.shown, self.denied, self.hits
+        masks, counts = np.zeros((2, rows, columns), np.uint8), np.zeros((3, rows, columns), np.int32)
+        self.seen, self.beside, self.shown, self.denied, self.hits = new = *masks, *counts
+        height, width = old[0].shape
+        for before, after in zip(old, new):
+            after[row : row + height, column : column + width] = before
+        self.low = np.array(low, np.int64)
 
     def _forget(self) -> None:
-        for name in ("frame", "_cells", "_measured", "_points", "area", "centroid", "near"):
+        for name in ("frame", "_cells", "_measured", "_points", "_totals", "centroid", "near"):
             self.__dict__.pop(name, None)
         self.memo.clear()
 
@@ -159,6 +153,12 @@ class SurfaceGrid:
         return nonzero((self.hits > 0).view(np.uint8) & self.seen)
 
     @cached_property
+    def _totals(self) -> list[int]:
+        """Return the number of seen cells, the sums of their rows and columns, and the number with a measured point."""
+        totals: list[int] = kernels.sum_cells(self.seen, self.hits).tolist()
+        return totals
+
+    @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
         points = self.cell_centres(*self._shown_cells)
         points.setflags(write=False)  # the array is shared by all callers
@@ -171,21 +171,21 @@ class SurfaceGrid:
     @property
     def measured_count(self) -> int:
         """Return the number of seen cells with at least one measured point."""
-        return len(self._measured[0])
+        return self._totals[3]
 
-    @cached_property
+    @property
     def area(self) -> float:
         """Return the area of the seen cells in m^2."""
-        return (cv2.countNonZero(self.seen) if self.seen.size else 0) * self.cell**2
+        return self._totals[0] * self.cell**2
 
     @cached_property
     def centroid(self) -> np.ndarray:  # [3] world
         """Return the mean of the centres of the seen cells in metres."""
-        sums = cv2.moments(self.seen) if self.seen.size else {"m00": 0.0}  # sums of integers are exact
-        if not sums["m00"]:
+        count, rows, columns, _ = self._totals
+        if not count:
             return self.origin.copy()
-        mean = np.array([sums["m01"] / sums["m00"], sums["m10"] / sums["m00"]])  # row, column
-        return self._to_world((mean + self.low + 0.5)[None])[0]
+        low = self.low.tolist()
+        return self._to_world(np.array([[rows / count + low[0] + 0.5, columns / count + low[1] + 0.5]]))[0]
 
     @cached_property
     def near(self) -> np.ndarray:  # [R, C] uint8
@@ -209,9 +209,8 @@ class SurfaceGrid:
         """
         known = self.memo.get(("spread", count))
         if not isinstance(known, np.ndarray):
-            rows, columns = self._shown_cells
-            at = np.arange(count) * (len(rows) - 1) // (count - 1)
-            known = self.memo["spread", count] = self.cell_centres(rows[at], columns[at])
+            cells = kernels.even_cells(self.seen, self.hits, self._totals[3], self._totals[0], count)
+            known = self.memo["spread", count] = self._to_world(cells + self.low + 0.5)
         return known
 
     def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
@@ -273,7 +272,7 @@ def observe(
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rotation, translation = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
-    frames = np.stack([grid.frame for grid in grids])
+    frames = np.array([grid.frame for grid in grids])
     cell = grids[0].cell
     table = np.asarray(table, dtype=np.int64)
     image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
@@ -282,27 +281,18 @@ def observe(
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
-    seen = np.zeros(starts[-1], np.uint8)
-    beside = np.zeros(starts[-1], np.uint8)
+    shown, denied, beside = np.zeros((3, starts[-1]), np.uint8)
     rectangles = kernels.Rectangles(frames, cell, extents, starts)
     kernels.count_hits(image, rectangles, hits)
-    planes = np.array([[*segment.normal, segment.offset] for segment in segments])
+    planes = np.array([[*segment.normal.tolist(), segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
     # Whether each segment is on the side of each grid's plane from which the plane is observed.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
-    kernels.look_up_cells(image, rectangles, seen, beside, reach, planes, facing)
+    kernels.look_up_cells(image, rectangles, shown, beside, reach, planes, facing)
+    np.not_equal(beside, kernels.UNKNOWN, out=denied.view(bool))
     patches = []
-    for t, shape in enumerate(shapes):
+    for t, shape in enumerate(shapes.tolist()):
         part = slice(starts[t], starts[t + 1])
-        shown, other = seen[part].reshape(shape), beside[part].reshape(shape)
-        patches.append(
-            Patch(
-                low=extents[t, :2],
-                shown=shown.astype(np.int32),
-                denied=(other != kernels.UNKNOWN).astype(np.int32),
-                hits=hits[part].reshape(shape),
-                beside=other,
-            )
-        )
+        patches.append(Patch(extents[t, :2], *(array[part].reshape(shape) for array in (shown, denied, hits, beside))))
     return patches, moments

@@ -39,8 +39,8 @@ class Rectangles(NamedTuple):
 class Votes(NamedTuple):
     """Hold the observations in the cells of a grid or of a rectangle, as in `surface.SurfaceGrid`."""
 
-    shown: np.ndarray  # [R, C] int32
-    denied: np.ndarray  # [R, C] int32
+    shown: np.ndarray  # [R, C] int32; uint8 for one image
+    denied: np.ndarray  # [R, C] int32; uint8 for one image
     hits: np.ndarray  # [R, C] int32
     beside: np.ndarray  # [R, C] uint8
 
@@ -193,6 +193,73 @@ def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
                             elif above <= reach:
                                 beside[index] = COVERED
                 index += 1
+
+
+@kernel
+def seat(axes, origin, normal, offset):
+    """Return axes [3, 3] and origin [3] of a grid's frame moved onto the plane ``normal . x + offset = 0``.
+
+    The smallest rotation from the old to the new normal is applied to the first axis, which is in the old plane.
+    """
+    x, y, z = normal
+    turned, moved = np.empty((3, 3)), np.empty(3)
+    u, v, w = axes[0]
+    p, q, r = axes[2]
+    share = (u * x + v * y + w * z) / (1.0 + (p * x + q * y + r * z))
+    u, v, w = u - share * (p + x), v - share * (q + y), w - share * (r + z)
+    share = u * x + v * y + w * z
+    u, v, w = u - share * x, v - share * y, w - share * z
+    size = np.sqrt(u * u + v * v + w * w)
+    u, v, w = u / size, v / size, w / size
+    turned[0, 0], turned[0, 1], turned[0, 2] = u, v, w
+    turned[1, 0], turned[1, 1], turned[1, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    turned[2, 0], turned[2, 1], turned[2, 2] = x, y, z
+    away = x * origin[0] + y * origin[1] + z * origin[2] + offset
+    moved[0], moved[1], moved[2] = origin[0] - away * x, origin[1] - away * y, origin[2] - away * z
+    return turned, moved
+
+
+@kernel
+def sum_cells(seen, hits):
+    """Return the number of seen cells, the sums of their rows and columns, and the number with a pixel, as int64 [4].
+
+    ``seen`` [R, C] is 0 or 1, and ``hits`` [R, C] the number of pixels in each cell.
+    """
+    totals = np.zeros(4, np.int64)
+    for r in range(seen.shape[0]):
+        count, columns, measured = 0, 0, 0
+        for c in range(seen.shape[1]):
+            one = np.int64(seen[r, c])
+            count += one
+            columns += one * c
+            measured += one * (hits[r, c] > 0)
+        totals[0] += count
+        totals[1] += count * r
+        totals[2] += columns
+        totals[3] += measured
+    return totals
+
+
+@kernel
+def even_cells(seen, hits, measured, total, count):
+    """Return row and column [count, 2] of cells at even steps from the first to the last, row by row.
+
+    The cells are the ``measured`` seen cells with a pixel, or all ``total`` seen cells if there are none. ``seen``
+    [R, C] is 0 or 1, and ``hits`` [R, C] the number of pixels in each cell.
+    """
+    cells = np.empty((count, 2))
+    last = (measured if measured else total) - 1
+    number, filled = 0, 0
+    for r in range(seen.shape[0]):
+        for c in range(seen.shape[1]):
+            if seen[r, c] and (hits[r, c] > 0 or measured == 0):
+                while filled < count and filled * last // (count - 1) == number:
+                    cells[filled, 0], cells[filled, 1] = r, c
+                    filled += 1
+                number += 1
+                if filled == count:
+                    return cells
+    return cells
 
 
 @kernel

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.planes.vectors import distances
 from activestructure_gym.ranges import check_ranges
 
 _EPSILON = 1e-9
@@ -56,7 +57,7 @@ def neighbourhood_surprise(
 
     The paper prints it as phi^c, a misprint. Without a plane within the radius it is the floor.
     """
-    near = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) < config.radius
+    near = distances(centroids) < config.radius
     np.fill_diagonal(near, False)
     count = near.sum(axis=1)
     linked = (near & edges).sum(axis=1)

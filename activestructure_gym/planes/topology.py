@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.compiling import kernel
+from activestructure_gym.planes.vectors import distances
 from activestructure_gym.ranges import check_ranges
 
 _RANGES = {
@@ -41,7 +43,7 @@ def edge_weights(
 ) -> np.ndarray:  # [N, N] in [0, 1], 0 on the diagonal
     """Return the edge weight of every pair of planes (Eq. 4). A small weight means parallel and close planes."""
     alignment = np.minimum((normals @ normals.T) ** 2, 1.0)
-    distance = np.linalg.norm(centroids[:, None] - centroids[None], axis=2)
+    distance = distances(centroids)
     weights = 1.0 - (beta * alignment + (1.0 - beta) * np.exp(-decay * distance))  # Eq. 4
     np.fill_diagonal(weights, 0.0)
     return np.clip(0.5 * (weights + weights.T), 0.0, 1.0)
@@ -61,26 +63,30 @@ def spanning_forest(
     rows, columns = np.nonzero(np.triu(edges, 1))
     if not len(rows):
         return tree
-    order = np.lexsort((columns, rows, np.round(weights[rows, columns], 9)))
-    # Kruskal's algorithm: parent of each node on the path to the root of its component, and number of edges still to
-    # add.
-    above, left = list(range(count)), count - 1
-    for row, column in zip(rows[order].tolist(), columns[order].tolist()):
-        one, other = _root(above, row), _root(above, column)
-        if one != other:
-            above[one] = other
-            tree[row, column] = tree[column, row] = True
-            left -= 1
-            if not left:
-                break
+    # The sort is stable: equal weights keep the order of rows, then columns.
+    order = np.argsort(np.round(weights[rows, columns], 9), kind="stable")
+    _join(rows[order], columns[order], tree)
     return tree
 
 
-def _root(above: list[int], node: int) -> int:
-    while above[node] != node:
-        above[node] = above[above[node]]
-        node = above[node]
-    return node
+@kernel
+def _join(rows: np.ndarray, columns: np.ndarray, tree: np.ndarray) -> None:
+    """Add the edges (row, column) to ``tree`` [N, N], in order, that join two components (Kruskal's algorithm)."""
+    above, left = np.arange(len(tree)), len(tree) - 1  # next node on the path to the root, edges still to add
+    for n in range(len(rows)):
+        one, other = rows[n], columns[n]
+        while above[one] != one:
+            above[one] = above[above[one]]
+            one = above[one]
+        while above[other] != other:
+            above[other] = above[above[other]]
+            other = above[other]
+        if one != other:
+            above[one] = other
+            tree[rows[n], columns[n]] = tree[columns[n], rows[n]] = True
+            left -= 1
+            if not left:
+                return
 
 
 def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, no cycles -> [N] in [0, 1]
@@ -91,36 +97,40 @@ def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, 
     adjacency lists are built.
     """
     count = len(tree)
-    centrality = np.zeros(count)
     if count < 3:
-        return centrality
-    rows, columns = np.nonzero(tree)
-    neighbours: list[list[int]] = [[] for _ in range(count)]
-    for row, column in zip(rows.tolist(), columns.tolist()):
-        neighbours[row].append(column)
-    parent = [-1] * count
-    visited = [False] * count
+        return np.zeros(count)
+    shares: np.ndarray = _separated_pairs(tree) * 2.0 / ((count - 1) * (count - 2))
+    return shares
+
+
+@kernel
+def _separated_pairs(tree: np.ndarray) -> np.ndarray:  # [N] float64
+    """Return the number of pairs of other nodes whose path contains each node of a forest [N, N]."""
+    count = len(tree)
+    pairs = np.zeros(count)
+    parent, visited = np.full(count, -1), np.zeros(count, np.bool_)
+    below, squares, order = np.ones(count, np.int64), np.zeros(count, np.int64), np.empty(count, np.int64)
     for root in range(count):
         if visited[root]:
             continue
         visited[root] = True
-        order = [root]
-        for node in order:
-            for other in neighbours[node]:
-                if not visited[other]:
+        order[0], size, head = root, 1, 0
+        while head < size:  # breadth first
+            for other in range(count):
+                if tree[order[head], other] and not visited[other]:
                     visited[other] = True
-                    parent[other] = node
-                    order.append(other)
-        size = len(order)
-        below = dict.fromkeys(order, 1)
-        squares = dict.fromkeys(order, 0)
-        for node in reversed(order):
+                    parent[other] = order[head]
+                    order[size] = other
+                    size += 1
+            head += 1
+        for n in range(size - 1, -1, -1):
+            node = order[n]
             rest = size - below[node]  # number of nodes that are not in the subtree of this node
-            centrality[node] = ((size - 1) ** 2 - squares[node] - rest**2) / 2.0
+            pairs[node] = ((size - 1) ** 2 - squares[node] - rest**2) / 2.0
             if parent[node] >= 0:
                 below[parent[node]] += below[node]
                 squares[parent[node]] += below[node] ** 2
-    return centrality * 2.0 / ((count - 1) * (count - 2))
+    return pairs
 
 
 def classify_structural(

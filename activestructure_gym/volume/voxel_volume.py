@@ -175,8 +175,10 @@ class VoxelVolume:
 
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
         """Return whether each point (metres, world) is inside the grid."""
-        voxels = self.voxel_of(points)
-        return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
+        return self._inside(self.voxel_of(points))
+
+    def _inside(self, voxels: np.ndarray) -> np.ndarray:  # [..., 3] int64 -> [...] bool
+        return ((voxels >= 0) & (voxels < np.array(self.shape))).all(axis=-1)
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
         """Return the state of the voxel that contains each point (metres, world); UNKNOWN outside the grid."""
@@ -187,7 +189,8 @@ class VoxelVolume:
         return self._at(points, self.occupancy, 0.5)
 
     def _at(self, points: np.ndarray, values: np.ndarray, outside: float) -> np.ndarray:  # [N] of the type of values
-        voxels, inside = self.voxel_of(points), self.contains(points)
+        voxels = self.voxel_of(points)
+        inside = self._inside(voxels)
         found = values[tuple(np.where(inside[..., None], voxels, 0).T)]
         return np.where(inside, found, outside).astype(values.dtype)
 

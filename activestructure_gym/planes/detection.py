@@ -154,8 +154,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
     if not len(moments):
         return nothing
-    # The label -1 remains -1, because index -1 reads the last entry of the table.
-    labels = np.append(order[new_label], -1).astype(np.int32)[labels]
+    kernels.rename(labels, order[new_label])
     return PlaneDetection(_lift(frame, depth, lens, labels, moments, config), labels)
 
 
@@ -314,7 +313,7 @@ def _lift(
     centroids = transform_points(frame.world_from_camera, mean)
     offsets = -np.einsum("ij,ij->i", normals, centroids)
     # Step between the pixels kept of each segment, and end of its points in the flat array.
-    pixels = np.bincount(labels.ravel() + 1, minlength=len(moments) + 1)[1:]
+    pixels = moments[:, 0].astype(np.int64)
     steps = -(-pixels // config.max_points)
     ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))
     points = kernels.spread_points(depth, lens, labels, steps, ends)

@@ -274,29 +274,46 @@ def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth
     height, width = depth.shape
     rows, columns = block_labels.shape
     labels = np.full((height, width), -1, np.int32)
-    for v in range(height):
-        y1 = (v + 0.5 - cy) / fy
-        r = min(v // size, rows - 1)
-        for u in range(width):
-            z = np.float64(depth[v, u])
-            if not 0.0 < z <= max_depth:
-                continue
-            x, y = (u + 0.5 - cx) / fx * z, y1 * z
-            c = min(u // size, columns - 1)
-            best = pixel_noise * noise(z, scale) + pixel_base
-            tried = -1
+    near = np.empty(9, np.int64)  # the planes around a block, each once
+    for r in range(rows):
+        for c in range(columns):
+            count = 0
             for rr in range(max(r - 1, 0), min(r + 2, rows)):
                 for cc in range(max(c - 1, 0), min(c + 2, columns)):
                     label = block_labels[rr, cc]
-                    if label < 0 or label == tried:
+                    known = label < 0
+                    for n in range(count):
+                        known = known or near[n] == label
+                    if not known:
+                        near[count] = label
+                        count += 1
+            if count == 0:
+                continue
+            # The last blocks also have the pixels up to the border of the image.
+            for v in range(r * size, (r + 1) * size if r < rows - 1 else height):
+                y1 = (v + 0.5 - cy) / fy
+                for u in range(c * size, (c + 1) * size if c < columns - 1 else width):
+                    z = np.float64(depth[v, u])
+                    if not 0.0 < z <= max_depth:
                         continue
-                    tried = label
-                    p = planes[label]
-                    residual = abs(p[0] * x + p[1] * y + p[2] * z + p[3])
-                    if residual < best and p[3] * p[3] > min_cosine * min_cosine * (x * x + y * y + z * z):
-                        best = residual
-                        labels[v, u] = label
+                    x, y = (u + 0.5 - cx) / fx * z, y1 * z
+                    best = pixel_noise * noise(z, scale) + pixel_base
+                    for n in range(count):
+                        p = planes[near[n]]
+                        residual = abs(p[0] * x + p[1] * y + p[2] * z + p[3])
+                        if residual < best and p[3] * p[3] > min_cosine * min_cosine * (x * x + y * y + z * z):
+                            best = residual
+                            labels[v, u] = near[n]
     return labels
+
+
+@kernel
+def rename(labels, table):
+    """Replace each label of the image ``labels`` [H, W] by its entry in ``table``, in place; -1 remains."""
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if labels[v, u] >= 0:
+                labels[v, u] = table[labels[v, u]]
 
 
 @kernel

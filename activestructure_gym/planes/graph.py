@@ -246,8 +246,8 @@ class PlaneSceneGraph:
 
     def _assess(self, space_state: SpaceState | None) -> None:
         nodes, config = self.nodes, self.config
-        normals = np.array([node.normal for node in nodes]).reshape(-1, 3)
-        centroids = np.array([node.centroid for node in nodes]).reshape(-1, 3)
+        planes = stack_planes(nodes)
+        normals, centroids = planes[:, :3].copy(), planes[:, 4:].copy()
         areas = np.array([node.area for node in nodes], dtype=np.float64)
         point_counts = np.array([node.point_count for node in nodes], dtype=np.int64)
         topology = config.topology
@@ -261,7 +261,7 @@ class PlaneSceneGraph:
         self.state = GraphState(
             ids=np.array([node.id for node in nodes], dtype=np.int64),
             normals=normals,
-            offsets=np.array([node.offset for node in nodes], dtype=np.float64),
+            offsets=planes[:, 3].copy(),
             centroids=centroids,
             areas=areas,
             point_counts=point_counts,

@@ -10,6 +10,7 @@ import numpy as np
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.detection_kernels import MOMENTS
 from activestructure_gym.planes.surface import Patch, SurfaceGrid
+from activestructure_gym.planes.surface_kernels import average_plane
 from activestructure_gym.planes.vectors import distance, length
 
 _SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # places of the 3 x 3 matrix of second moments in the ten moments
@@ -100,17 +101,12 @@ class PlaneNode:
         the segment's share of the plane's area, so that a view of a corner does not rotate a wall.
         """
         before = (self.centroid, self.area) if self.keyframes else None
-        for segment in segments:
-            if self.keyframes:
-                share = rate * min(1.0, segment.area / max(self.area, 1e-9))
-                normal = (1.0 - share) * self.normal + share * segment.normal
-                offset = (1.0 - share) * self.offset + share * segment.offset
-                size = length(normal)
-                self.normal, self.offset = normal / size, float(offset / size)
-        weights = np.array([segment.area for segment in segments]) + 1e-12
-        total = sum(segment.normal * weight for segment, weight in zip(segments, weights))
-        seen_normal = total / np.add.reduce(weights)
-        self.normals[keyframe] = seen_normal / length(seen_normal)
+        seen = np.array([[*segment.normal.tolist(), segment.offset, segment.area] for segment in segments])
+        # The first keyframe defined the plane; its average is this keyframe's.
+        rate = rate if self.keyframes else 0.0
+        self.normal, self.offset, self.normals[keyframe] = average_plane(
+            self.normal, self.offset, self.area, seen, float(np.add.reduce(seen[:, 4] + 1e-12)), rate
+        )
         self._forget()
         self.moments += moments
         self.keyframes |= 1 << keyframe

@@ -105,7 +105,7 @@ class Deficiencies:
         return len(self.centres)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Interior:
     """Hold the terms of Eq. 6 for the grid of one plane, and the outer edge of its cells."""
 
@@ -118,12 +118,14 @@ class Interior:
     sides: int  # number of boundary sides: sides of cells of I towards other cells
     unexplained: np.ndarray  # [M, 3] int64 row, column, direction of the sides beyond which no image observed anything
     density: float  # mean over O of the number of pixels per cell / its target, at most 1 per cell; 0 without cells
+    config: QualityConfig  # with which the terms were computed
+    modes: np.ndarray | None = None  # [8] scores of the plane, except that of the boundary; set at the first use
 
 
 def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     """Return the closed and filled mask of a plane, and its missing cells (Eq. 6); cached until the grid changes."""
-    known = surface.memo.get(("interior", config))
-    if isinstance(known, Interior):
+    known = surface.memo.get("interior")
+    if isinstance(known, Interior) and known.config is config:
         return known
     seen, beside = surface.seen, surface.beside
     # Closing and filling stay inside the bounding rectangle of the seen cells.
@@ -138,8 +140,8 @@ def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     share = np.count_nonzero(missing) / total if total else 1.0
     # The density is limited per cell, so that dense cells do not compensate for sparse ones.
     density = float(np.add.reduce(ratios)) / len(ratios) if len(ratios) else 0.0
-    result = Interior(mask, share, total, hull_cells, missing, box[:2], sides, unexplained, density)
-    surface.memo["interior", config] = result
+    result = Interior(mask, share, total, hull_cells, missing, box[:2], sides, unexplained, density, config)
+    surface.memo["interior"] = result
     return result
 
 
@@ -216,22 +218,22 @@ def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> f
 
 def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
     """Return the scores [8] of all modes except the boundary mode, cached until a keyframe observes the plane."""
-    known = node.surface.memo.get(("modes", config))
-    if isinstance(known, np.ndarray):
-        return known
-    modes = np.zeros(8)
-    surface = node.surface
-    inside = interior(surface, config)
-    modes[0] = min(1.0, inside.cells / max(inside.hull_cells, 1))
-    modes[1] = inside.density
-    modes[2] = np.exp(-node.rms / config.fit_scale)
-    modes[3] = min(1.0, node.observations / config.observations_target)
-    modes[5] = normal_consistency([*node.normals.values()], config.normal_angle_deg)
-    # A plane observed once has infinite change, so its score is 0.
-    modes[6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
-    modes[7] = 1.0 - inside.missing_share  # Eq. 6
-    surface.memo["modes", config] = modes
-    return modes
+    inside = interior(node.surface, config)
+    if inside.modes is None:
+        # A plane observed once has infinite change, so its score is 0.
+        change = node.shift / config.shift_scale + node.area_change / config.area_scale
+        fit, stability = np.exp(np.array([-node.rms / config.fit_scale, -change])).tolist()
+        inside.modes = np.array([
+            min(1.0, inside.cells / max(inside.hull_cells, 1)),
+            inside.density,
+            fit,
+            min(1.0, node.observations / config.observations_target),
+            0.0,
+            normal_consistency([*node.normals.values()], config.normal_angle_deg),
+            stability,
+            1.0 - inside.missing_share,  # Eq. 6
+        ])  # fmt: skip
+    return inside.modes
 
 
 def assess_quality(

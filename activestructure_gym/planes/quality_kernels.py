@@ -69,18 +69,31 @@ def survey(seen, hits, beside, disc, dense):
                 ratios[count] = min(hits[top + r, left + c] / dense, 1.0)
                 count += 1
     first, last = pad * across, size - pad * across  # the rows of the rectangle; shifts may reach one row of padding
-    for a in range(len(disc)):
-        for b in range(len(disc)):
-            if disc[a, b]:
-                shift = (a - reach) * across + b - reach
-                target, source = wide[first + shift : last + shift], cells[first:last]
+    # A row of the disc is a run of cells with its middle in the middle column. ``line`` holds the cells dilated, then
+    # eroded, by the run of a half width, which grows by one cell on each side at a time.
+    line = cells.copy()
+    for half in range(reach + 1):
+        if half:
+            target, left_of, right_of = line[first:last], cells[first - half : last - half], cells[first + half :]
+            for q in range(len(target)):
+                target[q] |= left_of[q] | right_of[q]
+        for a in range(len(disc)):
+            if disc[a].sum() == 2 * half + 1:
+                shift = (a - reach) * across
+                target, source = wide[first + shift : last + shift], line[first:last]
                 for q in range(len(target)):
                     target[q] |= source[q]
-    for a in range(len(disc)):
-        for b in range(len(disc)):
-            if disc[a, b]:
-                shift = (a - reach) * across + b - reach
-                target, source = closed[first:last], wide[first + shift : last + shift]
+    line[:] = wide
+    for half in range(reach + 1):
+        if half:
+            low, high = half, size - half
+            target, left_of, right_of = line[low:high], wide[low - half : high - half], wide[low + half :]
+            for q in range(len(target)):
+                target[q] &= left_of[q] & right_of[q]
+        for a in range(len(disc)):
+            if disc[a].sum() == 2 * half + 1:
+                shift = (a - reach) * across
+                target, source = closed[first:last], line[first + shift : last + shift]
                 for q in range(len(target)):
                     target[q] &= source[q]
     # Cells that are reached from the padding in four directions are outside: a diagonal row of cells encloses a hole.

@@ -72,9 +72,10 @@ class SurfaceGrid:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
         kernels.join(self._votes(), kernels.Votes(*patch[1:]), row, column, self.seen)
-        if not cv2.countNonZero(self.seen):
-            self.seen[:] = self.hits > 0  # a sliver between the centres of cells still gets a cell
         self._forget()
+        if not self._measures[0]:
+            self.seen[:] = self.hits > 0  # a sliver between the centres of cells still gets a cell
+            self._forget()
 
     def absorb(self, other: SurfaceGrid) -> None:
         """Merge another grid of the same plane into this one.
@@ -118,7 +119,7 @@ class SurfaceGrid:
         return row + above, column + left
 
     def _grow(self, low: np.ndarray, row: int, column: int, rows: int, columns: int) -> None:
-        """Replace the arrays by arrays of ``rows`` x ``columns`` cells from cell ``low``, the old ones at (row, column)."""
+        """Enlarge the arrays to ``rows`` x ``columns`` cells from cell ``low``; the old cells move to (row, column)."""
         old = self.seen, self.beside, self.shown, self.denied, self.hits
         masks, counts = np.zeros((2, rows, columns), np.uint8), np.zeros((3, rows, columns), np.int32)
         self.seen, self.beside, self.shown, self.denied, self.hits = new = *masks, *counts
@@ -128,7 +129,7 @@ class SurfaceGrid:
         self.low = np.array(low, np.int64)
 
     def _forget(self) -> None:
-        for name in ("frame", "_cells", "_measured", "_points", "_totals", "centroid", "near"):
+        for name in ("frame", "_cells", "_measured", "_points", "_measures", "near"):
             self.__dict__.pop(name, None)
         self.memo.clear()
 
@@ -153,10 +154,12 @@ class SurfaceGrid:
         return nonzero((self.hits > 0).view(np.uint8) & self.seen)
 
     @cached_property
-    def _totals(self) -> list[int]:
-        """Return the number of seen cells, the sums of their rows and columns, and the number with a measured point."""
-        totals: list[int] = kernels.sum_cells(self.seen, self.hits).tolist()
-        return totals
+    def _measures(self) -> tuple[int, int, np.ndarray]:
+        """Return the number of seen cells, the number of these with a measured point, and the centroid [3]."""
+        found: tuple[int, int, np.ndarray] = kernels.measure(
+            self.seen, self.hits, self.low, self.cell, self.axes, self.origin
+        )
+        return found
 
     @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
@@ -171,21 +174,17 @@ class SurfaceGrid:
     @property
     def measured_count(self) -> int:
         """Return the number of seen cells with at least one measured point."""
-        return self._totals[3]
+        return self._measures[1]
 
     @property
     def area(self) -> float:
         """Return the area of the seen cells in m^2."""
-        return self._totals[0] * self.cell**2
+        return self._measures[0] * self.cell**2
 
-    @cached_property
+    @property
     def centroid(self) -> np.ndarray:  # [3] world
         """Return the mean of the centres of the seen cells in metres."""
-        count, rows, columns, _ = self._totals
-        if not count:
-            return self.origin.copy()
-        low = self.low.tolist()
-        return self._to_world(np.array([[rows / count + low[0] + 0.5, columns / count + low[1] + 0.5]]))[0]
+        return self._measures[2]
 
     @cached_property
     def near(self) -> np.ndarray:  # [R, C] uint8
@@ -209,7 +208,7 @@ class SurfaceGrid:
         """
         known = self.memo.get(("spread", count))
         if not isinstance(known, np.ndarray):
-            cells = kernels.even_cells(self.seen, self.hits, self._totals[3], self._totals[0], count)
+            cells = kernels.even_cells(self.seen, self.hits, self._measures[1], self._measures[0], count)
             known = self.memo["spread", count] = self._to_world(cells + self.low + 0.5)
         return known
 
@@ -276,14 +275,14 @@ def observe(
     cell = grids[0].cell
     table = np.asarray(table, dtype=np.int64)
     image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
-    extents, moments = kernels.image_sums(image, frames, anchors, cell)
+    extents, moments, cells = kernels.image_sums(image, frames, anchors, cell)
     extents += np.array([-2, -2, 2, 2])  # two cells beyond the edge, to observe what is next to the plane
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
     shown, denied, beside = np.zeros((3, starts[-1]), np.uint8)
     rectangles = kernels.Rectangles(frames, cell, extents, starts)
-    kernels.count_hits(image, rectangles, hits)
+    kernels.count_hits(labels, table, cells, extents, starts, hits)
     planes = np.array([[*segment.normal.tolist(), segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
     # Whether each segment is on the side of each grid's plane from which the plane is observed.

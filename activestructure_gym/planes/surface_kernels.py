@@ -77,8 +77,8 @@ def image_sums(image, grids, anchors, cell):
     """Return the extent of each grid's new points in cells, and their moments, in one pass over the pixels.
 
     ``image`` is a `LabelledImage`, ``grids`` [T, 12] are frames, and ``cell`` is the side of a cell in metres. Moments
-    are taken about ``anchors`` [T, 3]. Returns extents [T, 4] (first row, first column, last row, last column) and
-    moments [T, 10].
+    are taken about ``anchors`` [T, 3]. Returns extents [T, 4] (first row, first column, last row, last column), moments
+    [T, 10], and row and column of the cell of each pixel [H, W, 2].
     """
     depth, labels, table, lens, rotation, translation = image
     count = len(grids)
@@ -86,6 +86,7 @@ def image_sums(image, grids, anchors, cell):
     extents[:, :2] = 1 << 40
     extents[:, 2:] = -(1 << 40)
     moments = np.zeros((count, MOMENTS))
+    cells = np.empty((*depth.shape, 2), np.int64)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             label = labels[v, u]
@@ -97,34 +98,29 @@ def image_sums(image, grids, anchors, cell):
             px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
             add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
             r, c = cell_of(px, py, pz, grids[t], cell)
+            cells[v, u, 0], cells[v, u, 1] = r, c
             extents[t, 0] = min(extents[t, 0], r)
             extents[t, 1] = min(extents[t, 1], c)
             extents[t, 2] = max(extents[t, 2], r)
             extents[t, 3] = max(extents[t, 3], c)
-    return extents, moments
+    return extents, moments, cells
 
 
 @kernel
-def count_hits(image, rectangles, hits):
+def count_hits(labels, table, cells, extents, starts, hits):
     """Add the number of pixels in each cell to the flat array ``hits``.
 
-    ``image`` is a `LabelledImage`, and ``rectangles`` the `Rectangles` of cells.
+    ``labels`` [H, W] and ``table`` [S] are those of `LabelledImage`, ``extents`` [T, 4] and ``starts`` [T + 1] those of
+    `Rectangles`, and ``cells`` [H, W, 2] row and column of each pixel. The rectangles contain these cells.
     """
-    depth, labels, table, lens, rotation, translation = image
-    grids, cell, extents, starts = rectangles
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
             label = labels[v, u]
             if label < 0:
                 continue
             t = table[label]
-            if t < 0:
-                continue
-            px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
-            r, c = cell_of(px, py, pz, grids[t], cell)
-            r -= extents[t, 0]
-            c -= extents[t, 1]
-            if 0 <= r <= extents[t, 2] - extents[t, 0] and 0 <= c <= extents[t, 3] - extents[t, 1]:
+            if t >= 0:
+                r, c = cells[v, u, 0] - extents[t, 0], cells[v, u, 1] - extents[t, 1]
                 hits[starts[t] + r * (extents[t, 3] - extents[t, 1] + 1) + c] += 1
 
 
@@ -196,6 +192,32 @@ def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
 
 
 @kernel
+def average_plane(normal, offset, area, seen, weight, rate):
+    """Return the moving average of a plane's normal [3] and offset, and the mean normal [3] of the new segments.
+
+    ``area`` is that of the plane in m^2. ``seen`` [K, 5] holds normal, offset and area of the new segments. ``weight``
+    is the sum of these areas, each increased by 1e-12. A segment has the weight ``rate``, multiplied by its share of
+    the plane's area; a rate of 0 leaves the plane unchanged.
+    """
+    x, y, z, d = normal[0], normal[1], normal[2], offset
+    u, v, w = 0.0, 0.0, 0.0
+    for n in range(len(seen)):
+        if rate > 0.0:
+            share = rate * min(1.0, seen[n, 4] / max(area, 1e-9))
+            x = (1.0 - share) * x + share * seen[n, 0]
+            y = (1.0 - share) * y + share * seen[n, 1]
+            z = (1.0 - share) * z + share * seen[n, 2]
+            d = (1.0 - share) * d + share * seen[n, 3]
+            size = np.sqrt(x * x + y * y + z * z)
+            x, y, z, d = x / size, y / size, z / size, d / size
+        own = seen[n, 4] + 1e-12
+        u, v, w = u + seen[n, 0] * own, v + seen[n, 1] * own, w + seen[n, 2] * own
+    u, v, w = u / weight, v / weight, w / weight
+    size = np.sqrt(u * u + v * v + w * w)
+    return np.array([x, y, z]), d, np.array([u / size, v / size, w / size])
+
+
+@kernel
 def seat(axes, origin, normal, offset):
     """Return axes [3, 3] and origin [3] of a grid's frame moved onto the plane ``normal . x + offset = 0``.
 
@@ -220,10 +242,12 @@ def seat(axes, origin, normal, offset):
 
 
 @kernel
-def sum_cells(seen, hits):
-    """Return the number of seen cells, the sums of their rows and columns, and the number with a pixel, as int64 [4].
+def measure(seen, hits, low, cell, axes, origin):
+    """Return the number of seen cells, the number of these with a pixel, and the mean of their centres [3].
 
-    ``seen`` [R, C] is 0 or 1, and ``hits`` [R, C] the number of pixels in each cell.
+    ``seen`` [R, C] is 0 or 1, and ``hits`` [R, C] the number of pixels in each cell. The arrays begin at cell ``low``
+    of the frame with ``axes`` [3, 3], ``origin`` [3] and cells of ``cell`` metres. Without a seen cell, the mean is the
+    origin.
     """
     totals = np.zeros(4, np.int64)
     for r in range(seen.shape[0]):
@@ -237,7 +261,13 @@ def sum_cells(seen, hits):
         totals[1] += count * r
         totals[2] += columns
         totals[3] += measured
-    return totals
+    centre = origin.copy()
+    if totals[0]:
+        a = (totals[1] / totals[0] + low[0] + 0.5) * cell
+        b = (totals[2] / totals[0] + low[1] + 0.5) * cell
+        for m in range(3):
+            centre[m] = origin[m] + (a * axes[0, m] + b * axes[1, m])
+    return totals[0], totals[3], centre
 
 
 @kernel
@@ -251,14 +281,20 @@ def even_cells(seen, hits, measured, total, count):
     last = (measured if measured else total) - 1
     number, filled = 0, 0
     for r in range(seen.shape[0]):
+        inside = 0
+        for c in range(seen.shape[1]):  # most rows have none of the chosen cells, and this loop is vectorised
+            inside += np.int64(seen[r, c]) * (hits[r, c] > 0 or measured == 0)
+        if number + inside <= filled * last // (count - 1):
+            number += inside
+            continue
         for c in range(seen.shape[1]):
             if seen[r, c] and (hits[r, c] > 0 or measured == 0):
                 while filled < count and filled * last // (count - 1) == number:
                     cells[filled, 0], cells[filled, 1] = r, c
                     filled += 1
                 number += 1
-                if filled == count:
-                    return cells
+        if filled == count:
+            break
     return cells
 
 

@@ -146,6 +146,27 @@ def _nearest_in_footprint(
     return smallest
 
 
+@kernel
+def values_at(
+    points: np.ndarray,  # [N, 3] metres, world
+    origin: np.ndarray,  # [3] metres, lower corner of voxel (0, 0, 0)
+    voxel_size: float,  # metres
+    values: np.ndarray,  # [X, Y, Z]
+    outside: float,  # value of points outside the grid
+) -> np.ndarray:  # [N] of the type of ``values``
+    """Return the value of the voxel that contains each point."""
+    found = np.empty(len(points), values.dtype)
+    for n in range(len(points)):
+        x = np.floor((points[n, 0] - origin[0]) / voxel_size)
+        y = np.floor((points[n, 1] - origin[1]) / voxel_size)
+        z = np.floor((points[n, 2] - origin[2]) / voxel_size)
+        if 0 <= x < values.shape[0] and 0 <= y < values.shape[1] and 0 <= z < values.shape[2]:
+            found[n] = values[int(x), int(y), int(z)]
+        else:
+            found[n] = outside
+    return found
+
+
 def frustum_planes(
     camera: PinholeCamera,
     camera_from_world: np.ndarray,  # [4, 4]

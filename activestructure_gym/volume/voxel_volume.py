@@ -175,10 +175,8 @@ class VoxelVolume:
 
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
         """Return whether each point (metres, world) is inside the grid."""
-        return self._inside(self.voxel_of(points))
-
-    def _inside(self, voxels: np.ndarray) -> np.ndarray:  # [..., 3] int64 -> [...] bool
-        return ((voxels >= 0) & (voxels < np.array(self.shape))).all(axis=-1)
+        voxels = self.voxel_of(points)
+        return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
         """Return the state of the voxel that contains each point (metres, world); UNKNOWN outside the grid."""
@@ -189,10 +187,9 @@ class VoxelVolume:
         return self._at(points, self.occupancy, 0.5)
 
     def _at(self, points: np.ndarray, values: np.ndarray, outside: float) -> np.ndarray:  # [N] of the type of values
-        voxels = self.voxel_of(points)
-        inside = self._inside(voxels)
-        found = values[tuple(np.where(inside[..., None], voxels, 0).T)]
-        return np.where(inside, found, outside).astype(values.dtype)
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        found: np.ndarray = integration.values_at(points, self.origin, self.voxel_size, values, outside)
+        return found
 
     def _grid_coordinates(self, points: np.ndarray) -> np.ndarray:  # voxels, centre of voxel (0, 0, 0) at 0
         points = np.asarray(points, dtype=np.float64)

@@ -116,7 +116,8 @@ class KeyframeMapper(ABC):
         measured.
         """
         count = len(self.keyframes) if renders is None else renders
-        self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
+        if count:
+            self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
 
     def _shuffled_views(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:

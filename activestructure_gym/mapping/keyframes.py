@@ -57,8 +57,6 @@ class KeyframeStore:
         Two keyframes overlap if a surface point of one projects into the image of the other; occlusion is not tested.
         This is SplaTAM's rule without its ranking by overlap, which has no effect before a random choice.
         """
-        for later in self.frames[len(self._sides) :]:
-            self._sides.append(viewing_sides(later.camera, later.world_from_camera, border_share=self._border_share))
         frame = self.frames[index]
         measured = np.flatnonzero(frame.depth)
         order = rng.permutation(len(self.frames))
@@ -82,6 +80,8 @@ class KeyframeStore:
 
     def _may_see(self, points: np.ndarray) -> np.ndarray:  # [4, N] homogeneous -> [T] bool
         """Return False for each keyframe that certainly sees none of the points."""
+        for later in self.frames[len(self._sides) :]:
+            self._sides.append(viewing_sides(later.camera, later.world_from_camera, border_share=self._border_share))
         middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
         radius = np.linalg.norm(points - middle[:, None], axis=0).max() * 1.001
         sides = np.stack(self._sides)  # [T, 4, 4]

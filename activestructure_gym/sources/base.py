@@ -55,6 +55,7 @@ class Proposals:
     ends: bool = False  # whether choosing a view ends the episode
     ids: np.ndarray | None = None  # [n] ids of the views in the shared pool; None for other sources
     revisit: np.ndarray | None = None  # [n] bool: whether the pose is that of a stored keyframe
+    path_length: np.ndarray | None = None  # [n] metres, from ``agent.distances``; None: computed for the table
 
     def __post_init__(self) -> None:
         shape = np.shape(self.world_from_camera)

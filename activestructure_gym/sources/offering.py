@@ -132,7 +132,10 @@ def offer(
         kept = sum(1 if made[later].rows == MAX_ROWS else made[later].rows for later in stage[place + 1 :])
         room = min(left - kept, source.rows)
         seen = context(name, room)
-        part = _reachable(_checked(name, source.propose(seen), seen.agent.pose), seen, room, names.index(name))
+        proposed = source.propose(seen)
+        if type(source) is not Pool:  # the pool's poses are made here
+            proposed = _checked(name, proposed, seen.agent.pose)
+        part = _reachable(proposed, seen, room, names.index(name))
         left -= len(part)
         parts.append(part)
     if asks:
@@ -170,7 +173,9 @@ def _reachable(proposed: Proposals, context: SourceContext, room: int, source: i
     """Return the first ``room`` reachable proposals as rows of the table; ``source`` is the index of their source."""
     poses, distances = np.asarray(proposed.world_from_camera, dtype=np.float64), context.agent.distances
     places = poses[:, :3, 3]
-    lengths = distances.at(places) if len(poses) else np.zeros(0, np.float32)
+    lengths = proposed.path_length
+    if lengths is None:
+        lengths = distances.at(places) if len(poses) else np.zeros(0, np.float32)
     good = np.isfinite(lengths)
     if proposed.ids is None:  # the pool has tested its views, and a keyframe pose can have less clearance
         good &= (context.volume.clearance_at(places) >= context.clearance_m) | (

@@ -22,4 +22,4 @@ class Pool(Source):
         room = min(context.room, self.rows)
         distances = context.agent.distances
         table = context.pool.offer(context.volume, distances, context.decision, context.revisits, room=room)
-        return Proposals(table.world_from_camera, ids=table.ids, revisit=table.revisit)
+        return Proposals(table.world_from_camera, ids=table.ids, revisit=table.revisit, path_length=table.path_length)

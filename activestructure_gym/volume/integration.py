@@ -237,6 +237,7 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
     rotation = camera_from_world
     extent_x, extent_y, extent_z = extents
     sure_range = thinnest * min(fx, fy)  # up to this range no thin structure fits between two rays
+    left_of, right_of, above, below = planes[0, 2], planes[1, 2], planes[2, 2], planes[3, 2]
     dx, dy, dz = rotation[0, 2] * voxel_size, rotation[1, 2] * voxel_size, rotation[2, 2] * voxel_size
 
     for i in range(lower[0], upper[0]):
@@ -262,17 +263,19 @@ def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -
                     last = min(last, -offset / slope)
                 elif offset < 0.0:
                     last = first - 1.0
+                if last < first:
+                    break
             for k in range(int(np.ceil(first)), int(np.floor(last)) + 1):
                 x, y, z = bx + k * dx, by + k * dy, bz + k * dz
                 u = min(max(int(fx * x / z + cx), 0), width - 1)
                 v = min(max(int(fy * y / z + cy), 0), height - 1)
                 distance = depth[v, u] - z
                 if depth[v, u] > 0.0 and distance > -truncation:
-                    # At least 0 if the voxel's centre is within the outermost rays.
-                    edge = np.inf
-                    for p in range(4):
-                        edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
-                    if edge >= 0.0:
+                    # The voxel's centre is within the outermost rays.
+                    if (
+                        fx * x + left_of * z >= 0.0 and right_of * z - fx * x >= 0.0
+                        and fy * y + above * z >= 0.0 and below * z - fy * y >= 0.0
+                    ):  # fmt: skip
                         old = weight[i, j, k]
                         new = min(distance / truncation, 1.0)
                         tsdf[i, j, k] = (tsdf[i, j, k] * old + new) / (old + 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from numbers import Integral
 
 import numpy as np
@@ -77,7 +78,7 @@ class VoxelVolume:
         if not np.isfinite(depth).all():
             depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
         fresh = self._last_view is None or bool(
-            np.linalg.norm(view[:3, 3] - self._last_view[:3, 3]) > 0.02
+            math.dist(view[:3, 3].tolist(), self._last_view[:3, 3].tolist()) > 0.02
             or rotation_angle(view, self._last_view) > np.radians(1.0)
         )
         if fresh:

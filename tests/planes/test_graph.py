@@ -273,6 +273,7 @@ def test_a_merged_plane_keeps_one_normal_per_keyframe_the_last_ones() -> None:
         segment = PlaneSegment(np.array([0.0, 0, 1]), 0.0, points[0], area, 0.0, len(points), points, 0)
         made = PlaneNode(number, segment, np.eye(3), cell=0.05, window=3)
         made.surface.seen = np.ones((2, round(area / (2 * 0.05**2))), np.uint8)
+        made.surface.hits = np.zeros(made.surface.seen.shape, np.int32)
         for keyframe, normal in seen.items():
             made.normals[keyframe] = np.array(normal)
             made.keyframes |= 1 << keyframe

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,8 +20,8 @@ from activestructure_gym.planes import (
     find_deficiencies,
 )
 from activestructure_gym.planes import graph as graph_module
-from activestructure_gym.planes.quality import boundary_closure, cells_in_polygon, interior, normal_consistency
-from activestructure_gym.planes.surface import SurfaceGrid
+from activestructure_gym.planes.quality import boundary_closure, interior, normal_consistency
+from activestructure_gym.planes.surface import SurfaceGrid, disc
 
 # A board of 2.4 x 1.4 m, 2 m in front of the camera and all in view; 2.5 m behind it a wall.
 EYE, AHEAD = (0.0, 0.0, 1.5), (1.0, 0.0, 0.0)
@@ -303,18 +304,44 @@ def test_a_strip_that_fills_its_hull_is_covered_wholly(angle, width):
     along, across = column * x + row * y, row * x - column * y
     surface = SurfaceGrid(np.zeros(3), np.eye(3), 0.05)
     surface.seen = ((np.abs(along) <= 40) & (np.abs(across) <= width / 2)).astype(np.uint8)
-    surface.beside = np.zeros_like(surface.seen)
+    surface.beside, surface.hits = np.zeros_like(surface.seen), surface.seen.astype(np.int32)
     inside = interior(surface, QualityConfig())
     assert inside.hull_cells > 0 and inside.cells / inside.hull_cells == pytest.approx(1.0, abs=0.02)
 
 
-def test_cells_of_a_polygon_against_asking_every_cell(rng):
+def cells_at(corners) -> SurfaceGrid:
+    """A grid in which only these cells are seen."""
+    surface = SurfaceGrid(np.zeros(3), np.eye(3), 0.05)
+    surface.seen = np.zeros((40, 40), np.uint8)
+    surface.seen[tuple(np.asarray(corners).T)] = 1
+    surface.beside, surface.hits = np.zeros_like(surface.seen), surface.seen.astype(np.int32)
+    return surface
+
+
+def test_cells_of_a_hull_against_asking_every_cell(rng):
     from scipy.spatial import ConvexHull
 
     points = rng.integers(0, 40, (12, 2))
     cells = np.stack(np.mgrid[0:40, 0:40], axis=-1).reshape(-1, 2)
-    for corners in (points[ConvexHull(points).vertices], np.array([[3, 4], [9, 4], [9, 8], [3, 8]])):
+    alone = QualityConfig(closing_radius=0)
+    for corners in (points, np.array([[3, 4], [9, 4], [9, 8], [3, 8]])):
         sides = ConvexHull(corners).equations  # normal, offset: at most 0 inside
-        assert cells_in_polygon(corners) == (cells @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1).sum()
-    assert cells_in_polygon(np.array([[5, 5]])) == 1
-    assert cells_in_polygon(np.array([[5, 5], [11, 8]])) == 4  # (5, 5), (7, 6), (9, 7), (11, 8)
+        inside = (cells @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1).sum()
+        assert interior(cells_at(corners), alone).hull_cells == inside
+    assert interior(cells_at([[5, 5]]), alone).hull_cells == 1
+    assert interior(cells_at([[5, 5], [11, 8]]), alone).hull_cells == 4  # (5, 5), (7, 6), (9, 7), (11, 8)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 3, 4])
+def test_closing_and_filling_agree_with_opencv(radius, rng):
+    for share in (0.05, 0.3, 0.6, 0.9):
+        surface = cells_at(np.argwhere(rng.uniform(size=(40, 40)) < share))
+        pad = radius + 1
+        padded = cv2.copyMakeBorder(surface.seen, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+        closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc(radius))
+        outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        filled = np.zeros_like(padded)
+        cv2.drawContours(filled, outlines, -1, 1, thickness=cv2.FILLED)
+        inside = interior(surface, QualityConfig(closing_radius=radius))
+        np.testing.assert_array_equal(inside.mask, filled[pad:-pad, pad:-pad])
+        assert inside.cells == filled.sum()

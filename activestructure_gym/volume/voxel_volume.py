@@ -311,12 +311,15 @@ class VoxelVolume:
         border = max(border, int(np.ceil(slack)) + 1)
         state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
         inner = (slice(border, -border),) * 3
-        any_kind = distance_field.distance_to_cubes(state != FREE, at_most=at_most)
-        farthest = min(float(any_kind[inner].max()) + slack, at_most)
-        occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)
+        any_kind = distance_field.squared_distances(state != FREE, at_most)[inner]
+        most = np.float32(at_most**2)
+        farthest = min(float(distance_field.root_of(int(any_kind.max()), most)) + slack, at_most)
+        occupied = distance_field.squared_distances(state == OCCUPIED, farthest)[inner]
         box = tuple(slice(a, b) for a, b in zip(lower, upper))
-        scale = np.float32(slack), np.float32(self.voxel_size)
-        distance_field.join_distances(any_kind[inner], occupied[inner], *scale, field[box])
+        distance_field.join_distances(
+            any_kind, most, occupied, np.float32(farthest**2), np.float32(slack),
+            np.float32(self.voxel_size), field[box],
+        )  # fmt: skip
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
         """Return the clearance at points, interpolated between voxel centres; 0 outside the grid.

@@ -66,7 +66,7 @@ class SurfaceCoverage:
     @property
     def share(self) -> float:
         """Return the share of samples seen, in 0..1; 1 if there are no samples."""
-        return np.count_nonzero(self.seen) / len(self.seen) if len(self.seen) else 1.0
+        return float(np.count_nonzero(self.seen) / len(self.seen)) if len(self.seen) else 1.0
 
     def add(self, depth: np.ndarray, camera: PinholeCamera, world_from_camera: np.ndarray) -> None:
         """Mark the samples seen in a depth image [H, W] (metres) taken at the true pose [4, 4]."""

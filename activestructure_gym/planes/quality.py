@@ -137,7 +137,7 @@ def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     missing = mask[part] > seen[part]
     if not config.count_explained_holes:
         missing &= beside[part] == UNKNOWN
-    share = np.count_nonzero(missing) / total if total else 1.0
+    share = float(np.count_nonzero(missing) / total) if total else 1.0
     # The density is limited per cell, so that dense cells do not compensate for sparse ones.
     density = float(np.add.reduce(ratios)) / len(ratios) if len(ratios) else 0.0
     result = Interior(mask, share, total, hull_cells, missing, box[:2], sides, unexplained, density, config)

@@ -15,6 +15,7 @@ from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.graph import tangent_axes
 from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.surface import Patch
 
 
 def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):
@@ -272,8 +273,8 @@ def test_a_merged_plane_keeps_one_normal_per_keyframe_the_last_ones() -> None:
         points = np.zeros((4, 3))
         segment = PlaneSegment(np.array([0.0, 0, 1]), 0.0, points[0], area, 0.0, len(points), points, 0)
         made = PlaneNode(number, segment, np.eye(3), cell=0.05, window=3)
-        made.surface.seen = np.ones((2, round(area / (2 * 0.05**2))), np.uint8)
-        made.surface.hits = np.zeros(made.surface.seen.shape, np.int32)
+        shown = np.ones((2, round(area / (2 * 0.05**2))), np.int32)
+        made.surface.add(Patch(np.zeros(2, np.int64), shown, 0 * shown, shown, np.zeros(shown.shape, np.uint8)))
         for keyframe, normal in seen.items():
             made.normals[keyframe] = np.array(normal)
             made.keyframes |= 1 << keyframe

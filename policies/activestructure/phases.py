@@ -18,7 +18,8 @@ class Phase:
 
     name: str
     weights: Weights
-    # Minimum discovery gain of a view in the pool (rho); 1 is the gain of a view that sees only unknown space.
+    # Minimum discovery gain of a view in the pool, times the travel discount g; 1 is the gain of a view at the agent's
+    # place that sees only unknown space.
     pool_share: float = 0.0
     deficit_share: float = np.inf  # minimum IG_def with which any view is in the pool, in the unit of `hole_area`
     refines: bool = False  # True: revisit keyframes instead of scoring views
@@ -29,14 +30,14 @@ PHASES = (
     Phase(
         "I scaffold",
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1, sides=0.0),
-        pool_share=0.05,
+        pool_share=0.03,
     ),
     # Structural planes lower the gain, and objects raise it (with discovery=unseen also their unseen sides). The cap of
     # the discount is higher, and the pool includes views of smaller gaps.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),
-        pool_share=0.01,
+        pool_share=0.012,
         deficit_share=0.01,
     ),
     # The keyframes with the lowest PSNR are revisited and get more iterations.
@@ -48,14 +49,22 @@ LOT = 4  # number of revisits between two tests of progress; a table offers at m
 MIN_RISE_DB = 0.25  # dB by which LOT revisits must raise the 10 % quantile of the keyframes' PSNR
 
 
-def in_pool(terms: GainTerms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
-    """Return which ``valid`` views [K] bool are in the pool of the phase.
+def in_pool(
+    discovered: np.ndarray,  # [K] discovery gain of each view alone, without its path; 1: it sees only unknown space
+    terms: GainTerms,
+    travel: np.ndarray,  # [K] travel discount g in (0, 1]
+    valid: np.ndarray,  # [K] bool
+    phase: Phase,
+) -> np.ndarray:  # [K] bool
+    """Return which ``valid`` views are in the pool of the phase.
 
-    A view needs a discovery gain after the discount (Eq. 12) of at least ``pool_share``, or an IG_def of at least
-    ``deficit_share``.
+    A view needs a discovery gain of at least ``pool_share``, after the discount (Eq. 12) and the travel discount (Eq.
+    15), or an IG_def of at least ``deficit_share``. The gain of a whole path grows with the size of the scene, and so
+    does the largest gain of many views. With the gain of a single view per frame of travel, a phase ends at about the
+    same share of the surface in scenes of any size (docs/notebook/exploration.md).
     """
-    pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
-    return valid & (pixels | (terms.deficiency >= phase.deficit_share))
+    enough = discovered * (1.0 - terms.discount) * terms.suppressed * travel >= phase.pool_share
+    return valid & (enough | (terms.deficiency >= phase.deficit_share))
 
 
 class PhaseMachine:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -45,6 +47,8 @@ _DISCOVERY: dict[Discovery, dict[str, float]] = {
     "unknown_volume": {"unknown_volume_way": 2.7},
     "unseen": {"unknown_volume_way": 2.7, _SIDES: 2.7 / SIDE_DEPTH},
 }
+# The columns that hold the gain of a view alone instead of its path's, by the column in `_DISCOVERY`.
+_OF_VIEW = {"unknown_volume_way": "unknown_volume"}
 
 
 def without_revisit_gain(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
@@ -90,12 +94,21 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> GainTerms:
         """Return the terms of Eqs. 12 to 14 for all candidates; the deficiency IG_def is 0 in variants A to C."""
         candidates = self.candidates(observation)
-        shares = {name: candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()}
-        if _SIDES in shares:
-            shares[_SIDES] *= weights.sides
-        unseen = np.sum(list(shares.values()), axis=0)
+        unseen = self._discovered(candidates, weights)
         deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
         return information_gain(unseen, deficiency, planes, weights)
+
+    def _discovered(
+        self, candidates: Candidates, weights: Weights, columns: Mapping[str, str] = MappingProxyType({})
+    ) -> np.ndarray:  # [K]
+        """Return the discovery gain in the unit of IG_px; ``columns`` names columns that replace others."""
+        shares = {
+            name: candidates[columns.get(name, name)].astype(np.float64) / unit
+            for name, unit in self._discovers.items()
+        }
+        if _SIDES in shares:
+            shares[_SIDES] *= weights.sides
+        return np.asarray(np.sum(list(shares.values()), axis=0))
 
     def _choose(
         self,
@@ -172,7 +185,8 @@ class ActiveStructure(StructurePolicy):
     """Choose argmax of the gain of variant D in three phases with polarity reversal: variant E, the full model.
 
     By default the discovery gain is the unknown volume instead of uncovered pixels. A phase ends when its pool is
-    empty, and uncovered pixels would keep views through open windows in the pool.
+    empty, and uncovered pixels would keep views through open windows in the pool. The pool has the views that would
+    show much unknown space themselves, for the frames that the path to them costs.
     """
 
     criterion = "unknown space and deficient planes, in three phases"
@@ -181,6 +195,7 @@ class ActiveStructure(StructurePolicy):
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:
         super().__init__(discovery)
+        self.required_features += tuple(_OF_VIEW[name] for name in self._discovers if name in _OF_VIEW)
         self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 
     def reset(self, seed: int) -> None:
@@ -194,16 +209,22 @@ class ActiveStructure(StructurePolicy):
         candidates = self.candidates(observation)
         valid = candidates.valid & ~candidates.revisit
         terms = self.terms(observation, planes, machine.phase.weights)
-        pool = in_pool(terms, valid, machine.phase)
+        pool = self._pool(observation, terms, valid)
         changed = machine.update(pool)
         if changed:
             terms = self.terms(observation, planes, machine.phase.weights)
-            pool = in_pool(terms, valid, machine.phase)
+            pool = self._pool(observation, terms, valid)
         more = {"phase": machine.phase.name, "pool": int(pool.sum()), "changed": changed}
         if machine.phase.refines:
             return self._refine(terms, observation, more)
         gain = np.where(pool, terms.total, 0.0) if pool.any() else terms.total
         return self._choose(without_revisit_gain(gain, observation), terms, observation, more, machine.phase.weights)
+
+    def _pool(self, observation: Observation, terms: GainTerms, valid: np.ndarray) -> np.ndarray:  # [K] bool
+        """Return which ``valid`` views [K] are in the pool of the current phase."""
+        phase = self._machine.phase
+        discovered = self._discovered(self.candidates(observation), phase.weights, _OF_VIEW)
+        return in_pool(discovered, terms, travel_discount(observation), valid, phase)
 
     def _refine(self, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
         """Return the nearest of the offered keyframes that was not revisited yet.

@@ -214,14 +214,26 @@ def test_the_pool_holds_views_with_enough_pixels_or_deficit() -> None:
     first, second = PHASES[0], PHASES[1]
     nothing = planes(np.zeros((4, 1)), [0.5], [0.5], [1])
     pixel = np.array([first.pool_share + 0.001, first.pool_share - 0.001, 0.0, 0.9])
-    terms = information_gain(pixel, np.array([0.0, 0.0, 1.0, 0.0]), nothing, first.weights)
-    valid = np.array([True, True, True, False])
-    np.testing.assert_array_equal(in_pool(terms, valid, first), [True, False, False, False])
-    np.testing.assert_array_equal(in_pool(terms, valid, second), [True, True, True, False])
-    # What the discount or the suppression takes away counts too.
+    terms = information_gain(np.full(4, 0.9), np.array([0.0, 0.0, 1.0, 0.0]), nothing, first.weights)
+    valid, here = np.array([True, True, True, False]), np.ones(4)
+    np.testing.assert_array_equal(in_pool(pixel, terms, here, valid, first), [True, False, False, False])
+    np.testing.assert_array_equal(in_pool(pixel, terms, here, valid, second), [True, True, True, False])
+    # What the discount, the suppression or the travel takes away counts too.
     lowered = replace(terms, discount=np.array([0.5, 0, 0, 0]))
-    assert not in_pool(lowered, valid, first)[0]
-    assert not in_pool(replace(terms, suppressed=np.array([0.5, 1, 1, 1])), valid, first)[0]
+    assert not in_pool(pixel, lowered, here, valid, first)[0]
+    assert not in_pool(pixel, replace(terms, suppressed=np.array([0.5, 1, 1, 1])), here, valid, first)[0]
+    assert not in_pool(pixel, terms, 0.9 * here, valid, first)[0]
+
+
+def test_the_pool_counts_what_a_view_shows_itself_and_not_what_its_path_shows() -> None:
+    policy = bound(ActiveStructure())
+    assert policy.required_features == ("unknown_volume_way", "deficiency", "unknown_volume")
+    near, far = 1.0, 20.0  # frames; g = 1 / (1 + frames / 5)
+    for way, view, frames, phase in ((9.0, 0.0, near, 1), (0.5, 0.5, near, 0), (9.0, 0.3, far, 1), (9.0, 1.0, far, 0)):
+        policy.reset(0)
+        for _ in range(PATIENCE):
+            policy.act(observation([[way, 0.0, view]], frames=[frames]))
+        assert policy._machine.index == phase, (way, view, frames)
 
 
 def test_rung_a_chooses_as_pixel_only(rng: np.random.Generator) -> None:
@@ -324,7 +336,7 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
     policy = bound(ActiveStructure(discovery="hole_area"))
     policy.reset(0)
     names = []
-    rich, poor = [[0.5, 0.0]] * 3, [[0.02, 0.0]] * 3  # poor: enough for phase II, not for phase I
+    rich, poor = [[0.5, 0.0]] * 3, [[0.06, 0.0]] * 3  # poor: enough for phase II, not for phase I
     for features in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
         policy.act(observation(features))
         names.append(policy.trace()["phase"])

@@ -235,7 +235,7 @@ class Steps:
         count: int,
         **options: Any,  # weights, beta1, beta2 and isotropic of `mapping_step`
     ) -> None:
-        self._step = partial(mapping_step, parameters, first_moment, second_moment, count, **options)
+        self._step: Any = partial(mapping_step, parameters, first_moment, second_moment, count, **options)
         self._losses: list[tuple[float, float, float]] = []
 
     def step(self, frame: Frame, **options: Any) -> None:

@@ -5,19 +5,12 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import importlib.util
+from collections.abc import Sequence
 
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting.reference import (
-    BLUR_VARIANCE,
-    NEAR_PLANE,
-    camera_centre,
-    depth_slopes,
-    lens,
-    project,
-    world_axes,
-)
+from activestructure_gym.splatting import reference
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
 VERSION = "1.5"  # of gsplat; later versions have other cut-offs
@@ -66,7 +59,7 @@ def rasterize_gsplat(
     sh: torch.Tensor | None = None,  # [N, K, 3] instead of colours
     channels: torch.Tensor | None = None,  # [N, D]
     centre_depth: bool = False,
-    blur_variance: float = BLUR_VARIANCE,  # px^2
+    blur_variance: float = reference.BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
     """Return colour ``[C, H, W, 3]``, accumulated depth and alpha ``[C, H, W]``, and channels ``[C, H, W, D]`` or None.
 
@@ -80,15 +73,16 @@ def rasterize_gsplat(
         assert colors is not None
         own = colors.expand(cameras, -1, -1)
     else:
-        own = torch.stack([evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world])
+        own = torch.stack([evaluate_sh(sh, means - reference.camera_centre(pose)) for pose in camera_from_world])
     parts = [own] if channels is None else [own, channels.expand(cameras, -1, -1)]
     if not centre_depth:
-        parts.append(depth_planes(means, world_axes(quaternions, log_scales), camera_from_world, camera))
+        parts.append(depth_planes(means, reference.world_axes(quaternions, log_scales), camera_from_world, camera))
     features = torch.cat(parts, dim=-1)  # [C, N, F], all channels
+    mode = "RGB+D" if centre_depth else "RGB"
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,
         _intrinsics(camera, means.device).expand(cameras, 3, 3).contiguous(), camera.width, camera.height,
-        near_plane=NEAR_PLANE, eps2d=blur_variance, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
+        near_plane=reference.NEAR_PLANE, eps2d=blur_variance, packed=False, render_mode=mode,
     )  # fmt: skip
     more = 0 if channels is None else channels.shape[1]
     color, extra, last = output.split([3, more, 1 if centre_depth else 3], dim=-1)
@@ -97,10 +91,7 @@ def rasterize_gsplat(
 
 
 def depth_alpha_gsplat(
-    means: torch.Tensor,  # [N, 3]
-    quaternions: torch.Tensor,  # [N, 4]
-    log_scales: torch.Tensor,  # [N, 3]
-    opacity_logits: torch.Tensor,  # [N]
+    parts: Sequence[torch.Tensor],  # [N, D] each: means, quaternions, log-scales, opacity logits
     camera_from_world: torch.Tensor,  # [C, 4, 4]
     camera: PinholeCamera,
 ) -> torch.Tensor:  # [2, C, H, W]
@@ -111,14 +102,14 @@ def depth_alpha_gsplat(
     """
     from gsplat import fully_fused_projection, isect_offset_encode, isect_tiles, rasterize_to_pixels
 
-    cameras, (width, height) = len(camera_from_world), (camera.width, camera.height)
-    opacities = torch.sigmoid(opacity_logits)
+    means, quaternions, log_scales, logits = parts[:4]
+    cameras, (width, height), opacities = len(camera_from_world), (camera.width, camera.height), logits[:, 0].sigmoid()
     _, camera_ids, ids, radii, means2d, depths, conics, _ = fully_fused_projection(
         means, None, quaternions, torch.exp(log_scales), camera_from_world,
         _intrinsics(camera, means.device).expand(cameras, 3, 3).contiguous(), width, height,
-        eps2d=BLUR_VARIANCE, near_plane=NEAR_PLANE, packed=True, opacities=opacities,
+        eps2d=reference.BLUR_VARIANCE, near_plane=reference.NEAR_PLANE, packed=True, opacities=opacities,
     )  # fmt: skip
-    axes = world_axes(quaternions, log_scales)[ids, None]
+    axes = reference.world_axes(quaternions, log_scales)[ids, None]
     planes = depth_planes(means[ids, None], axes, camera_from_world[camera_ids], camera)[:, 0]
     tiles_x, tiles_y = -(-width // _TILE), -(-height // _TILE)
     _, keys, order = isect_tiles(
@@ -142,9 +133,9 @@ def depth_planes(
 
     The pixel coordinates x and y are relative to the principal point.
     """
-    position, depth, in_camera = project(means, axes, camera_from_world, camera)
-    slope = depth_slopes(in_camera)
-    from_centre = position - lens(camera, position.dtype, position.device)[1]
+    position, depth, in_camera = reference.project(means, axes, camera_from_world, camera)
+    slope = reference.depth_slopes(in_camera)
+    from_centre = position - reference.lens(camera, position.dtype, position.device)[1]
     return torch.cat([(depth - (slope * from_centre).sum(dim=-1))[..., None], slope], dim=-1)
 
 

@@ -6,7 +6,7 @@ A rendering copies the map to the device. The steps of a mapping event copy it o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -77,10 +77,7 @@ class TorchRasterizer:
             for first in range(0, len(poses), at_once):
                 some = slice(first, first + at_once)
                 if self.backend == "gsplat":
-                    means, quaternions, log_scales, logits, _ = parts
-                    found = gsplat_backend.depth_alpha_gsplat(
-                        means, quaternions, log_scales, logits[:, 0], on_device[some], camera
-                    )
+                    found = gsplat_backend.depth_alpha_gsplat(parts, on_device[some], camera)
                 else:
                     found = torch.stack(self.draw(parts, camera, on_device[some])[1:3])
                 images[:, some] = _array(found)
@@ -92,17 +89,10 @@ class TorchRasterizer:
         first_moment: np.ndarray,  # [14, capacity] float32
         second_moment: np.ndarray,  # [14, capacity] float32
         count: int,
-        *,
-        weights: LossWeights,
-        beta1: float = 0.9,
-        beta2: float = 0.999,
-        isotropic: bool = False,
+        **options: Any,
     ) -> TorchSteps:
-        """Copy a map to the device for the steps of a mapping event; `TorchSteps.end` changes the arrays."""
-        state = (parameters, first_moment, second_moment)
-        check_map(parameters, count)
-        check_state(*state)
-        return TorchSteps(self, state, count, weights, (beta1, beta2), isotropic)
+        """Copy a map to the device for the steps of a mapping event; ``options`` are those of `Rasterizer.begin`."""
+        return TorchSteps(self, (parameters, first_moment, second_moment), count, **options)
 
     def draw(
         self,
@@ -151,12 +141,16 @@ class TorchSteps:
         rasterizer: TorchRasterizer,
         state: tuple[np.ndarray, np.ndarray, np.ndarray],  # parameters and moments, [14, capacity] each
         count: int,
+        *,
         weights: LossWeights,
-        betas: tuple[float, float],
-        isotropic: bool,
+        beta1: float = 0.9,
+        beta2: float = 0.999,
+        isotropic: bool = False,
     ) -> None:
+        check_map(state[0], count)
+        check_state(*state)
         self._rasterizer, self._host, self._count = rasterizer, state, count
-        self._weights, self._betas, self._isotropic = weights, betas, isotropic
+        self._weights, self._betas, self._isotropic = weights, (beta1, beta2), isotropic
         self._parts = rasterizer._quantities(np.stack([array[:, :count] for array in state]))  # [3, N, D] each
         # Channels that are 0 everywhere change no image. The gradient of their sum is the weight of each Gaussian in
         # the image. There are two, since gsplat then has kernels for the number of channels.

@@ -178,7 +178,7 @@ def _recipe(changes: Any) -> BaseMapperConfig:
 
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:
     """Return a copy of a (nested) frozen dataclass with the named fields replaced."""
-    hints = _hints(type(config))
+    hints = _hints(type(config))  # type: ignore[arg-type]
     names = {f.name for f in dataclasses.fields(config)}  # type: ignore[arg-type]
     changes = {}
     for name, value in overrides.items():

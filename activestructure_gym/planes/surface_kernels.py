@@ -254,8 +254,8 @@ def measure(seen, hits, low, cell, axes, origin):
         count, columns, measured = 0, 0, 0
         for c in range(seen.shape[1]):
             one = np.int64(seen[r, c])
-            count += one
-            columns += one * c
+            count += one  # type: ignore[assignment]
+            columns += one * c  # type: ignore[assignment]
             measured += one * (hits[r, c] > 0)
         totals[0] += count
         totals[1] += count * r

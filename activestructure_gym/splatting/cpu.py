@@ -29,6 +29,7 @@ from activestructure_gym.splatting.workspace import (
 )
 
 PARAMETER_ROWS = layout.ROWS
+_NO_VALUES = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True)
@@ -145,21 +146,50 @@ def render_depth_alpha(
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W] metres, alpha [C, H, W]
     """Render accumulated depth and alpha of C cameras, for scoring candidates; arguments as in `render`."""
+    view = make_view(camera, np.eye(4), centre_depth=centre_depth, blur_variance=blur_variance)
+    return _score(parameters, count, camera, world_from_camera, view, _NO_VALUES, threads)
+
+
+def render_values(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,  # number of Gaussians
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [C, 4, 4]
+    values: np.ndarray,  # [N] one per Gaussian
+    *,
+    threads: int | None = None,
+) -> np.ndarray:  # [C, H, W] float32
+    """Render one number per Gaussian from C cameras, blended as a channel of `render`'s colour is."""
+    view = make_view(camera, np.eye(4))
+    view[layout.MIN_DEPTH] = -np.inf  # values have no lower bound
+    values = np.ascontiguousarray(values, np.float32)
+    if values.shape != (count,):
+        raise ValueError(f"values must have one number per Gaussian, ({count},), got {values.shape}")
+    return _score(parameters, count, camera, world_from_camera, view, values, threads)[0]
+
+
+def _score(
+    parameters: np.ndarray,
+    count: int,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,
+    view: np.ndarray,  # [VIEW_SIZE], with any pose
+    values: np.ndarray,  # [N] float32, or empty for depth
+    threads: int | None,
+) -> tuple[np.ndarray, np.ndarray]:  # depth or values [C, H, W], alpha [C, H, W]
     check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
-    view = make_view(camera, np.eye(4), centre_depth=centre_depth, blur_variance=blur_variance)
     views = np.repeat(view[None], len(poses), axis=0)
     views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
-    depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
+    images = np.empty((2, len(poses), camera.height, camera.width), np.float32)
     threads = min(threads or default_threads(), max(1, len(poses)))
     grid, shapes = make_grid(count, parameters.shape[1], camera), aligned_zeros(layout.RECORD * parameters.shape[1])
     reaches = aligned_zeros(parameters.shape[1])
     TEAM.run(scoring.shape, (np.zeros(1, np.int64), parameters, grid, shapes, reaches), threads)
-    sources = (parameters, shapes, reaches)
-    TEAM.run(scoring.score, (np.zeros(1, np.int64), *sources, views, grid, depth, alpha), threads)
-    shape = (len(poses), camera.height, camera.width)
-    return depth.reshape(shape), alpha.reshape(shape)
+    sources = (parameters, shapes, reaches, views, grid, values)
+    TEAM.run(scoring.score, (np.zeros(1, np.int64), *sources, images[0].reshape(-1), images[1].reshape(-1)), threads)
+    return images[0], images[1]
 
 
 def mapping_step(

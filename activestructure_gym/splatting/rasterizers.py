@@ -48,6 +48,17 @@ class Rasterizer(Protocol):
         """Render accumulated depth (metres) and alpha of C cameras."""
         ...
 
+    def render_values(
+        self,
+        parameters: np.ndarray,  # [14, capacity] float32
+        count: int,  # number of Gaussians
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [C, 4, 4]
+        values: np.ndarray,  # [N] one per Gaussian
+    ) -> np.ndarray:  # [C, H, W] float32
+        """Render one number per Gaussian from C cameras, blended as a channel of `render`'s colour is."""
+        ...
+
     def begin(
         self,
         parameters: np.ndarray,  # [14, capacity] float32

@@ -121,10 +121,11 @@ def _reach_of(own, parameters, capacity, i, count):
 
 
 @kernel
-def score(tickets, parameters, shapes, reaches, views, grid, depth, alpha):
+def score(tickets, parameters, shapes, reaches, views, grid, values, depth, alpha):
     """Render depth and alpha of many cameras; each thread renders one camera at a time.
 
     ``views`` [C, VIEW_SIZE] are the cameras, ``shapes`` and ``reaches`` the data from `shape`, and ``grid`` the sizes.
+    ``values`` [N], one per Gaussian, are blended instead of depths if they are not empty.
     """
     width, height = grid[WIDTH], grid[HEIGHT]
     stride, span = width + _SIDE, max(width, height) + _SIDE
@@ -146,7 +147,7 @@ def score(tickets, parameters, shapes, reaches, views, grid, depth, alpha):
         for place in range(count, count + LANES):
             poke(keys, place, U64(0))
         for first in range(0, count, LANES):
-            live = _project(keys, first, count - first, shapes, view, grid, splats)
+            live = _project(keys, first, count - first, shapes, values, view, grid, splats)
             _blend(live, splats, view, lattice, span, rest, deep, stride)
         place = camera * width * height
         for row in range(height):
@@ -258,7 +259,7 @@ def _sort(keys, spare, count, digits):
 
 
 @inner
-def _project(keys, first, count, shapes, view, grid, splats):
+def _project(keys, first, count, shapes, values, view, grid, splats):
     """Project 16 Gaussians from ``keys[first]`` on into ``splats``; return the bits of those that may reach a pixel."""
     for ahead in range(first + _AHEAD, first + _AHEAD + LANES):
         prefetch(shapes, RECORD * np.int64(peek(keys, min(ahead, first + count - 1)) & U64(0xFFFFFFFF)))
@@ -274,6 +275,12 @@ def _project(keys, first, count, shapes, view, grid, splats):
     store(splats, LANES * _Z, z)
     store(splats, LANES * _SLOPE_T, slope_t)
     store(splats, LANES * _SLOPE_S, slope_s)
+    if len(values) != 0:
+        store(splats, LANES * _SLOPE_T, spread(F(0.0)))
+        store(splats, LANES * _SLOPE_S, spread(F(0.0)))
+        for lane in range(min(count, LANES)):
+            value = peek(values, np.int64(peek(keys, first + lane) & U64(0xFFFFFFFF)))
+            poke(splats, LANES * _Z + lane, value)
     root = sqrt(inside) * (F(1.0) / ROOT)
     radius_x, radius_y = fma(root, sqrt(xx), spread(SLACK)), fma(root, sqrt(yy), spread(SLACK))
     far, half, zero = spread(F(1e6)), F(0.5), spread(F(0.0))

@@ -83,6 +83,23 @@ class TorchRasterizer:
                 images[:, some] = _array(found)
         return images[0], images[1]
 
+    def render_values(
+        self,
+        parameters: np.ndarray,  # [14, capacity] float32
+        count: int,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [C, 4, 4]
+        values: np.ndarray,  # [N]
+    ) -> np.ndarray:  # [C, H, W]
+        """Render one number per Gaussian from many cameras, as `cpu.render_values` does."""
+        painted = parameters.copy()
+        painted[-3, :count] = values
+        poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
+        pictures = np.empty((len(poses), camera.height, camera.width), np.float32)
+        for picture, pose in zip(pictures, poses):
+            picture[:] = self.render(painted, count, camera, pose).color[..., 0]
+        return pictures
+
     def begin(
         self,
         parameters: np.ndarray,  # [14, capacity] float32

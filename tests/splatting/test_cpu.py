@@ -10,6 +10,7 @@ from activestructure_gym.splatting import (
     pose_gradient,
     render,
     render_depth_alpha,
+    render_values,
     workspace,
 )
 from activestructure_gym.splatting.reference import rasterize_reference
@@ -61,6 +62,18 @@ def test_render_depth_alpha_is_render_for_each_camera(kind, splats_of):
         assert np.array_equal(again[0], depth) and np.array_equal(again[1], alpha)
     none, _ = render_depth_alpha(parameters, count, splats.camera, poses[:0])
     assert none.shape == (0, splats.camera.height, splats.camera.width)
+
+
+def test_render_values_blends_any_number_per_gaussian_as_render_blends_a_channel(splats_of, rng):
+    splats = splats_of("crowd")
+    count = splats.means.shape[0]
+    parameters, values = splats.parameters(capacity=count + 5), rng.standard_normal(count).astype(np.float32)
+    blended = render_values(parameters, count, splats.camera, splats.world_from_camera, values)
+    parameters[11, :count] = values
+    assert np.array_equal(blended[0], render(parameters, count, splats.camera, splats.world_from_camera).color[..., 0])
+    assert (blended < 0).any() and (blended > 0).any()
+    with pytest.raises(ValueError, match="one number per Gaussian"):
+        render_values(parameters, count, splats.camera, splats.world_from_camera, values[1:])
 
 
 def _targets(splats, seed=5):

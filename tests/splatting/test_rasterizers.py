@@ -115,6 +115,8 @@ def test_pictures_by_the_reference_are_the_kernels(kind, splats_of, settled):
     depth, alpha = rasterizer("reference").render_depth_alpha(parameters, count, camera, np.stack([pose @ turn, pose]))
     assert np.abs(depth[1] - found.depth).max() <= 1e-6 and np.abs(alpha[1] - found.alpha).max() <= 1e-6
     assert kind == "empty" or np.abs(alpha[0] - alpha[1]).max() > 0.1
+    (red,) = rasterizer("reference").render_values(parameters, count, camera, pose[None], parameters[11, :count])
+    assert np.array_equal(red, found.color[..., 0])
 
 
 def test_similarity_is_the_kernels(rng):

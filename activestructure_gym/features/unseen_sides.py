@@ -91,13 +91,31 @@ def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _sides_in(table, a, b, c, point, eye):  # type: ignore[no-untyped-def]
+    """Return whether cell (a, b, c) has disks near a point that face away from ``eye``, and whether one faces it.
+
+    The search ends at the first disk that faces it.
+    """
+    parameters, heads, following, cell = table
+    back = False
+    i = heads[bucket(a, b, c, len(heads))]
+    while i >= 0:
+        dx, dy, dz = parameters[0, i] - point[0], parameters[1, i] - point[1], parameters[2, i] - point[2]
+        if dx * dx + dy * dy + dz * dz <= cell * cell:
+            if not faces_away(parameters, i, eye[0], eye[1], eye[2]):
+                return back, True
+            back = True
+        i = following[i]
+    return back, False
+
+
+@kernel
 def _find_backs(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped-def]
     """Set ``backs`` [K, h, w] where all opaque Gaussians near a pixel's surface point face away; one view per ticket.
 
     The arguments are those of `shown_from_behind`; a ticket is a view that a thread has taken from the common counter.
     """
-    parameters, heads, following, cell = table
-    square = cell * cell
+    cell = table.cell
     while True:
         k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]
         if k >= len(poses):
@@ -113,23 +131,16 @@ def _find_backs(tickets, table, poses, rays, depth, backs):  # type: ignore[no-u
                 x = pose[0, 3] + z * (pose[0, 0] * ray[0] + pose[0, 1] * ray[1] + pose[0, 2] * ray[2])
                 y = pose[1, 3] + z * (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2])
                 w = pose[2, 3] + z * (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2])
-                back, front = False, False
-                for a in range(int(np.floor((x - cell) / cell)), int(np.floor((x + cell) / cell)) + 1):
-                    for b in range(int(np.floor((y - cell) / cell)), int(np.floor((y + cell) / cell)) + 1):
-                        for c in range(int(np.floor((w - cell) / cell)), int(np.floor((w + cell) / cell)) + 1):
-                            i = heads[bucket(a, b, c, len(heads))]
-                            while i >= 0 and not front:
-                                dx, dy, dz = parameters[0, i] - x, parameters[1, i] - y, parameters[2, i] - w
-                                if dx * dx + dy * dy + dz * dz <= square:
-                                    if faces_away(parameters, i, eye_x, eye_y, eye_z):
-                                        back = True
-                                    else:
-                                        front = True
-                                i = following[i]
-                            if front:
-                                break
-                        if front:
-                            break
-                    if front:
-                        break
+                a_0, a_1 = int(np.floor((x - cell) / cell)), int(np.floor((x + cell) / cell))
+                b_0, b_1 = int(np.floor((y - cell) / cell)), int(np.floor((y + cell) / cell))
+                c_0, c_1 = int(np.floor((w - cell) / cell)), int(np.floor((w + cell) / cell))
+                # Most points have a disk that faces the camera in their own cell, where the search ends.
+                point, eye = (x, y, w), (eye_x, eye_y, eye_z)
+                back, front = _sides_in(table, (a_0 + a_1) // 2, (b_0 + b_1) // 2, (c_0 + c_1) // 2, point, eye)
+                for a in range(a_0, a_1 + 1):
+                    for b in range(b_0, b_1 + 1):
+                        for c in range(c_0, c_1 + 1):
+                            if not front:
+                                behind, front = _sides_in(table, a, b, c, point, eye)
+                                back = back or behind
                 backs[k, row, column] = back and not front

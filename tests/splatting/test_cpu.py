@@ -10,9 +10,9 @@ from activestructure_gym.splatting import (
     pose_gradient,
     render,
     render_depth_alpha,
-    render_values,
     workspace,
 )
+from activestructure_gym.splatting.cpu import render_values
 from activestructure_gym.splatting.reference import rasterize_reference
 from tests.splatting.conftest import at_both_blurs
 

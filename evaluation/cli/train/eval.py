@@ -55,7 +55,7 @@ class Eval(Episodes):
             if baseline not in (*policies, scoring.RANDOM):
                 raise InputError(f"--baselines are among the policies, {listed(policies)}; got '{baseline}'")
         world = WorldConfig(
-            rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False,
+            rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False, features=(),
             overrides=tuple(parse_overrides(self.set).items()),
         )  # fmt: skip
         for name in policies:

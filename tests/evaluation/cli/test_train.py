@@ -193,3 +193,5 @@ def test_rl_has_features_of_the_volume_and_says_the_expected_time(boxes: None, t
     assert capsys.readouterr().out.index("expected: ") == 0
     description = json.loads((tmp_path / "ppo" / "last.json").read_text())
     assert description["network"]["features"] == ["unknown_volume", "unknown_volume_way"]
+    score = ["--preset", "rl", "--workers", "1", "--policies", "learned:ppo/last", "--out", "score", *TINY]
+    assert main(["train", "eval", *score]) == 0 and "learned:ppo/last" in capsys.readouterr().out

@@ -22,11 +22,11 @@ from benchmarks.command import run
 
 _SMALL = {"sensor.width": 48, "sensor.height": 28, "views.max_candidates": 12, "mapper.iterations": 2}
 # Preset, frames and settings of the maps, and frames and settings of the episode; then those of a dry run.
-_MAPS = (
+_MAPS: Any = (
     (("default", 120, {}), ("full", 80, {}), ("paper", 30, {"mapper.keyframe_reduction": 1})),
     (("fast", 30, _SMALL),),
 )
-_EPISODES = (300, {}), (12, _SMALL)
+_EPISODES: Any = (300, {}), (12, _SMALL)
 
 
 @dataclass
@@ -93,7 +93,7 @@ def _played(preset: str, frames: int, settings: dict[str, Any]) -> tuple[Any, fl
     while not ended:
         observation, _, terminated, truncated, _ = env.step(policy.act(observation))
         ended = terminated or truncated
-    return env.unwrapped.reconstruction, time.perf_counter() - began
+    return env.get_wrapper_attr("reconstruction"), time.perf_counter() - began
 
 
 def _milliseconds(call: Callable[[], Any]) -> str:

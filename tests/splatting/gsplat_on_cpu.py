@@ -10,7 +10,7 @@ unwritten are NaN.
 import contextlib
 import math
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ ONE = np.float32(1.0)
 # The numbers of channels for which the extension has kernels.
 CHANNELS = (1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513)
 
-CALLS = Counter()  # calls of each compiled function
+CALLS: Counter[str] = Counter()  # calls of each compiled function
 RUNNING: list[str] = []  # the function that is running
 
 
@@ -112,7 +112,8 @@ def projection_ewa_3dgs_fused_bwd(
     drawn = (radii > 0).all(dim=-1)
     with torch.enable_grad():
         leaves = [array.detach().requires_grad_() for array in (means, quats, scales, viewmats)]
-        means2d, shapes, z, _ = _projected(*leaves, Ks, width, height, eps2d)
+        inputs: list[Any] = [*leaves, Ks, width, height, eps2d]
+        means2d, shapes, z, _ = _projected(*inputs)
         pairs = ((means2d, v_means2d), (shapes, v_conics), (z, v_depths))
         total = sum((value[drawn] * gradient[drawn]).sum() for value, gradient in pairs)
         v_means, v_quats, v_scales, v_views = torch.autograd.grad(total, leaves)

@@ -1,6 +1,6 @@
 """Measure the quality of maps on held-out views: several mapper recipes map the same walk through a scene.
 
-A recipe is a mapper with a number of iterations and a stride of seeds. Frames and true views have 160 x 90 pixels, no
+A recipe is a mapper with a number of iterations. Frames and true views have 160 x 90 pixels, no
 noise, and 4 x 4 supersampling, since aliasing alone would limit PSNR to about 30 dB. This module maps and renders;
 `benchmarks.mapping_figures` measures and draws.
 """

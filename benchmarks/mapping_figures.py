@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from benchmarks.growth import GrowthRow
     from benchmarks.mapping import MappedViews, MappingCourse
 
-_RECIPE = ("mapper", "iterations", "stride")  # columns that identify a recipe
+_RECIPE = ("mapper", "iterations")  # columns that identify a recipe
 MEAN = "mean"  # entry of the column "scene" in rows with means over all scenes
 _ENLARGED = 2  # factor by which views are enlarged, without smoothing
 
@@ -40,7 +40,6 @@ def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
         "scene": mapped.scene,
         "mapper": mapped.recipe.mapper,
         "iterations": mapped.recipe.iterations,
-        "stride": mapped.recipe.stride,
         "psnr_db": float(np.mean([psnr(shown, true) for shown, true in zip(mapped.color, images)])),
         "ssim": float(np.mean([ssim(shown, true) for shown, true in zip(mapped.color, images)])),
         "depth_cm": 100.0 * float(np.mean([error for error in errors if error is not None])),
@@ -66,7 +65,7 @@ def quality_strip(
     courses: Sequence[MappingCourse],
     mapped: Sequence[Sequence[MappedViews]],  # for every course, the results of all recipes
     *,
-    shown: Sequence[str] = ("default at 5", "splatam at 15", "splatam at 15, stride 1"),
+    shown: Sequence[str] = ("default at 5", "splatam at 15"),
 ) -> Image.Image:
     """Draw one row per scene: a true held-out view, and the same view rendered from the maps of the recipes ``shown``.
 

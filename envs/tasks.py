@@ -152,7 +152,7 @@ def _layouts(count: Any, rooms: Any) -> list[Layout]:
     if not _is_whole(count) or not 1 <= count <= MAX_LAYOUTS:
         raise InputError(f"layouts must be a whole number from 1 to {MAX_LAYOUTS}, got {short_repr(count)}")
     each = (rooms,) if _is_whole(rooms) else rooms
-    if not isinstance(each, list | tuple) or not each or not all(_is_whole(n) and 1 <= n <= MAX_ROOMS for n in each):
+    if not isinstance(each, Sequence) or not each or not all(_is_whole(n) and 1 <= n <= MAX_ROOMS for n in each):
         raise InputError(
             f"rooms must be a whole number from 1 to {MAX_ROOMS}, or several of them, got {short_repr(rooms)}"
         )

@@ -119,7 +119,7 @@ def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bo
     return _kept_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
 
 
-def _kept_apartment(**options: int | bool) -> Scene:
+def _kept_apartment(**options: Any) -> Scene:
     """Return a procedural apartment, from the cache directory if it is there."""
 
     def make() -> Scene:

@@ -113,7 +113,7 @@ def _checked_pose(world_from_camera: np.ndarray) -> np.ndarray:
         max(abs(length - 1.0) for length in products[:3]) <= _LENGTH_ERROR
         and max(map(abs, products[3:])) <= _ROTATION_ERROR
         and volume > 0
-        and max(map(abs, (last[0], last[1], last[2], last[3] - 1.0))) <= _LAST_ROW_ERROR
+        and all(abs(error) <= _LAST_ROW_ERROR for error in (last[0], last[1], last[2], last[3] - 1.0))
         and math.isfinite(x[3] + y[3] + z[3])
     ):
         raise ValueError(f"world_from_camera must be a rigid motion, got\n{pose}")

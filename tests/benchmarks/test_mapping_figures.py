@@ -51,7 +51,7 @@ def test_a_row_measures_what_was_made():
 
 def test_means_are_per_recipe():
     rows = [
-        {"scene": s, "mapper": m, "iterations": 5, "stride": 2, "psnr_db": p}
+        {"scene": s, "mapper": m, "iterations": 5, "psnr_db": p}
         for s, m, p in (("a", "x", 20.0), ("b", "x", 30.0), ("a", "y", 10.0))
     ]
     assert [(row["scene"], row["mapper"], row["psnr_db"]) for row in with_means(rows)[3:]] == [

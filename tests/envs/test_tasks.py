@@ -14,6 +14,7 @@ from activestructure_gym.ground_truth import Layout
 
 def test_layouts_are_drawn_in_every_reset_by_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(set(RoomEnv(layouts=20)._scenes)) == 20
+    assert ApartmentEnv(layouts=4, rooms=range(1, 3))._scenes == ApartmentEnv(layouts=4, rooms=[1, 2])._scenes
     truth = Layout("box").truth()
     drawn: list[str] = []
     monkeypatch.setattr(Layout, "truth", lambda self: (drawn.append(self.spec), truth)[1])

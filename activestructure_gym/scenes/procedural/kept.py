@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,11 +24,10 @@ def kept_scene(key: str, make: Callable[[], Scene]) -> Scene:
     """
     arrays = cached_arrays(f"{key}-{_makers()}", lambda: _arrays(make()), _MESH | _LABELS)
     textures = sum(name.startswith("texture-") for name in arrays)
+    mesh: dict[str, Any] = {name: arrays[name] for name in _MESH}
     return Scene(
         name=str(arrays["name"]),
-        mesh=SceneMesh(
-            **{name: arrays[name] for name in _MESH}, textures=tuple(arrays[f"texture-{n}"] for n in range(textures))
-        ),
+        mesh=SceneMesh(textures=tuple(arrays[f"texture-{n}"] for n in range(textures)), **mesh),
         source=str(arrays["source"]),
         labels=PartLabels(arrays["face_part"], tuple(arrays["part_names"].tolist()), arrays["structural"]),
     )

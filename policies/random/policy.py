@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, Policy
 from activestructure_gym.specs import Spec
 
@@ -15,18 +16,21 @@ class Random(Policy):
     Parameters
     ----------
     views_of
-        Name of a planner. In the native setup, chance then has the native settings of this planner: its candidate
-        views, camera, keyframes and mapper. So it is the floor of this planner.
+        Name of a registered planner. In the native setup, chance then has the native settings of this planner: its
+        candidate views, camera, keyframes and mapper. So it is the floor of this planner.
     """
 
     criterion = "chance"
     source = "this project"
 
     def __init__(self, views_of: str | None = None) -> None:
-        """Take over the native settings of ``views_of``; raise `InputError` if no planner has this name."""
+        """Take over the native settings of ``views_of``; raise `InputError` if no registered planner has this name."""
         super().__init__()
         if views_of is not None:
-            self.native_settings = POLICIES.get(Spec(views_of).name).native_settings
+            name = Spec(views_of).name
+            if POLICIES.imports(name):  # a job of another person's comparison must not import code
+                raise InputError(f"views_of takes a registered planner, got '{name}': `asg list policies` names them")
+            self.native_settings = POLICIES.get(name).native_settings
 
     def act(self, observation: Observation) -> int:
         """Return a valid row, all equally likely; raise `ValueError` if none is valid."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -223,3 +224,6 @@ def test_chance_has_the_views_of_a_planner_and_nothing_else_of_it() -> None:
     env.close()
     with pytest.raises(InputError, match="unknown policy 'anms'; did you mean 'anm_s'"):
         make_policy("random?views_of=anms")
+    with pytest.raises(InputError, match="views_of takes a registered planner, got 'this:Zen'"):
+        make_policy("random?views_of=this:Zen")
+    assert "this" not in sys.modules  # no code of another person's comparison was imported

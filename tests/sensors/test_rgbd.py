@@ -101,6 +101,7 @@ def test_the_name_of_the_renderer_in_use(box_room):
         2.0 * np.eye(4),
         np.full((4, 4), np.nan),
         np.eye(4) + np.eye(4, k=-3),
+        *(np.where(np.arange(16).reshape(4, 4) == entry, np.nan, np.eye(4)) for entry in range(16)),
     ],
 )
 def test_a_pose_must_be_a_rigid_motion(box_room, wrong):

@@ -65,6 +65,8 @@ class Proposals:
             raise InputError(
                 f"points to look at must be [n, 3], one for each of the {shape[0]} poses, got {np.shape(self.look_at)}"
             )
+        if self.path_length is not None and np.shape(self.path_length) != shape[:1]:
+            raise InputError(f"path_length must be [{shape[0]}], one per pose, got {np.shape(self.path_length)}")
 
     def __len__(self) -> int:
         return len(self.world_from_camera)

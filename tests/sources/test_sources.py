@@ -231,6 +231,8 @@ def test_proposals_are_checked() -> None:
         Proposals(np.zeros((3, 4)))
     with pytest.raises(InputError, match="points to look at"):
         Proposals(np.tile(np.eye(4), (2, 1, 1)), look_at=np.zeros((1, 3)))
+    with pytest.raises(InputError, match=r"path_length must be \[2\], one per pose, got \(1,\)"):
+        Proposals(np.tile(np.eye(4), (2, 1, 1)), path_length=np.zeros(1))
 
 
 @dataclass(frozen=True)

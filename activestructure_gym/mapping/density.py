@@ -93,8 +93,28 @@ def states_of_samples(
     points = (between.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
     view = _FrameView(measured_depth(frame), pose[:3, 3].astype(np.float32), chunks_to_skip(unseen, count))
     leaving = np.zeros(count, dtype=bool) if leaving is None else leaving
-    reach = spacing.ravel()[between.pixels]
-    return _choose(*pixel_slopes(frame.camera), pose, spacing, points, reach, parameters, count, leaving, view)
+    samples = _Samples(*pixel_slopes(frame.camera), pose, spacing, points, spacing.ravel()[between.pixels])
+    return _choose(samples, parameters, count, leaving, view)
+
+
+class _Samples(NamedTuple):
+    """Hold the surface points of pixels and the n samples between pixels, with their wanted spacing."""
+
+    across: np.ndarray  # [W] x / z of the ray of each column
+    down: np.ndarray  # [H] y / z of the ray of each row
+    pose: np.ndarray  # [4, 4] world_from_camera
+    spacing: np.ndarray  # [H, W] metres
+    between: np.ndarray  # [n, 3] float32 metres, world
+    reach: np.ndarray  # [n] metres, spacing of the samples between pixels
+
+
+class _Grid(NamedTuple):
+    """Hold a hash table of cubic cells, whose buckets are linked lists of points."""
+
+    points: np.ndarray  # [room, 3] float32 metres
+    heads: np.ndarray  # [size] int32, last point of each bucket; -1 = none
+    following: np.ndarray  # [room] int32, next point in the bucket; -1 = none
+    cell: float  # metres
 
 
 class _FrameView(NamedTuple):
@@ -121,8 +141,9 @@ def measured_depth(frame: Frame) -> MeasuredDepth:
 
 
 @kernel
-def _choose(across, down, pose, spacing, between, reach, parameters, count, leaving, view):  # type: ignore[no-untyped-def]
-    """Return the states of all samples; ``between`` [n, 3] are world points with the wanted spacing ``reach`` [n]."""
+def _choose(samples, parameters, count, leaving, view):  # type: ignore[no-untyped-def]
+    """Return the states of all ``samples``, those of pixels first; ``view`` is a `_FrameView`."""
+    across, down, pose, spacing, between, reach = samples
     depth = view.measured.depth
     height, width = depth.shape
     state = np.full(height * width + len(between), NO_RETURN, np.uint8)
@@ -134,12 +155,10 @@ def _choose(across, down, pose, spacing, between, reach, parameters, count, leav
     if cell == 0.0:
         return state
     in_view = _means_in_view(parameters, count, leaving, view, cell)
-    # Hash tables of cubic cells, whose buckets are linked lists of points: means of the map, and seeds.
-    means, mean_heads, mean_following = _new_grid(len(in_view), len(in_view))
+    means, seeds = _new_grid(len(in_view), len(in_view), cell), _new_grid(len(state), len(state) // 8, cell)
     for k in range(len(in_view)):
         i = in_view[k]
-        _insert(means, mean_heads, mean_following, cell, k, parameters[0, i], parameters[1, i], parameters[2, i])
-    seeds, seed_heads, seed_following = _new_grid(len(state), len(state) // 8)
+        _insert(means, k, parameters[0, i], parameters[1, i], parameters[2, i])
     chosen = 0
     # A mean or seed that is near a pixel is often near the next pixel and the one below, too.
     mean, seed = -1, -1
@@ -159,22 +178,22 @@ def _choose(across, down, pose, spacing, between, reach, parameters, count, leav
             else:
                 continue
             square = farthest * farthest
-            if not (mean >= 0 and _squared_distance(means, mean, x, y, z) <= square):
+            if not (mean >= 0 and _squared_distance(means.points, mean, x, y, z) <= square):
                 mean = mean_above[column]
-                if not (mean >= 0 and _squared_distance(means, mean, x, y, z) <= square):
-                    mean = _near(means, mean_heads, mean_following, cell, no_means, x, y, z, farthest)
+                if not (mean >= 0 and _squared_distance(means.points, mean, x, y, z) <= square):
+                    mean = _near(means, no_means, x, y, z, farthest)
             mean_above[column] = mean
             if mean >= 0:
                 state[s] = COVERED
                 continue
             state[s] = REDUNDANT
-            if not (seed >= 0 and _squared_distance(seeds, seed, x, y, z) <= square):
+            if not (seed >= 0 and _squared_distance(seeds.points, seed, x, y, z) <= square):
                 seed = seed_above[column]
-                if not (seed >= 0 and _squared_distance(seeds, seed, x, y, z) <= square):
-                    seed = _near(seeds, seed_heads, seed_following, cell, no_seeds, x, y, z, farthest)
+                if not (seed >= 0 and _squared_distance(seeds.points, seed, x, y, z) <= square):
+                    seed = _near(seeds, no_seeds, x, y, z, farthest)
                     if seed < 0:
                         state[s], seed = SEED, chosen
-                        _insert(seeds, seed_heads, seed_following, cell, seed, x, y, z)
+                        _insert(seeds, seed, x, y, z)
                         chosen += 1
                         no_seeds[1] = no_seeds[0] - 1
             seed_above[column] = seed
@@ -191,29 +210,31 @@ def _to_world(across, down, depth, pose, points):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _new_grid(room, expected):  # type: ignore[no-untyped-def]
-    """Return points [room, 3], the last point of each bucket, and the next point in the bucket; -1 = none."""
+def _new_grid(room, expected, cell):  # type: ignore[no-untyped-def]
+    """Return a `_Grid` for up to ``room`` points, with as many buckets as suit the number of points ``expected``."""
     size = 16
     while size < 2 * expected:
         size *= 2
-    return np.empty((room, 3), np.float32), np.full(size, -1, np.int32), np.empty(room, np.int32)
+    return _Grid(np.empty((room, 3), np.float32), np.full(size, -1, np.int32), np.empty(room, np.int32), cell)
 
 
 @kernel
-def _insert(points, heads, following, cell, k, x, y, z):  # type: ignore[no-untyped-def]
+def _insert(grid, k, x, y, z):  # type: ignore[no-untyped-def]
     """Write point ``k`` and enter it into its bucket."""
+    points, heads, following, cell = grid
     place = bucket(int(np.floor(x / cell)), int(np.floor(y / cell)), int(np.floor(z / cell)), len(heads))
     points[k, 0], points[k, 1], points[k, 2] = x, y, z
     following[k], heads[place] = heads[place], k
 
 
 @kernel
-def _near(points, heads, following, cell, empty, x, y, z, farthest):  # type: ignore[no-untyped-def]
+def _near(grid, empty, x, y, z, farthest):  # type: ignore[no-untyped-def]
     """Return the index of a point within ``farthest`` metres of (x, y, z), -1 for none.
 
     ``empty`` [6] holds the first and last cell along each axis of a search that met no point. A search within these
     cells ends at once, and a search without points is stored.
     """
+    points, heads, following, cell = grid
     square = farthest * farthest
     a0, a1 = int(np.floor((x - farthest) / cell)), int(np.floor((x + farthest) / cell))
     b0, b1 = int(np.floor((y - farthest) / cell)), int(np.floor((y + farthest) / cell))

@@ -188,7 +188,7 @@ def _score(
     reaches = aligned_zeros(parameters.shape[1])
     TEAM.run(scoring.shape, (np.zeros(1, np.int64), parameters, grid, shapes, reaches), threads)
     sources = (parameters, shapes, reaches, views, grid, values)
-    TEAM.run(scoring.score, (np.zeros(1, np.int64), *sources, images[0].reshape(-1), images[1].reshape(-1)), threads)
+    TEAM.run(scoring.score, (np.zeros(1, np.int64), *sources, images.reshape(2, -1)), threads)
     return images[0], images[1]
 
 

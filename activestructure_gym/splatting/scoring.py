@@ -121,12 +121,14 @@ def _reach_of(own, parameters, capacity, i, count):
 
 
 @kernel
-def score(tickets, parameters, shapes, reaches, views, grid, values, depth, alpha):
+def score(tickets, parameters, shapes, reaches, views, grid, values, images):
     """Render depth and alpha of many cameras; each thread renders one camera at a time.
 
     ``views`` [C, VIEW_SIZE] are the cameras, ``shapes`` and ``reaches`` the data from `shape`, and ``grid`` the sizes.
-    ``values`` [N], one per Gaussian, are blended instead of depths if they are not empty.
+    ``values`` [N], one per Gaussian, are blended instead of depths if they are not empty. ``images`` [2, C * H * W] get
+    depth and alpha.
     """
+    depth, alpha = images[0], images[1]
     width, height = grid[WIDTH], grid[HEIGHT]
     stride, span = width + _SIDE, max(width, height) + _SIDE
     lattice = scratch_of(2 * _SIDE * _LATTICE * span)

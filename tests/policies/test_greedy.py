@@ -104,7 +104,7 @@ def test_a_spec_makes_the_policy_it_says() -> None:
         ("halving_here?frames=few", "option frames of policy 'halving_here' must be float, got 'few'"),
         ("halving_here?frames=0", "policy 'halving_here?frames=0': frames must be above 0, got 0"),
         ("plain_here?travel", "'travel' in policy 'plain_here?travel' is not of the form key=value"),
-        ("random?travel=shared", "policy 'random' takes no options, got 'travel=shared'"),
+        ("random?travel=shared", "unknown option of policy 'random' 'travel'. Known: views_of"),
         ("pixel_only?travel=shared", "policy 'pixel_only' takes no options"),
         ("activestructure?travel=native", "unknown option of policy 'activestructure' 'travel'. Known: discovery"),
         ("plian_here?travel=shared", "unknown policy 'plian_here'; did you mean 'plain_here'?"),

@@ -4,7 +4,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.benchmarks.splatting import count_work, run_splatting_benchmark
 from activestructure_gym.evaluation.benchmarks.workload import make_workload
-from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha
+from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha, scoring
 
 
 def test_workloads_are_real_and_repeatable():
@@ -100,8 +100,9 @@ def test_one_compiled_version_of_every_kernel():
     frozen.flags.writeable = False
     render(frozen, 100, work.camera, work.poses[0])
     render(work.parameters[:, ::2], 100, work.camera, work.poses[0])
-    for name in ("prepare", "blend", "compare", "unblend", "fuse", "score"):
+    for name in ("prepare", "blend", "compare", "unblend", "fuse"):
         assert len(getattr(kernels, name).signatures) == 1, name
+    assert len(scoring.score.signatures) == len(scoring.shape.signatures) == 1
 
 
 def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):

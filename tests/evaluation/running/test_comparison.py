@@ -56,7 +56,7 @@ def test_a_policy_spelt_in_two_ways_runs_once(no_truth, monkeypatch):
         ({"scenes": []}, "at least one of scenes"),
         ({"policies": ["frontire"]}, "unknown policy 'frontire'"),
         ({"policies": ["randm"]}, "did you mean 'random'"),
-        ({"policies": ["random?travel=shared"]}, "policy 'random' takes no options, got 'travel=shared'"),
+        ({"policies": ["pixel_only?travel=shared"]}, "policy 'pixel_only' takes no options, got 'travel=shared'"),
         ({"policies": ["no_module:Policy"]}, "no module called 'no_module'"),
         ({"policies": ["os:path"]}, "must be a class derived from"),
         ({"scenes": ["bxo"]}, "unknown scene 'bxo'; did you mean 'box'"),

@@ -39,7 +39,7 @@ def test_with_the_same_gain_the_rungs_choose_as_it_does_where_no_plane_is() -> N
 def test_the_full_model_looks_at_far_sides_once_the_scaffold_stands() -> None:
     policy = bound(make_policy("activestructure?discovery=unseen"))
     policy.reset(0)
-    rows = [[0.05, 0.0, 0.0], [0.0, 0.8, 0.0]]  # space of the way, sides, deficiency
+    rows = [[0.05, 0.0, 0.0, 0.05], [0.0, 0.8, 0.0, 0.0]]  # space of the way, sides, deficiency, space of the view
     choices, phases = [], []
     for _ in range(2 * PATIENCE):
         choices.append(policy.act(observation(rows)))

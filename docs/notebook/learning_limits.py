@@ -149,7 +149,7 @@ def noise(network: CandidateNetwork) -> None:
 
 def on_validation_layouts(networks: dict[str, CandidateNetwork]) -> None:
     """Print the normalised area of every network on the validation layouts, and its difference from the first."""
-    references = json.loads((run / "references.json").read_text())
+    references = json.loads((run / "references.json").read_text(encoding="utf-8"))
     low, high = np.array(references["random"]), np.array(references["oracle"])
     areas: dict[str, list[float]] = {name: [] for name in networks}
     for number, spec in enumerate(learning_layouts(config.world, "validation", len(low))):

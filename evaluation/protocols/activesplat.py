@@ -31,6 +31,7 @@ _RANGES = {
 }
 
 
+NO_VIEWS: dict[str, Any] = {"views": [], "lpips": None}  # entries of a result without images
 SCANNER_HEIGHTS = (0.8, 2.0)  # metres above the ground
 SCANNER_CLEARANCE = 0.5  # metres to the nearest surface
 
@@ -129,6 +130,7 @@ class ActiveSplatProtocol:
             "completion_cm": 100.0 * float(nearest.mean()),
             "completion_ratio": 100.0 * float(np.mean(nearest < self.threshold_m)),
             "true_samples": len(truth.points),
+            **NO_VIEWS,
             "notes": {} if len(last) else {"accuracy_cm": "the last frame saw nothing"},
         }
 

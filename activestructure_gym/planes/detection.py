@@ -15,6 +15,7 @@ from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.depth_noise import axial_sigma
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import detection_kernels as kernels
+from activestructure_gym.planes import segment_kernels
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sensors.noise import DepthNoise
 
@@ -149,12 +150,12 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     if not len(planes):
         return nothing
     labels, planes = _refine(depth, lens, size, block_labels, planes, config)
-    moments = kernels.segment_moments(depth, lens, labels, len(planes))
+    moments = segment_kernels.segment_moments(depth, lens, labels, len(planes))
     moments, new_label = _merge_coplanar(moments, config)
     moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
     if not len(moments):
         return nothing
-    kernels.rename(labels, order[new_label])
+    segment_kernels.rename(labels, order[new_label])
     return PlaneDetection(_lift(frame, depth, lens, labels, moments, config), labels)
 
 
@@ -252,7 +253,7 @@ def _refine(
     edge_on = cosine_deg(config.max_incidence_deg)
     pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth, edge_on)
     labels = kernels.refine_pixels(depth, lens, kernels.Choice(size, block_labels, planes), *pixel)
-    shares = kernels.explained_shares(
+    shares = segment_kernels.explained_shares(
         depth, lens, labels, planes, scale, config.explained_sigma, config.explained_tolerance
     )
     keep = shares <= config.explained_share
@@ -274,7 +275,7 @@ def _merge_coplanar(
         config.merge_reach,
     )  # fmt: skip
     moments = moments.copy()
-    alive, label = kernels.merge_coplanar(moments, config.depth_noise_scale, limits)
+    alive, label = segment_kernels.merge_coplanar(moments, config.depth_noise_scale, limits)
     table = np.cumsum(alive) - 1
     return moments[alive], np.where(alive[label], table[label], -1)
 
@@ -307,7 +308,7 @@ def _lift(
 ) -> tuple[PlaneSegment, ...]:
     planes, mean = kernels.fit_planes(moments)
     # Below 3 degrees between ray and plane, the area that a pixel covers is not reliable.
-    areas = kernels.segment_areas(depth, lens, labels, planes, np.sin(np.radians(3.0)))
+    areas = segment_kernels.segment_areas(depth, lens, labels, planes, np.sin(np.radians(3.0)))
     rotation = frame.world_from_camera[:3, :3]
     normals = planes[:, :3] @ rotation.T
     centroids = transform_points(frame.world_from_camera, mean)
@@ -316,7 +317,7 @@ def _lift(
     pixels = moments[:, 0].astype(np.int64)
     steps = -(-pixels // config.max_points)
     ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))
-    points = kernels.spread_points(depth, lens, labels, steps, ends)
+    points = segment_kernels.spread_points(depth, lens, labels, steps, ends)
     points = transform_points(frame.world_from_camera, points)
     segments = []
     for k, end in enumerate(ends):

@@ -66,9 +66,12 @@ def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTr
             clearance = min(SCANNER_CLEARANCE, 0.8 * float(space.clearance.max()))
             eyes = space.sample_positions(400, rng, min_clearance=clearance, heights=SCANNER_HEIGHTS)
             points = points[first_viewpoint(scene, points, eyes) >= 0]
+            if not len(points):
+                raise InputError(f"scene '{scene.name}' has no surface in sight of a scanner {SCANNER_HEIGHTS} m high")
         return {"points": points.astype(np.float32)}
 
-    key = f"{'scanned' if scanned else 'whole'}-samples-v1-{scene.content_hash[:32]}-{count}"
+    scanner = f"{SCANNER_HEIGHTS[0]}-{SCANNER_HEIGHTS[1]}-{SCANNER_CLEARANCE}" if scanned else "whole"
+    key = f"scanned-samples-v1-{scanner}-{scene.content_hash[:32]}-{count}"
     return SampledTruth(cached_arrays(key, compute, {"points": ("f4", 2)})["points"].astype(np.float64), scene)
 
 

@@ -90,6 +90,11 @@ def test_surface_that_no_scanner_sees_is_left_out() -> None:
     assert (first_viewpoint(known.scene, left, places) >= 0).mean() < 0.02
 
 
+def test_a_scene_without_a_place_for_the_scanner_is_refused() -> None:
+    with pytest.raises(InputError, match="free"):
+        ActiveSplatProtocol(surface_samples=100).truth(GroundTruth(walls(1.0)))
+
+
 def test_it_needs_the_poses() -> None:
     with pytest.raises(InputError, match="give --poses"):
         SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(1.0))))

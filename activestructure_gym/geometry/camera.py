@@ -97,6 +97,14 @@ class PinholeCamera:
         """Return the camera-frame point of each pixel in metres; pixels with depth 0 give the origin."""
         return self.rays() * depth[..., None]
 
+    def in_image(self, points: np.ndarray) -> np.ndarray:  # [N, 3] camera frame -> [N] bool
+        """Return which points are ahead of the camera and inside its image."""
+        x, y, z = points.T
+        ahead = z > 0.0
+        depth = np.where(ahead, z, 1.0)
+        u, v = self.fx * x / depth + self.cx, self.fy * y / depth + self.cy
+        return np.asarray(ahead & (u >= 0) & (u < self.width) & (v >= 0) & (v < self.height))
+
     def project(self, points: np.ndarray) -> np.ndarray:  # [..., 3] camera frame -> [..., 2] pixels
         """Project camera-frame points in metres to pixel coordinates (u, v); all points must have z > 0."""
         z = points[..., 2]

@@ -97,10 +97,10 @@ def _blocked(volume: VoxelVolume, free: np.ndarray, layer: int) -> np.ndarray:  
     """Return the cells with an occupied voxel between foot and head, over the ground below the ``free`` ones."""
     occupied = volume.state == OCCUPIED
     below = occupied[:, :, :layer][free]  # [n, layer]
-    depth = below[:, ::-1].argmax(axis=1)[below.any(axis=1)]
-    if not len(depth):
+    below = below[below.any(axis=1)]
+    if not len(below):
         return np.zeros(free.shape, dtype=bool)
-    ground = layer - np.bincount(depth).argmax()  # first voxel above the ground
+    ground = layer - np.bincount(below[:, ::-1].argmax(axis=1)).argmax()  # first voxel above the ground
     foot, head = (ground + round(height / volume.voxel_size) for height in (FOOT_M, HEAD_M))
     return np.asarray(occupied[:, :, foot:head].any(axis=2))
 

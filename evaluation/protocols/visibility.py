@@ -29,10 +29,7 @@ def seen_by_keyframes(
     camera, camera_from_world = path.camera, invert_rigid(path.keyframes)
 
     def in_view(index: int, positions: np.ndarray) -> np.ndarray:
-        x, y, z = transform_points(camera_from_world[index], positions).T
-        ahead = (z > 0.0) & (z <= path.max_range)
-        depth = np.where(ahead, z, 1.0)
-        u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
-        return ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        points = transform_points(camera_from_world[index], positions)
+        return camera.in_image(points) & (points[:, 2] <= path.max_range)
 
     return first_in_sight(scene, points, path.keyframes[:, :3, 3], in_view, margin) >= 0

@@ -130,13 +130,9 @@ def looked_at(keyframes: Sequence[Frame], volume: VoxelVolume, places: np.ndarra
         left = np.flatnonzero(counts < LOOKS)
         if not len(left):
             break
-        camera, pose = frame.camera, frame.world_from_camera
-        x, y, z = transform_points(invert_rigid(pose), places[left]).T
-        ahead = z > 0.0
-        depth = np.where(ahead, z, 1.0)
-        u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
-        inside = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        near = left[inside & (x**2 + y**2 + z**2 < MAX_TARGET_DISTANCE_M**2)]
+        pose = frame.world_from_camera
+        points = transform_points(invert_rigid(pose), places[left])
+        near = left[frame.camera.in_image(points) & (np.linalg.norm(points, axis=1) < MAX_TARGET_DISTANCE_M)]
         if len(near):
             counts[near] += volume.line_of_sight_free(pose[:3, 3], places[near])
     return counts

@@ -152,3 +152,4 @@ def test_without_a_known_ground_the_layer_of_the_agent_is_the_plan() -> None:
     volume.state[:] = FREE
     volume.state[5, 5, -2] = OCCUPIED  # above the agent
     assert free_plan(volume, np.array([1.0, 1.0, 1.25])).all()
+    assert free_plan(volume, volume.center_of(np.array([5, 5, 0]))).all()  # in the lowest layer

@@ -1,7 +1,7 @@
 """Measure what limits PPO from a cloned network, on demonstrations that hold the gain of every candidate.
 
 Usage: ``python docs/notebook/learning_limits.py RUN``, where RUN is the directory of an ``asg train bc`` run with its
-demonstrations and references. The last sixth of the layouts is held out. Results are in learning.md, "Limits".
+demonstrations and references. The last sixth of the layouts is held out. Results are in learning.md, "Four hypotheses".
 """
 
 from __future__ import annotations

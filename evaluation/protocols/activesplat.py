@@ -31,7 +31,6 @@ _RANGES = {
 }
 
 
-NO_VIEWS: dict[str, Any] = {"views": [], "lpips": None}  # entries of a result without images
 SCANNER_HEIGHTS = (0.8, 2.0)  # metres above the ground
 SCANNER_CLEARANCE = 0.5  # metres to the nearest surface
 
@@ -120,7 +119,7 @@ class ActiveSplatProtocol:
     def evaluate(self, gaussians: GaussianMap, truth: SampledTruth, path: CameraPath | None = None) -> dict[str, Any]:
         """Return completion (cm), completion ratio (%) and the accuracy of the last frame (cm); ignore the map.
 
-        The original prints the accuracy of the last frame alone: its points lie on the mesh, so the number is the
+        The original prints the accuracy of the last frame alone: its points are on the mesh, so the number is the
         distance between samples. Raise `InputError` without a path.
         """
         if path is None:
@@ -133,7 +132,6 @@ class ActiveSplatProtocol:
             "completion_cm": 100.0 * float(nearest.mean()),
             "completion_ratio": 100.0 * float(np.mean(nearest < self.threshold_m)),
             "true_samples": len(truth.points),
-            **NO_VIEWS,
             "notes": {} if len(last) else {"accuracy_cm": "the last frame saw nothing"},
         }
 

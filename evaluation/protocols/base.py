@@ -68,3 +68,15 @@ class EvaluationProtocol(Protocol):
         ``truth`` is the result of the method `truth`, and ``path`` holds the poses of the episode, if there are any. An
         undefined metric is None, and the entry ``notes`` has the reason.
         """
+
+
+def measure_by(
+    protocol: EvaluationProtocol, gaussians: GaussianMap, truth: Any, path: CameraPath | None
+) -> dict[str, Any]:
+    """Return the metrics of a map by a protocol, with the entries that stored results have.
+
+    A protocol without images has no ``views`` and no ``lpips``, and one without undefined metrics no ``notes``.
+    """
+    metrics = protocol.evaluate(gaussians, truth, path)
+    absent: dict[str, Any] = {"views": [], "lpips": None, "notes": {}}
+    return metrics | {name: value for name, value in absent.items() if name not in metrics}

@@ -14,7 +14,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics.geometry import nearest_distances
-from activestructure_gym.evaluation.protocols.activesplat import NO_VIEWS, SampledTruth, sampled_truth
+from activestructure_gym.evaluation.protocols.activesplat import SampledTruth, sampled_truth
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol
 from activestructure_gym.geometry import invert_rigid
@@ -99,7 +99,7 @@ class NarutoProtocol:
             np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
         )
         if not area.sum() > 0.0:
-            nothing = dict.fromkeys(("accuracy_cm", "completion_cm", "precision")) | NO_VIEWS
+            nothing = dict.fromkeys(("accuracy_cm", "completion_cm", "precision"))
             return nothing | {
                 "completion_ratio": 0.0, "area_m2": 0.0, "notes": {"naruto": "the map has no surface in sight"}
             }  # fmt: skip
@@ -111,7 +111,6 @@ class NarutoProtocol:
             "completion_ratio": 100.0 * float(np.mean(from_true < self.threshold_m)),
             "precision": 100.0 * float(np.mean(to_true < self.threshold_m)),
             "area_m2": total,
-            **NO_VIEWS,
             "notes": {},
         }
 

@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.archive.json_files import plain
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.archive.store import CONFIG, Run
 from activestructure_gym.evaluation.protocols import CameraPath, EvaluationProtocol, get_protocol, protocol_from
+from activestructure_gym.evaluation.protocols.base import measure_by
 from activestructure_gym.npz import read_npz
 from activestructure_gym.specs import Spec
 
@@ -51,7 +52,7 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
         raise InputError(
             f"'{run.directory}' is a run in a world without ground truth: there is nothing to measure again"
         )
-    return plain(protocol.evaluate(gaussians, truth, path))
+    return plain(measure_by(protocol, gaussians, truth, path))
 
 
 def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
@@ -93,7 +94,7 @@ def measure_file(
     if path is None and map_kind(map_file) == "splatam":
         arrays = splatam_path(map_file)
         path = _path_of(arrays, map_file) if arrays is not None else None
-    return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_scene(scene))), path))
+    return plain(measure_by(protocol, gaussians, protocol.truth(ground_truth_of(load_scene(scene))), path))
 
 
 def _refuse_turned(map_file: str | Path) -> None:

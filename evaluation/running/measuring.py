@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.archive.picture_record import captured_pictu
 from activestructure_gym.evaluation.archive.temporary import atomic_files
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.evaluation.protocols.base import measure_by
 from activestructure_gym.evaluation.protocols.metrics import MetricContext, added_metrics, measure_metrics
 from activestructure_gym.evaluation.protocols.metrics.without_truth import NO_TRUTH, WITHOUT_TRUTH, unmeasured
 from activestructure_gym.evaluation.running.surroundings import Surroundings, stored_surroundings
@@ -67,7 +68,7 @@ def measure(job: Job, place: Path, directory: Path, where: Surroundings, truth: 
         _write_numbers(part, job, where, metrics, episode["curve"], described)
         _write_steps(place / store.STEPS, part / store.STEPS, last)
         for other in map(get_protocol, job.conditions.also):
-            numbers = other.evaluate(gaussians, where.truth(other), path)
+            numbers = measure_by(other, gaussians, where.truth(other), path)
             store.write_evaluation(part, other.parameters(), where.facts["content_hash"], numbers)
         write_npz(part / store.PICTURES, pictures | played.read_plan(place))
         _write_clocks(part, episode["clock"], time.perf_counter() - began)

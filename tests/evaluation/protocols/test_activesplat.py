@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.run_files import EVALUATION
 from activestructure_gym.evaluation.metrics import SurfaceSamples
 from activestructure_gym.evaluation.protocols import ActiveSplatProtocol, CameraPath, StandardProtocol, Truth
 from activestructure_gym.geometry import PinholeCamera, look_along
@@ -42,7 +41,6 @@ def test_a_hidden_wall_near_a_seen_one_is_complete_here_and_unobserved_in_standa
     scene, path = walls(1.0, 1.03, 1.5), path_of(AHEAD)
     truth = SMALL.truth(GroundTruth(scene))
     found = SMALL.evaluate(GaussianMap(), truth, path)
-    EVALUATION({"protocol": SMALL.parameters(), "metrics": found}, "")  # a stored result can be read again
     assert found["completion_ratio"] == pytest.approx(200 / 3, abs=0.1)  # the walls at 1 and 1.03 m
     assert found["completion_cm"] == pytest.approx((0.5 + 3.0 + 50.0) / 3, abs=0.4)
     standard = Truth(SurfaceSamples(truth.points, np.zeros_like(truth.points), 3.0), None, scene)

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.run_files import EVALUATION
 from activestructure_gym.evaluation.protocols import NarutoProtocol
 from activestructure_gym.evaluation.protocols.activesplat import SampledTruth
 from activestructure_gym.geometry import look_along
@@ -93,13 +92,5 @@ def test_the_surface_of_a_map_is_fused_at_its_keyframes() -> None:
 def test_a_map_without_a_surface_is_measured_too() -> None:
     found = SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(1.0))), path_of(AHEAD))
     assert found["completion_ratio"] == 0.0 and found["accuracy_cm"] is None and found["notes"]["naruto"]
-    EVALUATION({"protocol": SMALL.parameters(), "metrics": found}, "")  # a stored result can be read again
-    EVALUATION(
-        {
-            "protocol": SMALL.parameters(),
-            "metrics": measured(triangles_of(1.0), SMALL.truth(GroundTruth(walls(1.0))), AHEAD),
-        },
-        "",
-    )
     with pytest.raises(InputError, match="give --poses"):
         SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(1.0))))

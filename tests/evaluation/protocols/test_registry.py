@@ -9,7 +9,9 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.archive.run_files import EVALUATION
 from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
+from activestructure_gym.evaluation.protocols.base import measure_by
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,17 @@ def test_a_plug_in_has_the_name_that_it_is_asked_for_by(plug_in, monkeypatch):
     known = f"this version knows {ones}, 'standard' version 5"
     with pytest.raises(InputError, match=f"version 1, {known}"):
         protocol_from(parameters | {"version": 1}, "run")
+
+
+@pytest.mark.parametrize("more", [{}, {"views": [{"psnr": 1.0}], "lpips": 0.2, "notes": {"a": "b"}}])
+def test_a_result_without_images_and_notes_can_be_stored_and_read(more):
+    class Bare:
+        def evaluate(self, gaussians, truth, path):
+            return {"completion_ratio": 50.0, **more}
+
+    found = measure_by(Bare(), None, None, None)
+    assert found == {"views": [], "lpips": None, "notes": {}, "completion_ratio": 50.0, **more}
+    EVALUATION({"protocol": StandardProtocol().parameters(), "metrics": found}, "")
 
 
 def test_conditions_import_no_plug_in():

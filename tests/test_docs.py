@@ -30,8 +30,8 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/guide/own_policy.md, own_feature.md, own_planner.md and own_scene.md, importable."""
-    pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_planner", "own_scene")]
+    """The files of docs/start/own_policy.md, own_feature.md, own_planner.md and own_scene.md, importable."""
+    pages = ["docs/start/own_policy.md", *(f"docs/howto/own_{name}.md" for name in ("feature", "planner", "scene"))]
     for page, block in [(name, block) for name in pages for block in blocks(name)]:
         name = re.match(r"# (\w+\.py)\n", block)
         assert name, f"a block of {page} does not begin with its file name:\n{block}"
@@ -72,7 +72,7 @@ def test_third_party_policy_feature_and_scene_work_together(plugins: Path) -> No
 
 
 def test_an_own_candidate_source_is_one_short_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source, use = blocks("docs/guide/own_source.md")
+    source, use = blocks("docs/howto/own_source.md")
     assert sum(bool(line.strip()) for line in source.splitlines()) < 20
     (tmp_path / "my_source.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -180,9 +180,9 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
     from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, observation_table
     from activestructure_gym.planes import PLANE_FEATURES
 
-    page = (ROOT / "docs" / "guide" / "observation.md").read_text()
+    page = (ROOT / "docs" / "reference" / "observation.md").read_text()
     assert observation_table(configure("default"), max_planes=64) in page, (
-        "docs/guide/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
+        "docs/reference/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
     )
     for name in (*CANDIDATE_COLUMNS, *PLANE_FEATURES):
         assert f"`{name}`" in page

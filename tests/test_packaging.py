@@ -152,7 +152,7 @@ def test_embreex_is_asked_for_only_where_it_has_wheels(system: str, machine: str
 
 @pytest.mark.slow
 def test_an_installation_on_linux_on_arm_resolves(tmp_path: Path) -> None:
-    """With the pins, as docs/guide/install.md says. pip reads the metadata of wheels and installs nothing."""
+    """With the pins, as docs/start/install.md says. pip reads the metadata of wheels and installs nothing."""
     inner = {each.name: each for each in map(Requirement, metadata.requires("pyrender") or [])}
     names = asked(ARM) - {"pyrender"}  # the only one that asks for a source distribution
     wanted = [str(Requirement(f"{each.name}{each.specifier}")) for each in ours() if each.name in names]

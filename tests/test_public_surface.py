@@ -108,12 +108,12 @@ def fields_without_words(kind: type) -> list[str]:
 
 
 def test_the_guide_names_them_all() -> None:
-    page = ROOT / "docs" / "guide" / "api.md"
+    page = ROOT / "docs" / "reference" / "api.md"
     if not page.is_file():
         pytest.skip("no page of the API")
     text = page.read_text(encoding="utf-8")
     missing = [public for _, public in surface() if not re.search(rf"\b{re.escape(public)}\b", text)]
-    assert not missing, f"docs/guide/api.md lacks {missing}"
+    assert not missing, f"docs/reference/api.md lacks {missing}"
 
 
 def examples() -> list[doctest.DocTest]:

@@ -29,7 +29,12 @@ from tests.requirements import closure, ours
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-PAGES = [*sorted((DOCS / "guide").glob("*.md")), *sorted(DOCS.glob("*.md")), ROOT / "README.md"]
+GUIDE = ("start", "howto", "reference", "explanation")
+PAGES = [
+    *(page for name in GUIDE for page in sorted((DOCS / name).glob("*.md"))),
+    *sorted(DOCS.glob("*.md")),
+    ROOT / "README.md",
+]
 
 
 @pytest.fixture
@@ -214,7 +219,7 @@ def test_links_out_of_the_docs_become_names_and_others_stay(monkeypatch: pytest.
         "[play](../../examples/play.py) [page](compare.md#native-setup) [gone](../../nowhere.py) "
         "[far](https://a.b/c.md) ![picture](../../docs/images/wall.jpg)"
     ]
-    links.outside_links(None, "guide/index", text)
+    links.outside_links(None, "start/index", text)
     assert text[0] == (
         "play [page](compare.md#native-setup) [gone](../../nowhere.py) [far](https://a.b/c.md) "
         "![picture](../../docs/images/wall.jpg)"
@@ -227,7 +232,7 @@ def test_papers_and_programs_of_the_bibliography_are_links_whose_check_says_what
     monkeypatch.syspath_prepend(str(DOCS))
     links = importlib.import_module("_site.links")
     text = ["A. *B.* arXiv\n  2312.02126. Code: `a-b/C`, in it `src/d.py`."]
-    links.named_links(None, "guide/index", text)
+    links.named_links(None, "start/index", text)
     assert "](" not in text[0]
     links.named_links(None, "references", text)
     assert text[0] == (
@@ -326,10 +331,25 @@ def test_the_workflow_publishes_with_the_least_rights() -> None:
     assert any("docs/build" in script for script in scripts) and os.access(DOCS / "build", os.X_OK)
 
 
-def test_every_page_has_its_place_in_the_navigation() -> None:
-    listed = re.findall(r"^((?:guide|notebook)/\w+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
-    pages = [path for folder in ("guide", "notebook") for path in (DOCS / folder).glob("*.md")]
-    assert sorted(listed) == sorted(path.relative_to(DOCS).with_suffix("").as_posix() for path in pages)
+def listed(page: str) -> list[str]:
+    """The pages in the toctrees of a page, and those below them, without those that are made from the code."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    found = []
+    for name in re.findall(
+        r"^(/?[\w-]+(?:/[\w-]+)*)$", "".join(re.findall(r"{toctree}(.*?)```", text, re.DOTALL)), re.MULTILINE
+    ):
+        place = name[1:] if name.startswith("/") else (Path(page).parent / name).as_posix()
+        found += [] if place.startswith("_made/") else [place, *listed(place)]
+    return found
+
+
+def test_every_page_has_one_place_in_the_navigation() -> None:
+    pages = [
+        path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in ("_made", "package_index.md")
+    ]
+    assert sorted(["index", *listed("index")]) == sorted(
+        path.relative_to(DOCS).with_suffix("").as_posix() for path in pages
+    )
 
 
 ALONE = """
@@ -377,7 +397,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         check=False,
     )
     assert told.returncode == 0, told.stdout[-2000:] + told.stderr[-4000:]
-    for name in ("index", "guide/first_episode", "_made/policies/naruto", "_made/environments/room-v0"):
+    for name in ("index", "start/first_episode", "_made/policies/naruto", "_made/environments/room-v0"):
         assert (tmp_path / "site" / f"{name}.html").stat().st_size > 5000
     page = (tmp_path / "site" / "_made" / "environments" / "room-v0.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="([^"]+\.webp)"', page)

@@ -8,8 +8,8 @@ A feature is a function of a `FeatureContext`. It returns one number per candida
 
 The environment evaluates the features that it is asked for (``features=("pixel", "mine")``). The name
 ``"package.module:function"`` works without registration, in every worker process. This package holds the features
-that at least two planners use; `FEATURES` also finds those in the planners' folders. docs/guide/observation.md has a
-table of all features.
+that at least two planners use; `FEATURES` also finds those in the planners' folders. Their table is in
+docs/reference/observation.md.
 """
 
 from activestructure_gym.features.context import FeatureContext

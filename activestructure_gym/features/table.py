@@ -1,4 +1,4 @@
-"""Describe the columns, units and ranges of features, for lists and for docs/guide/observation.md."""
+"""Describe the columns, units and ranges of features, for lists and for docs/reference/observation.md."""
 
 from __future__ import annotations
 

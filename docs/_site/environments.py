@@ -39,7 +39,7 @@ def _index() -> str:
 
 def _page(task: str, kind: type, made: Path) -> str:
     lines = inspect.cleandoc(kind.__doc__ or "").replace(
-        "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../guide/observation.md)"
+        "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../reference/observation.md)"
     )
     film = task if task in SHOWN_IN else "Mesh-v0"
     notes = {

@@ -12,7 +12,7 @@ from typing import Any
 from activestructure_gym.evaluation.cli.config import field_notes
 from activestructure_gym.features.table import feature_table
 
-# Titles of the rooms in docs/guide/api.md. A name that several rooms have is described in the last of these.
+# Titles of the rooms in docs/reference/api.md. A name that several rooms have is described in the last of these.
 ROOMS = {
     "activestructure_gym": "What most programs need",
     "activestructure_gym.envs": "Environments",
@@ -35,7 +35,7 @@ def pages() -> dict[str, str]:
     names = "\n".join(ROOMS)
     texts["reference/index.md"] = (
         "# Reference\n\nPublic names by room, with shapes, units and frames. The names of "
-        "[the list](../../guide/api.md) are stable; other names may move.\n\n"
+        "[the list](../../reference/api.md) are stable; other names may move.\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
     )
     return texts

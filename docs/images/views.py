@@ -2,7 +2,7 @@
 
     python docs/images/views.py runs/headline
 
-The view is that at the top of a report (docs/guide/report.md); `cell.py` chooses scene and seed.
+The view is that at the top of a report (docs/reference/report.md); `cell.py` chooses scene and seed.
 """
 
 from __future__ import annotations

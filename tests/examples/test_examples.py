@@ -50,7 +50,7 @@ def test_twelve_lines_of_stable_baselines3(capsys: pytest.CaptureFixture[str]) -
     assert "20 frames" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("page", "number"), [("docs/guide/training.md", 0), ("README.md", 1)])
+@pytest.mark.parametrize(("page", "number"), [("docs/start/training.md", 0), ("README.md", 1)])
 def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
     shown = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
     text = (EXAMPLES / "sb3_ppo.py").read_text()
@@ -59,7 +59,7 @@ def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
 
 def shown_for(library: str) -> str:
     """The block of the page on training that imports a library, with a box for a room."""
-    text = (ROOT / "docs" / "guide" / "training.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "start" / "training.md").read_text(encoding="utf-8")
     (block,) = (one for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if library in one)
     return re.sub(r'preset="fast"(, frame_budget=30)?', 'preset="fast", scene="box", frame_budget=10', block)
 

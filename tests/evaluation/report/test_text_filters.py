@@ -19,8 +19,8 @@ from activestructure_gym.evaluation.report.text_filters import compressed, witho
         ("'/home/me' is no scene", "'me' is no scene"),
         ("~/scenes/a.glb and C:\\Users\\me\\a.glb", "a.glb and a.glb"),
         (
-            "../shared/a.glb, runs/mine, ./b and docs/guide/protocols.md",
-            "../shared/a.glb, runs/mine, ./b and docs/guide/protocols.md",
+            "../shared/a.glb, runs/mine, ./b and docs/reference/protocols.md",
+            "../shared/a.glb, runs/mine, ./b and docs/reference/protocols.md",
         ),
         ("12 m/s, 1 / 2, 3/4 and https://example.org/a/b", "12 m/s, 1 / 2, 3/4 and https://example.org/a/b"),
     ],

@@ -50,7 +50,7 @@ def test_the_files_of_a_scene_have_a_total(tmp_path):
 
 @pytest.mark.parametrize("what", LIMITS)
 def test_the_docs_say_the_limits(what):
-    text = (Path(__file__).parents[3] / "docs" / "guide" / "conventions.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "conventions.md").read_text()
     limit = LIMITS[what]
     (row,) = (
         line for line in text.splitlines() if re.match(rf"\| {what}( that| to|) ?[^|]*\| {limit.allowance:,} ", line)

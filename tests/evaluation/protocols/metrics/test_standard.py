@@ -6,7 +6,7 @@ from pathlib import Path
 from activestructure_gym.evaluation.protocols.metrics import METRICS
 from activestructure_gym.evaluation.protocols.metrics.standard import STANDARD
 
-GUIDE = Path(__file__).resolve().parents[4] / "docs" / "guide" / "protocols.md"
+GUIDE = Path(__file__).resolve().parents[4] / "docs" / "reference" / "protocols.md"
 
 
 def test_every_number_has_a_meaning_and_a_definition_in_the_guide():

@@ -120,10 +120,10 @@ class Regions:
         if not self.enclosed:
             if not self.open_air:
                 raise InputError(
-                    f"scene '{self.scene.name}' has no free space: no region of {MIN_VOLUME} m^3 that is "
-                    f"{BODY_CLEARANCE} m away from all surfaces and enclosed by them, or open to the sky with "
-                    f"{ROOM_GROUND:g} m^2 of level ground; a scene is rooms seen from inside, with walls and floor, or "
-                    "ground with things on it: check its units and up axis"
+                    f"scene '{self.scene.name}' has no free space: no region of {MIN_VOLUME} m^3 is "
+                    f"{BODY_CLEARANCE} m away from all surfaces and either enclosed by them or above "
+                    f"{ROOM_GROUND:g} m^2 of level ground. Expected rooms with walls and a floor, or open ground: "
+                    "check the units and the up axis of the scene"
                 )
             return max(self.open_air, key=self.level_area)
         largest, *others = self.enclosed

@@ -201,9 +201,7 @@ def _check(request: _Request) -> None:
         raise InputError(f"means must be of a floating point type, got {request.means.dtype}; use means.float().")
     sh, channels, pose = request.sh, request.channels, request.camera_from_world
     if sh is not None and (sh.dim() != 3 or len(sh) != count or sh.shape[1] not in TERMS or sh.shape[2] != 3):
-        raise InputError(
-            f"sh must have the shape [{count}, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got {tuple(sh.shape)}."
-        )
+        raise InputError(f"sh must have the shape [{count}, K, 3], where K is 1, 4, 9 or 16, got {tuple(sh.shape)}.")
     if channels is not None and (channels.dim() != 2 or len(channels) != count or channels.shape[1] < 1):
         raise InputError(
             f"channels must have the shape [{count}, D] with D at least 1, got {tuple(channels.shape)}; "

@@ -14,7 +14,7 @@ from activestructure_gym.features.table import feature_table
 
 # Titles of the rooms in docs/reference/api.md. A name that several rooms have is described in the last of these.
 ROOMS = {
-    "activestructure_gym": "What most programs need",
+    "activestructure_gym": "The main functions and classes",
     "activestructure_gym.envs": "Environments",
     "activestructure_gym.policies": "Policies",
     "activestructure_gym.policies.learned": "Learned policies",

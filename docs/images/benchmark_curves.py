@@ -97,7 +97,7 @@ def drawn() -> str:
     chart = line_chart(
         lines, title="observed", x_label="frames", y_label="surface observed [%]", y_includes=value_range(lines)
     )
-    return standalone([[chart]], names, title="What was observed over 300 frames")
+    return standalone([[chart]], names, title="Surface observed over 300 frames")
 
 
 def panels() -> str:

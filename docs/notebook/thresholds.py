@@ -40,7 +40,7 @@ GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
         "half the local window, metres": (hgs, "LOCAL_M"),
         "side of the parts of the tour, metres": (hgs, "CUBOID_M"),
         "least G_cov that counts as the best": (information, "MIN_COVERAGE"),
-        "lambda beside what is known": (information, "LAMBDA"),
+        "lambda next to known space": (information, "LAMBDA"),
     },
 }
 VARIANTS = {"hgs_planner": {"G_cov + lambda_o G_Q without units": "hgs_planner?sum=raw"}}

@@ -42,8 +42,8 @@ class Splatting:
 
     workloads: Names = ("W1", "W2", "W3", "W4")
     (
-        "Measure mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k (W3), "
-        "and 64 candidate views of 50k (W4)."
+        "Measure mapping iterations in small (W1), medium (W2) and large (W3) images and maps, and the scoring of "
+        "candidate views (W4)."
     )
     repeats: int = 15
     """Time everything this many times."""

@@ -53,7 +53,7 @@ def _print_machine(*, json: bool) -> int:
     console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
     with console.status("trying every backend"):
         needed, rows = _states()
-    table = plain_table("What works here", "part", "backend", "state")
+    table = plain_table("Parts and backends", "part", "backend", "state")
     for part, backend, state in rows:
         good = state.startswith("works")
         table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")

@@ -17,7 +17,7 @@ from activestructure_gym.specs import Spec
 # A number after a comma in a scene's options, such as 3 and 2.5 in box?size=4,3,2.5.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _MAX_SEEDS = 10_000  # largest number of seeds in a range such as 0-4
-_POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a decimal point; JSON does not accept .9 and 1.
+_POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a decimal point; JSON does not accept ``.9`` and ``1.``
 
 
 def split_list(words: Sequence[str]) -> tuple[str, ...]:
@@ -75,13 +75,13 @@ def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
-    """Parse seeds: whole numbers from 0 on, or ranges such as ``0-4`` for 0, 1, 2, 3 and 4."""
+    """Parse seeds: whole numbers from 0 on, or ranges such as ``0-4``, which includes 4."""
     seeds: list[int] = []
     for text in split_list(words):
         ends = text.split("-")
         if len(ends) > 2 or not all(end.isascii() and end.isdigit() and len(end) < 20 for end in ends):
             raise InputError(
-                f"a seed is a whole number from 0 to 2^63 - 1, several are 0,2,5 or 0-4, got {short_repr(text)}"
+                f"a seed is a whole number of at least 0, and several are written 0,2,5 or 0-4; got {short_repr(text)}"
             )
         first, last = int(ends[0]), int(ends[-1])
         if not 0 <= last - first < _MAX_SEEDS:

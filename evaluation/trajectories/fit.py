@@ -110,16 +110,16 @@ def checked(
     if found.inside and not w_first and (other is None or found.upright >= _TILTED):
         return found
     wrong = (
-        f"{found.outside} of the {found.poses} poses of '{name}' lie in walls, in furniture or outside of the rooms"
+        f"{found.outside} of the {found.poses} poses of '{name}' are in walls, in furniture or outside of the rooms"
         if not found.inside
-        else f"read with axes {axes}, the camera of '{name}' hangs upside down or lies on its side"
+        else f"read with axes {axes}, the camera of '{name}' is upside down or on its side"
     )
     if w_first:
         raise InputError(f"{wrong}; with quaternions as w x y z it is upright: write them as x y z w")
     if other is not None:
         raise InputError(f"{wrong}; the most likely convention is {other.words}")
     raise InputError(
-        f"{wrong}, in every convention that is known ({', '.join(AXES)}): check units (metres) and the frame; "
-        "--start x,y,z,yaw says where a trajectory in its first camera's frame begins, and --align moves one in "
-        "another frame to a --reference"
+        f"{wrong}, in every known convention ({', '.join(AXES)}). Check the units (metres) and the frame. "
+        "If the frame is that of the first camera, give its pose by --start x,y,z,yaw; for any other frame, use "
+        "--align with a --reference"
     )

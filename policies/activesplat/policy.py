@@ -37,7 +37,7 @@ class ActiveSplat(Planner):
     subregions are those of [activesplat, code], `planner_node.py`.
     """
 
-    criterion = "integer score of Voronoi nodes by what panoramas of the map lack"
+    criterion = "integer score of Voronoi nodes by the missing parts of panoramas of the map"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
     native_settings = replace(

@@ -56,7 +56,7 @@ class AnmS(Planner):
         candidates=512,
         iterations=10,
         changes=SQUARE_CAMERA,
-        budget="1000 steps (2000, 10000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees, 10 iterations",
+        budget="1000 steps (2000, 10000 in large scenes), 256 x 256 at 90 degrees",
     )
 
     def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:

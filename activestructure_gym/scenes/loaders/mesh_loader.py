@@ -202,7 +202,7 @@ def finished_scene(
     farthest = np.abs(mesh.vertices).max()
     if np.spacing(farthest) > _COARSEST_STEP:
         doubts.append(
-            f"the mesh lies {farthest:.0f} m from the origin, where positions are kept in steps of "
+            f"the mesh is {farthest:.0f} m from the origin, where positions are kept in steps of "
             f"{1000 * np.spacing(farthest):.0f} mm: move it to the origin"
         )
     if not mesh.textures and not np.ptp(mesh.colors, axis=0).any():

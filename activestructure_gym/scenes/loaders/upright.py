@@ -111,7 +111,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
         return Verdict(
             None,
             UP_AXES,
-            f"no axis stands out as that of floor and ceiling (facing x, y, z: {surfaces} % of the surface; sides "
+            f"floor and ceiling are not clear along any axis (facing x, y, z: {surfaces} % of the surface; sides "
             f"{lengths} m)",
         )
     room = (
@@ -129,7 +129,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
     return Verdict(
         up,
         (up,) if abs(evidence) >= _CLEAR else _both_ends((axis,)),
-        f"{room}, and {100 * share:.0f} % of what lies level between them is in the half towards {floor}",
+        f"{room}, and {100 * share:.0f} % of the level surface between them is in the half towards {floor}",
     )
 
 

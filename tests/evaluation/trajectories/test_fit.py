@@ -60,7 +60,7 @@ def test_a_few_poses_outside_are_counted_and_more_are_refused() -> None:
     poses[0, 0, 3] = -1.0
     assert checked(clearance_at, poses, poses, "opencv", False, "poses.txt").outside == 1
     poses[1, 0, 3] = -1.0
-    with pytest.raises(InputError, match="2 of the 80 poses of 'poses.txt' lie in walls.*every convention"):
+    with pytest.raises(InputError, match="2 of the 80 poses of 'poses.txt' are in walls.*every known convention"):
         checked(clearance_at, poses, poses, "opencv", False, "poses.txt")
 
 
@@ -85,7 +85,7 @@ def test_quaternions_in_the_other_order_are_told(turned: float) -> None:
         pose[:3, :3] = look_along(np.zeros(3), np.array([np.sin(yaw), np.cos(yaw), -0.2]))[:3, :3]
     read = mistaken(poses)
     np.testing.assert_allclose(with_w_first(read), poses, atol=1e-12)
-    with pytest.raises(InputError, match="hangs upside down or lies on its side; with quaternions as w x y z it is up"):
+    with pytest.raises(InputError, match="is upside down or on its side; with quaternions as w x y z it is up"):
         checked(clearance_at, read, read, "opencv", False, "poses.txt", quaternions=True)
     assert checked(clearance_at, poses, poses, "opencv", False, "poses.txt", quaternions=True).outside == 0
 

@@ -20,8 +20,10 @@ import pytest
 import yaml
 from packaging.utils import canonicalize_name
 
+from activestructure_gym.config import ReconstructionConfig
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command
+from activestructure_gym.evaluation.cli.commands import COMMANDS, SHOWN, find_command, parts_of
+from activestructure_gym.evaluation.cli.config import leaves
 from activestructure_gym.evaluation.cli.parsing import parse
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.scenes import SceneMesh, load_scene
@@ -154,6 +156,40 @@ def test_everything_that_may_be_imported_has_one_entry(site: ModuleType) -> None
     assert set(reference.entries().values()) <= set(made) and len(made) == len(set(made))
     assert reference.entries()["activestructure_gym.policies.base.Policy"] == "activestructure_gym.policies.Policy"
     assert "| `seed_spacing` | `float \\| None` | `0.045` | " in text
+
+
+def test_every_command_has_a_page_with_all_its_options(site: ModuleType) -> None:
+    module = importlib.import_module("_site.commands")
+    pages = module.pages()
+    assert set(pages) == {"cli/index.md", *(f"cli/{name}.md" for name in SHOWN)}
+    for name in SHOWN:
+        kind = find_command(name)
+        assert f"[`asg {name}`]({name}.md): " in pages["cli/index.md"]
+        for part in parts_of(kind) or ("",):
+            options = module.options(module.help_of(name, *part.split()))
+            named = [field.name for field in dataclasses.fields(parts_of(kind)[part] if part else kind)]
+            assert len(options) == len(named) and all(said for _, said in options), (name, part)
+            for option, _ in options:
+                assert f"\n| {module.escaped(f'`{option}`')} | " in pages[f"cli/{name}.md"]
+
+
+def test_options_in_a_sentence_are_code(site: ModuleType) -> None:
+    module = importlib.import_module("_site.commands")
+    assert module._marked("with --out, `asg x --help` | 2--3") == r"with `--out`, `asg x --help` \| 2--3"
+
+
+def test_every_field_of_the_configuration_is_listed(site: ModuleType) -> None:
+    text = importlib.import_module("_site.configuration").pages()["configuration.md"]
+    for name, _ in leaves(ReconstructionConfig()):
+        assert f"\n| `{name}` | " in text
+    assert "| `sensor.width` | `96` | `96` | `160` | `320` | `1200` |" in text
+
+
+def test_pages_about_the_project_link_into_the_site(site: ModuleType) -> None:
+    pages = importlib.import_module("_site.about").pages()
+    links = re.findall(r"\]\(([^)#]+)", "".join(pages.values()))
+    assert "../../start/own_policy.md" in links
+    assert all("://" in link or (DOCS / "_made" / "about" / link).resolve().exists() for link in links)
 
 
 def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
@@ -364,8 +400,8 @@ sys.meta_path.insert(0, Blocked())
 sys.path[:0] = [DOCS, ROOT]
 import sphinx, furo, myst_parser  # the extra is there
 import conf, _site
-from _site import environments, gallery, links, mesh_file, reference, shapes
-pages = gallery.pages() | reference.pages()
+from _site import about, commands, configuration, environments, gallery, links, mesh_file, reference, shapes
+pages = about.pages() | commands.pages() | configuration.pages() | gallery.pages() | reference.pages()
 assert "policies/random.md" in pages and "reference/activestructure_gym.policies.learned.md" in pages
 """
 

@@ -1,4 +1,4 @@
-"""Make pages of the documentation site from the code: environments, policies, features and the reference.
+"""Make pages of the documentation site from the code: environments, policies, commands and the reference.
 
 The pages are written to ``docs/_made``, which git ignores, before the site is built. Unchanged pages are not written
 again, so Sphinx does not read them again.
@@ -35,9 +35,11 @@ def _bars(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[
 
 def make_pages() -> None:
     """Write all pages that are made from the code, and remove pages that are no longer made."""
-    from _site import environments, gallery, reference
+    from _site import about, commands, configuration, environments, gallery, reference
 
-    pages = {**environments.pages(MADE), **gallery.pages(), **reference.pages()}
+    pages = environments.pages(MADE)
+    for made in (about, commands, configuration, gallery, reference):
+        pages |= made.pages()
     for old in MADE.rglob("*.md"):
         if str(old.relative_to(MADE)) not in pages:
             old.unlink()

@@ -179,7 +179,7 @@ def test_options_in_a_sentence_are_code(site: ModuleType) -> None:
 
 
 def test_every_field_of_the_configuration_is_listed(site: ModuleType) -> None:
-    text = importlib.import_module("_site.configuration").pages()["configuration.md"]
+    text = importlib.import_module("_site.configuration").pages()["configuration/index.md"]
     for name, _ in leaves(ReconstructionConfig()):
         assert f"\n| `{name}` | " in text
     assert "| `sensor.width` | `96` | `96` | `160` | `320` | `1200` |" in text

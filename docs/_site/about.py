@@ -11,11 +11,12 @@ ROOT = Path(__file__).parents[2]
 def pages() -> dict[str, str]:
     """Return the pages by file name; links of the files, relative to the repository, are adapted."""
     cite = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    return {
-        "about/changelog.md": _adapted("CHANGELOG.md"),
-        "about/contributing.md": _adapted("CONTRIBUTING.md"),
-        "about/cite.md": f"# Cite\n\nThe file `CITATION.cff` of the repository:\n\n```yaml\n{cite}```\n",
+    texts = {
+        "changelog": _adapted("CHANGELOG.md"),
+        "contributing": _adapted("CONTRIBUTING.md"),
+        "cite": f"# Cite\n\nThe file `CITATION.cff` of the repository:\n\n```yaml\n{cite}```\n",
     }
+    return {f"about/{name}.md": text for name, text in texts.items()}
 
 
 def _adapted(name: str) -> str:

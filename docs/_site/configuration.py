@@ -30,7 +30,7 @@ def pages() -> dict[str, str]:
         groups.setdefault(name.partition(".")[0] if "." in name else "episode", []).append(row)
     for group, rows in groups.items():
         lines += [f"## {group}\n", *_table(["field", "default", "meaning"], rows)]
-    return {"configuration.md": "\n".join(lines)}
+    return {"configuration/index.md": "\n".join(lines)}
 
 
 def _table(heads: list[str], rows: list[list[str]]) -> list[str]:

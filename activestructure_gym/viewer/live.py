@@ -195,7 +195,7 @@ class LiveView:
 
     def page(self) -> str:
         """Return the page's HTML."""
-        return viewer_page(self.title, live=True)
+        return viewer_page(self.title, live=True, asks=self.asks)
 
     @property
     def closed(self) -> bool:
@@ -220,7 +220,7 @@ class LiveView:
             first = 0 if begins or not 0 <= moments <= len(recorder.moments) else moments
             film = recorder.film(first)
             head = {
-                "title": self.title,
+                "name": "",
                 "episode": self._episode,
                 "first": first,
                 "version": self._version,

@@ -73,7 +73,7 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
         "image_starts": [length for m in moments for length in (len(m.true), len(m.rendered))],
     }
     starts = {name: np.cumsum([0, *lengths]).astype(np.int32) for name, lengths in counts.items()}
-    none, three = np.zeros((0, 6)), np.zeros((0, 3))
+    none, three = np.zeros((0, 8)), np.zeros((0, 3))
     return {
         **starts,
         "frames": np.array([m.frame for m in moments], np.int32),
@@ -81,21 +81,10 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
         "rows": np.array([m.row for m in moments], np.int32),
         "poses": np.concatenate([poses[:, :3, 3], poses[:, :3, 0], poses[:, :3, 2]], axis=1).astype(np.float32),
         "candidates": np.concatenate([none, *(m.candidates for m in moments)]).astype(np.float32),
-        "scores": np.concatenate([np.zeros(0, np.uint8), *(_shade(m.scores) for m in moments)]),
+        "scores": np.concatenate([np.zeros(0), *(m.scores for m in moments)]).astype(np.float32),
         "planes": np.concatenate([np.zeros((0, 12)), *(m.planes.reshape(-1, 12) for m in moments)]).astype(np.float32),
         "structural": np.concatenate([np.zeros(0, np.uint8), *(m.structural for m in moments)]).astype(np.uint8),
         "centroids": np.concatenate([three, *(m.centroids.reshape(-1, 3) for m in moments)]).astype(np.float32),
         "tree": np.concatenate([np.zeros((0, 2)), *(m.tree.reshape(-1, 2) for m in moments)]).astype(np.int32),
         "images": np.frombuffer(b"".join(part for m in moments for part in (m.true, m.rendered)), np.uint8),
     }
-
-
-def _shade(scores: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
-    """Return the scores as colour indices: 0 for the lower of 0 and the lowest score, 254 for the highest.
-
-    All indices are 255 if a score is missing.
-    """
-    if not len(scores) or np.isnan(scores).any():
-        return np.full(len(scores), 255, np.uint8)
-    low, high = min(float(scores.min()), 0.0), float(scores.max())
-    return np.round((scores - low) / max(high - low, 1e-12) * 254).astype(np.uint8)

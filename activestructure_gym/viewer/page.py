@@ -17,12 +17,13 @@ _TEMPLATES = Environment(
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
-def viewer_page(title: str, films: Sequence[str] = (), *, live: bool = False) -> str:
+def viewer_page(title: str, films: Sequence[str] = (), *, live: bool = False, asks: bool = False) -> str:
     """Return the HTML page that shows ``films`` or, with ``live``, a running episode.
 
-    ``films`` are one or two recordings, shown side by side, each as base64 text of deflated bytes.
+    ``films`` are one or two recordings, shown side by side, each as base64 text of deflated bytes. With ``asks``, the
+    page shows all candidates at first, because the user chooses one of them.
     """
-    scripts = ("unpack.js", "scene.js", "player.js", "live.js" if live else "films.js")
+    scripts = ("unpack.js", "scene.js", "run.js", "chart.js", "player.js", "live.js" if live else "films.js")
     return _TEMPLATES.get_template("viewer.html.j2").render(
         policy=f"{_POLICY}; connect-src 'self'" if live else _POLICY,
         title=title,
@@ -30,6 +31,7 @@ def viewer_page(title: str, films: Sequence[str] = (), *, live: bool = False) ->
         scripts=[_asset(name) for name in scripts],
         films=[Markup(film) for film in films],
         live=live,
+        asks=asks,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import MEAN
+from activestructure_gym.motion import least_frames
 from activestructure_gym.planes.record import GraphArrays, graph_arrays, seen_cells
 
 if TYPE_CHECKING:
@@ -30,7 +31,9 @@ class Moment:
     frame: int  # number of frames used
     poses: int  # number of camera poses so far; below the frames if the agent spent frames at one pose
     row: int  # index of the chosen candidate; -1 at the end or before the choice
-    candidates: np.ndarray  # [K, 6] position in metres and unit view direction, world
+    candidates: (
+        np.ndarray
+    )  # [K, 8] position in metres and unit view direction, world; path in metres, frames to go there
     scores: np.ndarray  # [K] values of the first configured feature; NaN without features
     planes: np.ndarray  # [P, 4, 3] metres, world: corners of the rectangle around each plane's observed part
     structural: np.ndarray  # [P] bool: structural plane (part of the layout)
@@ -197,7 +200,10 @@ def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
 def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
     """Return the current state of an episode; ``row`` is the index of the chosen candidate, -1 if none is chosen."""
     graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
-    poses = episode.candidates.world_from_camera[: episode.candidates.views]
+    table = episode.candidates
+    poses, lengths, stay = (rows[: table.views] for rows in (table.world_from_camera, table.path_length, table.stay))
+    frames = least_frames(episode.pose, poses, lengths, episode.config.motion)
+    frames = np.where(stay > 0, stay * episode.config.keyframe_every, frames)
     scores = np.full(len(poses), np.nan)
     if episode.config.features:
         scores = np.clip(episode.features[: len(poses), 0], -1e6, 1e6)
@@ -206,7 +212,7 @@ def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
         frame=episode.frames,
         poses=len(episode.trajectory),
         row=row,
-        candidates=np.concatenate([poses[:, :3, 3], poses[:, :3, 2]], axis=1),
+        candidates=np.column_stack([poses[:, :3, 3], poses[:, :3, 2], lengths, frames]),
         scores=scores.astype(float),
         planes=plane_rectangles(graph),
         structural=graph["structural"],

@@ -13,17 +13,20 @@ from activestructure_gym.viewer import film_parts, packed
 TRUTH = "new true surface"  # line of the true surface that each view would have shown for the first time
 
 
-def pack(recording: Recording) -> str:
-    """Return the data of a recording in the layout of `viewer.packing`, compressed with zlib, as base64 text."""
+def pack(recording: Recording, name: str) -> str:
+    """Return the data of a recording in the layout of `viewer.packing`, compressed with zlib, as base64 text.
+
+    The page shows the recording under ``name``.
+    """
     arrays, header = film_parts(recording)
-    data = packed(arrays, header | _facts(recording, header["every"]))
+    data = packed(arrays, header | _facts(recording, header["every"]) | {"name": name})
     return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
 
 
 def _facts(recording: Recording, every: int) -> dict[str, Any]:
     run = recording.run
     curve = [
-        {name: point.get(name) for name in ("frames", "completion_ratio", "observed", "psnr")}
+        {name: point.get(name) for name in ("frames", "observed", "known_m3", "completion_ratio", "psnr")}
         for point in run.metrics["curve"]
     ]
     shown = [moment.decision for moment in recording.moments if moment.decision < len(run.steps)]
@@ -38,7 +41,6 @@ def _facts(recording: Recording, every: int) -> dict[str, Any]:
     ]
     features = run.config["configuration"]["features"]
     return {
-        "title": f"{run.policy} · {run.scene} · seed {run.job.seed}",
         "budget": run.config["configuration"]["frame_budget"],
         "feature": features[0] if features else "",
         "curve": curve,

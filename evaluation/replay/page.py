@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.packing import pack
 from activestructure_gym.evaluation.replay.recording import Recording
 from activestructure_gym.files import replaced
@@ -24,8 +25,20 @@ def replay_page(recordings: Sequence[Recording]) -> str:
     str
         HTML of the page.
     """
-    names = [f"{one.run.policy} · {one.run.scene} · seed {one.run.job.seed}" for one in recordings]
-    return viewer_page(" and ".join(names), [pack(one) for one in recordings])
+    heading, names = names_of([one.run for one in recordings])
+    return viewer_page(f"{heading}: {' and '.join(names)}", [pack(one, name) for one, name in zip(recordings, names)])
+
+
+def names_of(runs: Sequence[Run]) -> tuple[str, list[str]]:
+    """Return a heading with the scene, seed and policy that all runs share, and a name per run with those that differ.
+
+    If all three are equal, the names are the policy. If nothing is equal, the heading is "replay".
+    """
+    parts = [(run.policy, run.scene, f"seed {run.job.seed}") for run in runs]
+    common = [len(set(column)) == 1 for column in zip(*parts)]
+    common[0] = common[0] and not all(common)
+    named = [" · ".join(part for part, same in zip(one, common) if not same) for one in parts]
+    return " · ".join(part for part, same in zip(parts[0], common) if same) or "replay", named
 
 
 def write_replay(recordings: Sequence[Recording], path: Path) -> int:

@@ -17,31 +17,30 @@ def reason(policy: str, rows: Sequence[Row]) -> str:
     """Return one or two sentences on the choice of the first of ``rows``; ``policy`` is the name of the policy."""
     chosen, runner_up = rows[0], rows[1] if len(rows) > 1 else None
     if chosen.score is None:
-        return f"{policy} chose row {chosen.row} without comparing scores."
+        return f"{policy} chose this view without comparing scores."
     if runner_up is None or runner_up.score is None:
-        return f"{policy} compared no other row with row {chosen.row}."
-    scores = f"row {chosen.row} scores {short(chosen.score)}, row {runner_up.row} scores {short(runner_up.score)}"
+        return f"{policy} compared this view with no other."
     if chosen.score <= runner_up.score:
-        return f"Equal scores: {scores}. The path or the order of the rows decided."
+        return f"Two views have the best score, {short(chosen.score)}. The path or the order of the rows decided."
+    scores = f"{short(chosen.score)}, runner-up {short(runner_up.score)}"
     leads = _leads(chosen, runner_up)
     name = max(leads, key=leads.__getitem__, default="")
     if leads.get(name, 0.0) <= 0.0:
-        return f"Higher score: {scores}."
-    decided = "decided" if leads[name] >= chosen.score - runner_up.score else "has the largest lead"
-    values = f"{short(chosen.terms[name])} against {short(runner_up.terms[name])}"
-    return f"Higher score: {scores}. The term {name.removeprefix(FACTOR)} {decided}: {values}."
+        return f"Chosen for the best score: {scores}."
+    values = f"{name.removeprefix(FACTOR)}: {short(chosen.terms[name])}, runner-up {short(runner_up.terms[name])}"
+    if leads[name] >= chosen.score - runner_up.score:
+        return f"Chosen for {values}."
+    return f"Chosen for the best score: {scores}. The largest lead is in {values}."
 
 
 def compared(rows: Sequence[Row]) -> list[list[str]]:
     """Return a table of the chosen row and of the runner-up: lines of a name and one or two values.
 
-    The lines are row, score, terms, path and frames. Terms without effect in both rows (0, or a factor of 1) are left
+    The lines are score, terms, path and frames. Terms without effect in both rows (0, or a factor of 1) are left
     out. Features take the place of missing terms; of many features, equal ones are left out.
     """
     pair = rows[:2]
-    lines = [["row", *(str(row.row) for row in pair)]]
-    if pair[0].score is not None:
-        lines.append(["score", *(short(row.score) for row in pair)])
+    lines = [] if pair[0].score is None else [["score", *(short(row.score) for row in pair)]]
     effective = [name for name in pair[0].terms if {row.terms[name] for row in pair} != {neutral(name)}]
     names = effective if pair[0].terms else _shown_features(pair)
     lines += [[name, *(short({**row.features, **row.terms}[name]) for row in pair)] for name in names]

@@ -290,9 +290,9 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         assert first.std() > 10
         # Where on the screen some candidate is drawn, as `under` finds it.
         found = page.value("""(() => {
-            const run = player.runs[0], box = run.canvas.getBoundingClientRect(), shown = player.shown();
-            for (let y = 100; y < box.bottom - 40; y += 5) for (let x = 40; x < box.right - 40; x += 5) {
-                const row = run.under(x - box.left, y - box.top, run.camera(shown.eye, player.clock), shown.cut);
+            const run = player.runs[0], box = run.canvas.getBoundingClientRect();
+            for (let y = Math.ceil(box.top); y < box.bottom - 40; y += 5) for (let x = 40; x < box.right - 40; x += 5) {
+                const row = player.under(run, { clientX: x, clientY: y });
                 if (row > 0) return [row, x, y];
             }
         })()""")
@@ -327,7 +327,7 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         view.show()
         page.until("player.runs[0].film.episode === 2 && player.dirty === false")
         facts = page.value("player.runs[0].facts.textContent")
-        assert f"Gaussians{episode.mapper.map.count:,}planes" in facts
+        assert f" {episode.mapper.map.count:,} Gaussians " in facts
         page.until("document.getElementById('state').textContent === 'exploring'")
         assert page.value("document.querySelectorAll('.stage').length") == 1
         assert page.value("revoked") == images > 0

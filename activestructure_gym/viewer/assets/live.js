@@ -19,42 +19,24 @@ class LivePlayer extends Player {
   // Going back in time does not pause the episode; only the pause button does.
   scrub(frame) { this.following = frame >= this.end; this.to(frame); }
   toggle() { this.follow(); send({ do: this.live.paused ? "go" : "pause" }); }
-  step(by) {
-    if (by > 0 && this.following) { send({ do: "step" }); return; }
-    const frames = this.runs[0].arrays.frames, now = this.runs[0].moment(this.clock);
-    const next = Math.min(Math.max(by < 0 && this.clock > frames[now] ? now : now + by, 0), frames.length - 1);
-    this.scrub(frames[next]);
-  }
+  step(by) { if (by > 0 && this.following) send({ do: "step" }); else this.scrub(this.neighbour(by)); }
 
   open(runs) {
-    const state = find("state"); // inside the run that is replaced
     for (const run of this.runs || []) run.close();
     super.open(runs);
-    runs[0].element.querySelector(".stage").append(state);
   }
 
   listen(run) {
     super.listen(run);
     let down = null;
-    const under = (event) => {
-      const box = run.canvas.getBoundingClientRect(), shown = this.shown();
-      return run.under(event.clientX - box.left, event.clientY - box.top, run.camera(shown.eye, this.clock), shown.cut);
-    };
-    const open = () => this.live.chooses && this.following && this.shown().candidates;
     run.canvas.addEventListener("pointerdown", (event) => { down = event; });
-    run.canvas.addEventListener("pointermove", (event) => { if (!event.buttons) this.point(open() ? under(event) : -1); });
     run.canvas.addEventListener("click", (event) => {
-      if (!open() || !down || Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) > CLICK) return;
-      const row = under(event), moment = this.runs[0].arrays.frames.length - 1;
-      if (row >= 0) send({ do: "visit", row, episode: this.live.episode, moment });
+      const last = run.arrays.frames.length - 1;
+      if (!this.live.chooses || !this.following || run.moment(this.clock) < last) return;
+      if (!down || Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) > CLICK) return;
+      const row = this.under(run, event);
+      if (row >= 0) send({ do: "visit", row, episode: this.live.episode, moment: last });
     });
-  }
-
-  point(row) {
-    if (row === this.pointed) return;
-    this.pointed = row;
-    this.runs[0].canvas.style.cursor = row < 0 ? "" : "pointer";
-    this.dirty = true;
   }
 
   tick(time) {
@@ -71,7 +53,7 @@ class LivePlayer extends Player {
     const run = this.runs[0];
     if (film) {
       run.extend(film);
-      this.grown();
+      this.measure();
     }
     const rows = run.arrays.rows;
     run.film.chosen.forEach((row, number) => { rows[number] = row; });
@@ -79,7 +61,7 @@ class LivePlayer extends Player {
     find("state").className = run.film.state.replace(/\W.*/, "");
     find("play").disabled = run.film.ended;
     find("pace").value = String(run.film.pace);
-    this.pointed = -1;
+    this.point(null);
     this.dirty = true;
   }
 }

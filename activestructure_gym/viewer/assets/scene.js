@@ -54,7 +54,7 @@ void main() {
   result = vec4(shade, 1.0);
 }`;
 
-const LINE_VERTEX = `#version 300 es
+const POINT_VERTEX = `#version 300 es
 layout(location = 0) in vec3 place;
 layout(location = 1) in vec4 tint;
 uniform mat4 view, projection;
@@ -62,7 +62,30 @@ uniform float point;
 out vec4 shade;
 void main() { gl_Position = projection * view * vec4(place, 1.0); gl_PointSize = point; shade = tint; }`;
 
-const LINE_FRAGMENT = `#version 300 es
+// A line of some width: a strip of four vertices per instance, which has the two ends.
+const LINE_VERTEX = `#version 300 es
+layout(location = 0) in vec3 from;
+layout(location = 1) in vec4 tint;
+layout(location = 2) in vec3 to;
+uniform mat4 view, projection;
+uniform vec2 screen;
+uniform float point;
+out vec4 shade;
+void main() {
+  vec4 a = projection * view * vec4(from, 1.0), b = projection * view * vec4(to, 1.0);
+  const float near = 0.05;
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  shade = tint;
+  if (a.w < near && b.w < near) return;
+  if (a.w < near) a = mix(a, b, (near - a.w) / (b.w - a.w));
+  if (b.w < near) b = mix(b, a, (near - b.w) / (a.w - b.w));
+  vec2 along = (b.xy / b.w - a.xy / a.w) * screen;
+  vec2 across = length(along) > 0.0 ? normalize(vec2(-along.y, along.x)) : vec2(0.0, 1.0);
+  gl_Position = gl_VertexID < 2 ? a : b;
+  gl_Position.xy += ((gl_VertexID & 1) == 0 ? 1.0 : -1.0) * across * point / screen * gl_Position.w;
+}`;
+
+const FLAT_FRAGMENT = `#version 300 es
 precision mediump float;
 in vec4 shade;
 uniform float faint;
@@ -96,18 +119,23 @@ class SceneView {
     this.gl = gl;
     this.programs = {
       map: this.program(MAP_VERTEX, MAP_FRAGMENT),
-      line: this.program(LINE_VERTEX, LINE_FRAGMENT),
+      line: this.program(LINE_VERTEX, FLAT_FRAGMENT),
+      point: this.program(POINT_VERTEX, FLAT_FRAGMENT),
       copy: this.program(COPY_VERTEX, COPY_FRAGMENT),
     };
     this.load();
-    this.lines = gl.createVertexArray();
     this.lineBuffer = gl.createBuffer();
-    gl.bindVertexArray(this.lines);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 28, 0);
-    gl.enableVertexAttribArray(1);
-    gl.vertexAttribPointer(1, 4, gl.FLOAT, false, 28, 12);
+    this.overlays = [false, true].map((instanced) => { // of points and faces, and of lines
+      const vao = gl.createVertexArray(), stride = instanced ? 56 : 28;
+      gl.bindVertexArray(vao);
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
+      [[3, 0], [4, 12], [3, 28]].slice(0, instanced ? 3 : 2).forEach(([size, offset], place) => {
+        gl.enableVertexAttribArray(place);
+        gl.vertexAttribPointer(place, size, gl.FLOAT, false, stride, offset);
+        gl.vertexAttribDivisor(place, instanced ? 1 : 0);
+      });
+      return vao;
+    });
     gl.bindVertexArray(null);
   }
 
@@ -229,22 +257,7 @@ class SceneView {
       this.whole = performance.now();
     }
     const first = grows ? this.addedBy(this.kept.frame) : 0, last = this.addedBy(frame);
-    if (shown.map && last > first) {
-      const { made, places } = this.programs.map, recording = this.recording;
-      gl.useProgram(made);
-      gl.uniformMatrix4fv(places.view, false, camera.view);
-      gl.uniformMatrix4fv(places.projection, false, camera.projection);
-      gl.uniform3fv(places.low, recording.low);
-      gl.uniform3fv(places.side, recording.side);
-      gl.uniform2fv(places.logs, recording.log);
-      gl.uniform1f(places.focal, camera.focal * tall);
-      gl.uniform1f(places.now, frame);
-      gl.uniform1f(places.cut, shown.cut);
-      const step = shown.coarse ? SKIPPED : 1, begin = Math.floor(first / step);
-      gl.uniform1f(places.widen, Math.sqrt(step));
-      gl.bindVertexArray(this.maps[shown.coarse ? 1 : 0]);
-      gl.drawArrays(gl.POINTS, begin, Math.floor(last / step) - begin);
-    }
+    if (shown.map && last > first) this.drawMap(camera, frame, shown.cut, tall, first, last, shown.coarse);
     this.kept = { key, frame, stale: grows && stale };
     this.drawn = shown.map ? last : 0;
 
@@ -262,27 +275,76 @@ class SceneView {
     gl.bindVertexArray(null);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 
-    const { made, places } = this.programs.line;
-    gl.useProgram(made);
-    gl.uniformMatrix4fv(places.view, false, camera.view);
-    gl.uniformMatrix4fv(places.projection, false, camera.projection);
-    gl.bindVertexArray(this.lines);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
-    for (const [kind, data, point] of [[gl.TRIANGLES, overlay.faces, 1], [gl.LINES, overlay.lines, 1], [gl.POINTS, overlay.points, 7]]) {
+    const ratio = Math.min(window.devicePixelRatio || 1, 1.5), { faces, lines, strokes, points } = overlay;
+    for (const [kind, data, width] of [[gl.TRIANGLES, faces, 1], [gl.LINES, lines, 1.4], [gl.LINES, strokes, 3], [gl.POINTS, points, 7]]) {
       if (!data.length) continue;
+      const { made, places } = kind === gl.LINES ? this.programs.line : this.programs.point;
+      gl.useProgram(made);
+      gl.bindVertexArray(this.overlays[kind === gl.LINES ? 1 : 0]);
+      gl.uniformMatrix4fv(places.view, false, camera.view);
+      gl.uniformMatrix4fv(places.projection, false, camera.projection);
+      gl.uniform1f(places.point, width * ratio);
+      if (places.screen) gl.uniform2f(places.screen, this.canvas.width, this.canvas.height);
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(data), gl.DYNAMIC_DRAW);
-      gl.uniform1f(places.point, point * Math.min(window.devicePixelRatio || 1, 1.5));
-      // Lines and points behind the map show faintly through it.
+      // What is behind the map shows faintly through it.
       for (const [test, faint] of [[gl.ALWAYS, kind === gl.TRIANGLES ? 0.25 : 0.35], [gl.LEQUAL, 1.0]]) {
         gl.depthFunc(test);
         gl.uniform1f(places.faint, faint);
-        gl.drawArrays(kind, 0, data.length / 7);
+        if (kind === gl.LINES) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, data.length / 14);
+        else gl.drawArrays(kind, 0, data.length / 7);
       }
     }
     gl.depthMask(true);
+  }
+
+  // Draw the Gaussians with the numbers from ``first`` to ``last`` into the current framebuffer of a height in pixels.
+  drawMap(camera, frame, cut, tall, first, last, coarse) {
+    const gl = this.gl, { made, places } = this.programs.map, recording = this.recording;
+    gl.useProgram(made);
+    gl.uniformMatrix4fv(places.view, false, camera.view);
+    gl.uniformMatrix4fv(places.projection, false, camera.projection);
+    gl.uniform3fv(places.low, recording.low);
+    gl.uniform3fv(places.side, recording.side);
+    gl.uniform2fv(places.logs, recording.log);
+    gl.uniform1f(places.focal, camera.focal * tall);
+    gl.uniform1f(places.now, frame);
+    gl.uniform1f(places.cut, cut);
+    const step = coarse ? SKIPPED : 1, begin = Math.floor(first / step);
+    gl.uniform1f(places.widen, Math.sqrt(step));
+    gl.bindVertexArray(this.maps[coarse ? 1 : 0]);
+    gl.drawArrays(gl.POINTS, begin, Math.floor(last / step) - begin);
+  }
+
+  // Draw the map at a frame, seen by another camera, into a canvas of its own.
+  preview(camera, frame, canvas, background) {
+    const gl = this.gl, { width, height } = canvas, target = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    const parts = [[gl.RGBA8, gl.COLOR_ATTACHMENT0], [gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]].map(([format, place]) => {
+      const made = gl.createRenderbuffer();
+      gl.bindRenderbuffer(gl.RENDERBUFFER, made);
+      gl.renderbufferStorage(gl.RENDERBUFFER, format, width, height);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, made);
+      return made;
+    });
+    gl.viewport(0, 0, width, height);
+    gl.enable(gl.DEPTH_TEST);
+    gl.disable(gl.BLEND);
+    gl.depthFunc(gl.LESS);
+    gl.clearColor(...background, 1.0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.drawMap(camera, frame, 1e6, height, 0, this.addedBy(frame), false);
+    const pixels = new Uint8ClampedArray(4 * width * height), image = new ImageData(width, height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    for (let row = 0; row < height; row++) // WebGL's first row is the lowest
+      image.data.set(pixels.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
+    canvas.getContext("2d").putImageData(image, 0, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    for (const part of parts) gl.deleteRenderbuffer(part);
+    gl.deleteFramebuffer(target);
   }
 }
 
@@ -302,7 +364,7 @@ function perspective(focal, aspect, near, far) {
 class Orbit {
   constructor(bounds) {
     const [low, high] = bounds;
-    this.target = [0, 1, 2].map((axis) => (low[axis] + high[axis]) / 2);
+    this.target = [0, 1, 2].map((axis) => low[axis] + (axis < 2 ? 0.5 : 0.3) * (high[axis] - low[axis])); // the ceiling is hidden
     this.size = Math.hypot(high[0] - low[0], high[1] - low[1]);
     this.home = { yaw: -2.2, pitch: 0.95, distance: this.size * 1.2, target: [...this.target] };
     this.reset();

@@ -54,7 +54,7 @@ def test_a_moment_shows_what_there_was_to_decide_by(recordings: list[Recording])
         assert len(moments) == len(steps) + 1 and moments[-1].row == -1
         for step, moment in zip(steps, moments):
             assert len(moment.candidates) == step["candidates"]
-            np.testing.assert_allclose(moment.candidates[moment.row], list(step["view"].values())[:6], atol=1e-5)
+            np.testing.assert_allclose(moment.candidates[moment.row], list(step["view"].values())[:8], atol=1e-5)
             assert len(moment.planes) == len(moment.structural) == len(moment.centroids)
         image = cv2.imdecode(np.frombuffer(moments[0].true, np.uint8), cv2.IMREAD_COLOR)
         assert image.shape == (54, 96, 3) and image.std() > 5

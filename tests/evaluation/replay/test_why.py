@@ -52,7 +52,7 @@ def test_a_decision_is_explained_from_the_files_alone(run: Run) -> None:
     assert scores == sorted(scores, reverse=True)
     for row in found.rows:
         assert row.score == pytest.approx(row.terms["hole_area"] * row.terms["× travel"])
-    assert found.reason.startswith(f"Higher score: row {best.row} scores ") and "The term " in found.reason
+    assert found.reason.startswith("Chosen for ")
     assert all(row.new_m2 is None for row in found.rows)
     assert explain(run, 0).frame == 1
 
@@ -110,7 +110,7 @@ def test_asg_why(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(run.directory), "--decision", "0", "--policies", "random", "--truth"]) == 0
     said = capsys.readouterr().out
     assert "decision 0, frame 1" in said and "new m²" in said and "policy: hole_area" in said
-    assert "Higher score: row" in said
+    assert "Chosen for " in said
     assert main(["why", str(run.directory), "--json"]) == 0
     said = capsys.readouterr().out
     content = json.loads(said[said.index("{") :])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import importlib
 import json
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -42,14 +44,12 @@ PAGES = [
 @pytest.fixture
 def site(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(DOCS))
-    return importlib.import_module("_site.gallery")
+    return importlib.import_module("_site.policies")
 
 
 def test_every_policy_has_a_page_with_the_words_of_its_folder(site: ModuleType) -> None:
     pages = site.pages()
-    assert set(pages) == {"policies/index.md", *(f"policies/{name}.md" for name in POLICIES)}
-    for name in POLICIES:
-        assert f"[`{name}`]({name}.md)" in pages["policies/index.md"]
+    assert set(pages) == {"policies/index.md", "policies/short.txt", *(f"policies/{name}.md" for name in POLICIES)}
     folders = ROOT / "policies"
     assert len([*folders.glob("*/README.md")]) > 20
     for name, folder in (("naruto", "naruto"), ("popgs_logdet_cov", "popgs"), ("learned", "learned")):
@@ -61,35 +61,47 @@ def test_every_policy_has_a_page_with_the_words_of_its_folder(site: ModuleType) 
     assert set(told["policies"]) <= set(POLICIES)
     drawn = {name for name in POLICIES if "<svg" in pages[f"policies/{name}.md"]}
     assert drawn == set(told["policies"]) and len(drawn) >= 30
-    places = [pages["policies/index.md"].index(f"<strong>{name}<") for name in ("hole_area", "pixel_only", "random")]
-    assert places == sorted(places)  # who observed more comes first
 
 
-def test_the_numbers_of_a_policy_are_those_of_the_benchmark_s_table(site: ModuleType) -> None:
-    table = (DOCS / "notebook" / "benchmark.md").read_text(encoding="utf-8")
-    rows = {name: re.search(rf"^\| `{name}` \|.*$", table, re.MULTILINE) for name in ("random", "unseen", "fisherrf")}
-    for name, row in rows.items():
-        assert row is not None
-        cells = [
-            float(cell.strip(" *")) for cell in row[0].split("|")[2:7]
-        ]  # C.R., of the surface, observed, area, PSNR
-        shown = re.search(rf"^\| `{name}` \| (.*) \|$", site.pages()[f"policies/{name}.md"], re.MULTILINE)
-        assert shown is not None
-        assert [float(cell) for cell in shown[1].split(" | ")] == pytest.approx(
-            [cells[2], cells[0], cells[4]], abs=0.06
-        )
+def rows(pages: dict[str, str]) -> dict[str, list[str]]:
+    """The cells of the table of all policies as text, by policy."""
+    table = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr><td>.*", pages["policies/index.md"])]
+    return {re.findall(r'href="([\w-]+)\.html"', cells[0])[0]: cells for cells in table}
 
 
-def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
+def test_the_table_of_policies_has_source_rule_cost_and_the_numbers_of_the_csv(site: ModuleType) -> None:
     pages = site.pages()
-    index = pages["policies/index.md"]
-    said = dict(re.findall(r"<strong>([\w-]+)</strong><span>[^<]*</span><code>([^<]+)</code>", index))
-    assert said["naruto"] == "g* = argmax S(g), where S(g) is the sum of sigma(t) over the targets t seen from g"
-    assert said["pixel_only"] == "argmax IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"
-    assert set(said) == set(POLICIES)
-    # The lines in grey stand in the page once and are used by every chart.
-    drawn = index.count('class="mine"')
-    assert index.count('href="#others"') == drawn and index.count('class="other"') == drawn >= 30
+    table = rows(pages)
+    assert set(table) == set(POLICIES)
+    runs = runpy.run_path(str(DOCS / "notebook" / "benchmark_table.py"))["read"](site.RUNS)
+    for name in ("random", "unseen", "fisherrf", "learned"):
+        cells = {cell: run for cell, run in runs[name].items() if cell[1] < 3}
+        assert len(cells) == 18
+        for column, key in enumerate(site.COLUMNS, 3):
+            if key != site.COST:  # as many seeds on every scene, so the mean of means is the mean
+                expected = format(np.mean([run[key] for run in cells.values()]), site.FORMATS[key])
+                assert table[name][column] == expected
+                assert f" {expected} |" in pages[f"policies/{name}.md"]
+    for name, cells in table.items():
+        assert html.escape(POLICIES.get(name).source, quote=False) in cells[2] and float(cells[7] or 1) > 0
+    psnr = [float(cells[5]) for cells in table.values() if cells[5]]
+    assert psnr == sorted(psnr, reverse=True) and len(psnr) >= 30
+    kinds = {name: cells[1] for name, cells in table.items()}
+    assert (kinds["naruto"], kinds["activestructure-b"]) == ("published", "ActiveStructure")
+    assert (kinds["unseen"], kinds["learned"]) == ("ours", "learned")
+    short = [line.split(" | ") for line in pages["policies/short.txt"].splitlines()[2:]]
+    assert [name for name, *_ in short] == [
+        f"| [`{name}`](_made/policies/{name}.md)" for name in table if name in site.HOME
+    ]
+    for name, (_, _, *numbers) in zip((name for name in table if name in site.HOME), short):
+        assert [number.strip(" |") for number in numbers] == table[name][3:6]
+
+
+def test_the_table_says_what_a_policy_maximises(site: ModuleType) -> None:
+    pages = site.pages()
+    said = {name: re.findall("<code>(.*?)</code>", cells[2]) for name, cells in rows(pages).items()}
+    assert said["naruto"] == ["g* = argmax S(g), where S(g) is the sum of sigma(t) over the targets t seen from g"]
+    assert said["pixel_only"] == ["argmax IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"]
     assert "### `unknown_volume`\n\n" in pages["policies/unknown_volume.md"]  # it asks for a column of that
 
 
@@ -211,6 +223,10 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
         exec(compile(block.replace('"..."', '"box"'), task, "exec"), shown)
         assert shown["env"].spec.id == f"{environments.NAMESPACE}/{task}"
         shown["env"].close()
+        pictures = re.findall(r"- \[!\[.*?\]\((.*?)\)\]\(", pages["environments/index.md"])
+    assert len(pictures) == len(environments.TASKS) and all(
+        (tmp_path / "environments" / name).is_file() for name in pictures
+    )
     # A dataset's page has the film of a mesh from a file, and says so.
     for task, others in (
         ("Replica-v0", "Scenes of Replica"),
@@ -400,8 +416,8 @@ sys.meta_path.insert(0, Blocked())
 sys.path[:0] = [DOCS, ROOT]
 import sphinx, furo, myst_parser  # the extra is there
 import conf, _site
-from _site import about, commands, configuration, environments, gallery, links, mesh_file, reference, shapes
-pages = about.pages() | commands.pages() | configuration.pages() | gallery.pages() | reference.pages()
+from _site import about, commands, configuration, environments, links, mesh_file, policies, reference, shapes
+pages = about.pages() | commands.pages() | configuration.pages() | policies.pages() | reference.pages()
 assert "policies/random.md" in pages and "reference/activestructure_gym.policies.learned.md" in pages
 """
 

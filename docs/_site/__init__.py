@@ -35,10 +35,10 @@ def _bars(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[
 
 def make_pages() -> None:
     """Write all pages that are made from the code, and remove pages that are no longer made."""
-    from _site import about, commands, configuration, environments, gallery, reference
+    from _site import about, commands, configuration, environments, policies, reference
 
     pages = environments.pages(MADE)
-    for made in (about, commands, configuration, gallery, reference):
+    for made in (about, commands, configuration, policies, reference):
         pages |= made.pages()
     for old in MADE.rglob("*.md"):
         if str(old.relative_to(MADE)) not in pages:

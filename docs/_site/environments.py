@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import re
 import tempfile
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
@@ -23,21 +25,31 @@ _MILLISECONDS = 700  # duration of a decision in an animation
 
 def pages(made: Path) -> dict[str, str]:
     """Return the pages by file name, and write their animations below the folder ``made``."""
-    texts = {"environments/index.md": _index()}
+    films = {task: animation(task, made / "environments") for task in SHOWN_IN}
+    texts = {"environments/index.md": _index(films)}
     for task, class_name in TASKS.items():
-        texts[f"environments/{task.lower()}.md"] = _page(task, getattr(tasks, class_name), made)
+        texts[f"environments/{task.lower()}.md"] = _page(task, getattr(tasks, class_name), films)
     return texts
 
 
-def _index() -> str:
+def _index(films: Mapping[str, str]) -> str:
+    cards = []
+    for task, class_name in TASKS.items():
+        (summary,) = re.findall(
+            r"^\*\*.*?\*\*: (.*)$", inspect.cleandoc(getattr(tasks, class_name).__doc__), re.MULTILINE
+        )
+        picture = f"![{POLICY} in {task}, decision by decision]({films.get(task, films['Mesh-v0'])})"
+        cards.append(f"- [{picture}]({task.lower()}.md)\n  [**{task}**]({task.lower()}.md): {summary}")
     names = "\n".join(task.lower() for task in TASKS)
     return (
-        "# Environments\n\nOne environment in six tasks, which differ in what they explore.\n\n"
-        f"```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
+        "# Environments\n\nOne environment in six tasks, which differ in what they explore. Scenes of Replica and "
+        "Matterport3D may not be published here; their pictures are those of Mesh-v0.\n\n"
+        + "\n".join(cards)
+        + f"\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
     )
 
 
-def _page(task: str, kind: type, made: Path) -> str:
+def _page(task: str, kind: type, films: Mapping[str, str]) -> str:
     lines = inspect.cleandoc(kind.__doc__ or "").replace(
         "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../reference/observation.md)"
     )
@@ -48,7 +60,7 @@ def _page(task: str, kind: type, made: Path) -> str:
         "Matterport3D-v0": " Buildings of Matterport3D may not be published here, so the animation is that of Mesh-v0.",
     }
     shown = (
-        f"```{{figure}} {animation(film, made / 'environments')}\n"
+        f"```{{figure}} {films[film]}\n"
         f":alt: {POLICY} in {SHOWN_IN[film]}: camera, map and plan, decision by decision\n\n"
         f"`{POLICY}` in `{SHOWN_IN[film]}`, {FRAMES} frames, preset `fast`: what the camera sees, the map from the "
         f'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.{notes.get(task, "")}\n```\n\n'

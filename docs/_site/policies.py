@@ -1,8 +1,9 @@
-"""Make the gallery of policies: criterion, equation and features from docstrings, and curves of the benchmark."""
+"""Make the table of policies and a page per policy: rules from docstrings, results from the notebook's CSVs."""
 
 from __future__ import annotations
 
 import csv
+import html
 import inspect
 import json
 import re
@@ -19,6 +20,17 @@ from activestructure_gym.policies import POLICIES, Policy
 DOCS = Path(__file__).parents[1]
 CURVES = DOCS / "images" / "benchmark_curves.json"
 RUNS = DOCS / "notebook" / "benchmark.csv"
+COSTS = DOCS / "notebook" / "decisions.csv"  # written by decisions.py
+COST = "processor_s"
+COLUMNS = {  # heading and explanation of each number in the table, by column of the CSVs
+    "observed": ("observed (%)", "share of the surface that any keyframe saw"),
+    "completion_ratio": ("C.R. (%)", "completion ratio: share of the surface with a Gaussian within 5 cm"),
+    "psnr": ("PSNR (dB)", "image quality of held-out views"),
+    "metres": ("path (m)", "length of the camera's path"),
+    COST: ("cost (s)", "processor seconds of one decision"),
+}
+FORMATS = {"observed": ".1f", "completion_ratio": ".1f", "psnr": ".2f", "metres": ".1f", COST: ".2f"}
+HOME = ("unknown_volume", "activestructure", "learned", "hole_area", "gs_planner", "active_gs", "fisherrf", "random")
 SEEDS = ("0", "1", "2")  # seeds that every policy has played
 SAME = {"activestructure-a": "pixel_only"}  # policy whose runs are byte by byte those of another policy, by name
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # size, left margin and lower margin of a chart in pixels
@@ -26,36 +38,76 @@ _MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # metric and limits of the verti
 
 
 def pages() -> dict[str, str]:
-    """Return the gallery and one page per policy, by file name."""
+    """Return the table of all policies, a page per policy, and the rows of the home page, by file name."""
     curves = json.loads(CURVES.read_text(encoding="utf-8"))
     names = sorted(POLICIES)
     texts = {f"policies/{name}.md": _page(name, curves) for name in names}
-    last = {name: curves["policies"][name][_MEASURE][-1] for name in names if name in curves["policies"]}
-    order = sorted(last, key=lambda name: -last[name]) + [name for name in names if name not in last]
-    cards = "\n".join(_card(name, curves) for name in order)
+    measured = {name: number for name in names if (number := benchmark(name, "psnr")) is not None}
+    order = sorted(measured, key=lambda name: -measured[name]) + [name for name in names if name not in measured]
     texts["policies/index.md"] = (
         "# Policies\n\n"
-        f"All policies, sorted by the observed share of the surface in the benchmark ({curves['runs']} runs "
-        f"each on {curves['scenes']} scenes, 300 frames; [benchmark.md](../../notebook/benchmark.md)). A curve is the "
-        "observed share of the observable surface over frames. The other policies are in grey, and the one-step oracle "
-        "with ground truth (`--references oracle`) is dashed. "
-        "Results of the published planners are in [the notebook](../../notebook/planners.md).\n\n"
-        f"{_table(names)}\n\n"
-        f'```{{raw}} html\n{_behind(curves)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
+        f"Results are means over the {curves['scenes']} scenes of the [benchmark](../../notebook/benchmark.md), "
+        "300 frames, seeds 0 to 2. Cost is the processor time of one decision with 256 candidates and 30,000 "
+        "Gaussians, on one thread of a busy machine. Click a heading to sort. Tick policies to get the command that "
+        "compares them.\n\n"
+        f"```{{raw}} html\n{_table(order)}\n```\n\n"
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )
+    texts["policies/short.txt"] = _short([name for name in order if name in HOME])
     return texts
 
 
-def _card(name: str, curves: dict) -> str:
-    kind = POLICIES.get(name)
-    behind = '<use href="#others"/>'
-    chart = (
-        _chart(name, curves, behind) if name in curves["policies"] else '<p class="none">no run in the benchmark</p>'
+def kind_of(policy: type[Policy]) -> str:
+    """Return the origin of a policy: "learned", "ActiveStructure" (the paper), "ours" or "published"."""
+    if ".learned." in policy.__module__:
+        return "learned"
+    if policy.source.startswith("ActiveStructure"):
+        return "ActiveStructure"
+    return "ours" if policy.source.startswith("this project") else "published"
+
+
+def _table(order: Sequence[str]) -> str:
+    """Return the table of policies as HTML; policies.js sorts and filters it and writes the command."""
+    kinds = sorted({kind_of(POLICIES.get(name)) for name in order}, key=str.lower)
+    columns = {"policy": "the name in commands", "origin": "", "rule and source": "", **dict(COLUMNS.values())}
+    heads = "".join(f'<th scope="col" title="{words}">{head}</th>' for head, words in columns.items())
+    rows = "\n".join(map(_row, order))
+    choices = "".join(f"<option>{kind}</option>" for kind in kinds)
+    sorts = "".join(f'<option value="{number}">{head}</option>' for number, head in enumerate(columns) if number != 2)
+    return (
+        '<div class="policies"><div class="tools">'
+        '<input type="search" placeholder="filter" aria-label="Filter the policies">'
+        f'<select class="kind" aria-label="Origin"><option value="">all origins</option>{choices}</select>'
+        f'<select class="sort" aria-label="Sort by"><option value="">sort by</option>{sorts}</select>'
+        '<span class="command"><code>asg compare --policies hole_area,random</code><button>copy</button></span></div>\n'
+        f"<table><thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>\n"
+        '<script src="../../_static/policies.js"></script>'
     )
-    decides = _plain(kind.criterion or _first(kind))
+
+
+def _row(name: str) -> str:
+    kind = POLICIES.get(name)
     equation = f"<code>{_plain(found)}</code>" if (found := _equation(kind)) else ""
-    return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{equation}{chart}</a>'
+    numbers = "".join(
+        f'<td data-label="{head}">{"" if (value := benchmark(name, key)) is None else format(value, FORMATS[key])}</td>'
+        for key, (head, _) in COLUMNS.items()
+    )
+    return (
+        f'<tr><td><label><input type="checkbox" value="{name}" aria-label="Compare {name}"></label>'
+        f'<a href="{name}.html">{name}</a></td><td>{kind_of(kind)}</td>'
+        f"<td>{_plain(kind.criterion or _first(kind))}{equation}<small>{_plain(kind.source)}</small></td>{numbers}</tr>"
+    )
+
+
+def _short(order: Sequence[str]) -> str:
+    """Return the table of the home page as Markdown."""
+    lines = ["| policy | origin | observed (%) | C.R. (%) | PSNR (dB) |", "|---|---|---:|---:|---:|"]
+    for name in order:
+        numbers = " | ".join(
+            f"{benchmark(name, key):{FORMATS[key]}}" for key in ("observed", "completion_ratio", "psnr")
+        )
+        lines.append(f"| [`{name}`](_made/policies/{name}.md) | {kind_of(POLICIES.get(name))} | {numbers} |")
+    return "\n".join(lines) + "\n"
 
 
 def _page(name: str, curves: dict) -> str:
@@ -65,13 +117,13 @@ def _page(name: str, curves: dict) -> str:
         f"Criterion: {kind.criterion or _first(kind)}. Travel term: {kind.travel_term}. Source: {kind.source}.\n",
     ]
     if name in curves["policies"]:
-        row = " | ".join(f"{_benchmark(name, key):.1f}" for key in ("observed", "completion_ratio", "psnr"))
+        row = " | ".join(f"{benchmark(name, key):{FORMATS[key]}}" for key in COLUMNS)
         parts.append(
-            f"```{{raw}} html\n{_chart(name, curves, _others(curves))}\n```\n\n"
+            f"```{{raw}} html\n{_chart(name, curves)}\n```\n\n"
             "Observed share of the surface (%) over frames; the other policies in grey, the one-step oracle with "
             "ground truth dashed.\n\n"
-            "| after 300 frames | observed (%) | C.R. of means (%) | PSNR (dB) |\n|---|---:|---:|---:|\n"
-            f"| `{name}` | {row} |\n\n"
+            f"| after 300 frames | {' | '.join(head for head, _ in COLUMNS.values())} |\n"
+            f"|---|{'---:|' * len(COLUMNS)}\n| `{name}` | {row} |\n\n"
             f"Means over {curves['scenes']} scenes of means over seeds, {curves['runs']} runs; with intervals in "
             "[benchmark.md](../../notebook/benchmark.md).\n"
         )
@@ -94,21 +146,23 @@ def _page(name: str, curves: dict) -> str:
     return "\n".join(parts)
 
 
-def _benchmark(name: str, key: str) -> float:
-    """Return a policy's value of the metric ``key`` in the table of benchmark.md.
+def benchmark(name: str, key: str) -> float | None:
+    """Return the mean of the metric ``key`` of a policy in benchmark.csv, or its cost in decisions.csv.
 
-    It is the mean over scenes of means over `SEEDS`.
+    A mean is over scenes of means over `SEEDS`, as in the table of benchmark.md. None: the policy has no run there.
     """
+    if key == COST:
+        return next((float(row[key]) for row in _rows(COSTS) if row["policy"] == name), None)
     by_scene = defaultdict(list)
-    for run in _runs():
+    for run in _rows(RUNS):
         if run["policy"] == SAME.get(name, name) and run["seed"] in SEEDS:
             by_scene[run["scene"]].append(float(run[key]))
-    return fmean(map(fmean, by_scene.values()))
+    return fmean(map(fmean, by_scene.values())) if by_scene else None
 
 
 @cache
-def _runs() -> list[dict[str, str]]:
-    with RUNS.open(newline="", encoding="utf-8") as file:
+def _rows(place: Path) -> list[dict[str, str]]:
+    with place.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
@@ -118,15 +172,6 @@ def _equation(kind: type[Policy]) -> str:
     first = re.sub(r"^(Choose|Follow) ", "", first)
     sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|, as ActiveGS", first)
     return next((one.strip(" .") for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
-
-
-def _table(names: Sequence[str]) -> str:
-    rows = ["| policy | criterion | own travel term | source |", "|---|---|---|---|"]
-    for name in names:
-        kind = POLICIES.get(name)
-        cells = (kind.criterion or _first(kind), kind.travel_term, kind.source)
-        rows.append(f"| [`{name}`]({name}.md) | {' | '.join(map(escaped, cells))} |")
-    return "\n".join(rows)
 
 
 def _readme(kind: type[Policy]) -> str:
@@ -143,10 +188,10 @@ def _first(kind: type[Policy]) -> str:
 
 
 def _plain(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace("`", "")
+    return html.escape(text.replace("`", ""), quote=False)
 
 
-def _chart(name: str, curves: dict, behind: str) -> str:
+def _chart(name: str, curves: dict) -> str:
     frames, mine = curves["frames"], curves["policies"][name][_MEASURE]
     ticks = "".join(
         f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH}" y1="{_y(value):.0f}" y2="{_y(value):.0f}"/>'
@@ -158,7 +203,7 @@ def _chart(name: str, curves: dict, behind: str) -> str:
         for frame, place in ((0, "start"), (100, "middle"), (200, "middle"), (300, "end"))
     )
     said = f"{name}: {mine[-1]:.0f} percent of the surface observed after {frames[-1]} frames"
-    lines = f"{ticks}{below}{behind}{_line(frames, mine, 'mine')}"
+    lines = f"{ticks}{below}{_others(curves)}{_line(frames, mine, 'mine')}"
     return f'<svg class="curve" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{lines}</svg>'
 
 
@@ -166,12 +211,6 @@ def _others(curves: dict) -> str:
     """Return the curves of all policies and of the oracle as SVG elements, for the background of a chart."""
     policies = [_line(curves["frames"], values[_MEASURE], "other") for values in curves["policies"].values()]
     return "".join(policies) + _line(curves["frames"], curves["references"]["oracle"][_MEASURE], "reference")
-
-
-def _behind(curves: dict) -> str:
-    """Return the background of all charts as an SVG with a definition "others", to which the charts refer."""
-    lines = f'<defs><g id="others">{_others(curves)}</g></defs>'
-    return f'<svg class="curve" width="0" height="0" aria-hidden="true">{lines}</svg>'
 
 
 def _line(frames: Sequence[float], values: Sequence[float], kind: str) -> str:

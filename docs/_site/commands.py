@@ -72,5 +72,5 @@ def _section(kind: type, name: str, *words: str) -> str:
 def _marked(text: str) -> str:
     """Escape a text as Markdown, and mark options such as --out as code."""
     parts = text.split("`")
-    parts[::2] = [re.sub(r"(?<![\w-])(--[a-z][\w-]*)", r"`\1`", part) for part in parts[::2]]
+    parts[::2] = [re.sub(r"(?<![\w-])(--[a-z][\w-]*(?:=[^\s)]+)?)", r"`\1`", part) for part in parts[::2]]
     return escaped("`".join(parts))

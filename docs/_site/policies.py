@@ -26,10 +26,9 @@ COLUMNS = {  # heading and explanation of each number in the table, by column of
     "observed": ("observed (%)", "share of the surface that any keyframe saw"),
     "completion_ratio": ("C.R. (%)", "completion ratio: share of the surface with a Gaussian within 5 cm"),
     "psnr": ("PSNR (dB)", "image quality of held-out views"),
-    "metres": ("path (m)", "length of the camera's path"),
     COST: ("cost (s)", "processor seconds of one decision"),
 }
-FORMATS = {"observed": ".1f", "completion_ratio": ".1f", "psnr": ".2f", "metres": ".1f", COST: ".2f"}
+FORMATS = {"observed": ".1f", "completion_ratio": ".1f", "psnr": ".2f", COST: ".2f"}
 HOME = ("unknown_volume", "activestructure", "learned", "hole_area", "gs_planner", "active_gs", "fisherrf", "random")
 SEEDS = ("0", "1", "2")  # seeds that every policy has played
 SAME = {"activestructure-a": "pixel_only"}  # policy whose runs are byte by byte those of another policy, by name
@@ -69,11 +68,11 @@ def kind_of(policy: type[Policy]) -> str:
 def _table(order: Sequence[str]) -> str:
     """Return the table of policies as HTML; policies.js sorts and filters it and writes the command."""
     kinds = sorted({kind_of(POLICIES.get(name)) for name in order}, key=str.lower)
-    columns = {"policy": "the name in commands", "origin": "", "rule and source": "", **dict(COLUMNS.values())}
+    columns = {"policy": "the name in commands", "rule and source": "", **dict(COLUMNS.values())}
     heads = "".join(f'<th scope="col" title="{words}">{head}</th>' for head, words in columns.items())
     rows = "\n".join(map(_row, order))
     choices = "".join(f"<option>{kind}</option>" for kind in kinds)
-    sorts = "".join(f'<option value="{number}">{head}</option>' for number, head in enumerate(columns) if number != 2)
+    sorts = "".join(f'<option value="{number}">{head}</option>' for number, head in enumerate(columns) if number != 1)
     return (
         '<div class="policies"><div class="tools">'
         '<input type="search" placeholder="filter" aria-label="Filter the policies">'
@@ -93,9 +92,9 @@ def _row(name: str) -> str:
         for key, (head, _) in COLUMNS.items()
     )
     return (
-        f'<tr><td><label><input type="checkbox" value="{name}" aria-label="Compare {name}"></label>'
-        f'<a href="{name}.html">{name}</a></td><td>{kind_of(kind)}</td>'
-        f"<td>{_plain(kind.criterion or _first(kind))}{equation}<small>{_plain(kind.source)}</small></td>{numbers}</tr>"
+        f'<tr data-kind="{kind_of(kind)}"><td><label><input type="checkbox" value="{name}" aria-label="Compare {name}">'
+        f'</label><a href="{name}.html">{name}</a></td><td>{_plain(kind.criterion or _first(kind))}{equation}'
+        f"<small>{_plain(kind.source)}</small></td>{numbers}</tr>"
     )
 
 

@@ -31,10 +31,10 @@ ROOMS = {
 def pages() -> dict[str, str]:
     """Return a page per room, the table of features, and the index of the reference, by file name."""
     texts = {f"reference/{room}.md": _page(room, title) for room, title in ROOMS.items()}
-    texts["features/index.md"] = f"# Table of the features\n\n{feature_table()}\n"
+    texts["features/index.md"] = f"# Features\n\n{feature_table()}\n"
     names = "\n".join(ROOMS)
     texts["reference/index.md"] = (
-        "# Reference\n\nPublic names by room, with shapes, units and frames. The names of "
+        "# Python API\n\nPublic names by room, with shapes, units and frames. The names of "
         "[the list](../../reference/api.md) are stable; other names may move.\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
     )

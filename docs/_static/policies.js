@@ -7,7 +7,7 @@
 
   function sort(column, down) {
     const text = (row) => row.cells[column].textContent.trim();
-    const value = (row) => (column < 3 ? text(row) : text(row) === "" ? null : Number(text(row)));
+    const value = (row) => (column < 2 ? text(row) : text(row) === "" ? null : Number(text(row)));
     rows.sort((a, b) => {
       const [x, y] = [value(a), value(b)];
       if (x === null || y === null) return (x === null) - (y === null);  // rows without a number are last
@@ -16,7 +16,7 @@
     body.append(...rows);
     heads.forEach((head, at) => at === column ? head.setAttribute("aria-sort", down ? "descending" : "ascending") : head.removeAttribute("aria-sort"));
   }
-  const best = (column) => column >= 3 && column <= 5;  // more is better: first click sorts downwards
+  const best = (column) => column >= 2 && column <= 4;  // more is better: first click sorts downwards
   heads.forEach((head, column) => {
     head.tabIndex = 0;
     const click = () => {
@@ -32,7 +32,7 @@
     const words = search.value.toLowerCase().split(/\s+/);
     for (const row of rows) {
       const text = row.textContent.toLowerCase();
-      row.hidden = !words.every((word) => text.includes(word)) || (kind.value && row.cells[1].textContent !== kind.value);
+      row.hidden = !words.every((word) => text.includes(word)) || (kind.value && row.dataset.kind !== kind.value);
     }
   }
   search.addEventListener("input", filter);

@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.style import hue
+from activestructure_gym.evaluation.report.tables.formats import latex
 from activestructure_gym.evaluation.report.tables.layout import Cell, Table
 from activestructure_gym.evaluation.report.text_filters import compressed, without_folders
 
@@ -68,15 +69,15 @@ class _Shown(NamedTuple):
 def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True) -> Markup:
     """Return a table with its caption as HTML.
 
-    Policies in ``colours`` get a dot in their colour. Readers can sort a table without blocks of rows: by the values in
-    full precision if ``exact``, else by the printed values.
+    Policies in ``colours`` get a dot in their colour. Readers can sort the rows: by the values in full precision if
+    ``exact``, else by the printed values. With ``exact``, they can copy the table as LaTeX.
     """
     ends = [0, *table.blocks, len(table.rows)]
     blocks = [
         [_row(table, index, end, colours, exact) for index in range(start, end)]
         for start, end in zip(ends[:-1], ends[1:])
     ]
-    return render("table.html.j2", table=table, blocks=blocks)
+    return render("table.html.j2", table=table, blocks=blocks, latex=compressed([latex(table)]) if exact else "")
 
 
 def _row(table: Table, index: int, end: int, colours: Sequence[str], exact: bool) -> list[_Shown]:

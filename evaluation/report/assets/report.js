@@ -34,6 +34,23 @@
     if (numbers[0] !== numbers[1]) return numbers[0] ? -1 : 1;
     return a.localeCompare(b, undefined, { numeric: true });
   };
+  // Turn blocks of rows into one: each row gets a copy of the first cell, which spans the rows of its block.
+  const flatten = (table) => {
+    for (const head of table.querySelectorAll("tbody th[rowspan]")) {
+      let row = head.parentElement;
+      const rows = head.rowSpan;
+      head.removeAttribute("rowspan");
+      for (let n = 1; n < rows; n++) {
+        row = row.nextElementSibling;
+        row.prepend(head.cloneNode(true));
+      }
+    }
+    const [body, ...others] = table.tBodies;
+    for (const other of others) {
+      body.append(...other.rows);
+      other.remove();
+    }
+  };
   const makeSortable = (table) => {
     for (const button of table.querySelectorAll("thead button")) {
       button.addEventListener("click", () => {
@@ -42,6 +59,7 @@
         const up = head.getAttribute("aria-sort") !== "ascending";
         for (const other of table.querySelectorAll("th[aria-sort]")) other.removeAttribute("aria-sort");
         head.setAttribute("aria-sort", up ? "ascending" : "descending");
+        flatten(table);
         const body = table.tBodies[0];
         const rows = [...body.rows].sort((a, b) => {
           const keys = [key(a, column), key(b, column)];
@@ -52,6 +70,16 @@
         body.append(...rows);
       });
     }
+  };
+
+  // Name the cells of a table by their headings: narrow screens show a row as a list.
+  const label = (table) => {
+    const headings = [...table.tHead.rows[table.tHead.rows.length - 1].cells].map((head) => head.textContent);
+    for (const row of table.tBodies[0].parentElement.querySelectorAll("tbody tr")) {
+      const cells = [...row.cells].reverse();
+      for (const [n, cell] of cells.entries()) cell.dataset.label = headings[headings.length - 1 - n];
+    }
+    table.classList.add("labelled");
   };
 
   // Show a hint next to tables with hidden columns on the right.
@@ -172,6 +200,7 @@
   // Add behaviour to a part of the page, at the start or after it was unpacked.
   const dress = (part) => {
     part.querySelectorAll("table.sortable").forEach(makeSortable);
+    for (const table of part.querySelectorAll("figure.table table")) if (!table.closest(".trace")) label(table);
     part.querySelectorAll("svg.chart[data-frame]").forEach(makeReadable);
     for (const button of legend) follow(button, part);
     for (const box of part.querySelectorAll("figure.table > .wide")) {
@@ -187,6 +216,29 @@
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     return JSON.parse(await new Response(stream).text());
   };
+  // Copy the code before a button, or the LaTeX of a table.
+  document.addEventListener("click", async (event) => {
+    const button = event.target.closest("button.copy");
+    if (!button) return;
+    const packed = button.dataset.latex;
+    const text = packed ? (await unpack(packed))[0] : button.previousElementSibling.textContent;
+    const before = button.textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "copied";
+      setTimeout(() => { button.textContent = before; }, 1500);
+    } catch {
+      prompt("Copy this text:", text);
+    }
+  });
+  // The list of sections is closed on narrow screens, and after a choice in it.
+  const menu = document.querySelector("nav .menu");
+  const narrow = matchMedia("(max-width: 760px)");
+  const fold = () => { menu.open = !narrow.matches; };
+  narrow.addEventListener("change", fold);
+  menu.addEventListener("click", (event) => { if (event.target.closest("a")) fold(); });
+  fold();
+
   for (const group of document.querySelectorAll(".packed")) {
     let texts;
     const folded = [...group.querySelectorAll(":scope > details")];

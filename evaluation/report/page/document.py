@@ -9,14 +9,15 @@ from markupsafe import Markup
 
 from activestructure_gym.errors import pluralised
 from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.page.answer import answer
 from activestructure_gym.evaluation.report.page.convergence_section import convergence_section
-from activestructure_gym.evaluation.report.page.glance_section import glance_section
 from activestructure_gym.evaluation.report.page.header_figure import header_figure
 from activestructure_gym.evaluation.report.page.method_section import method_section
 from activestructure_gym.evaluation.report.page.scene_section import scene_section
 from activestructure_gym.evaluation.report.page.table_sections import (
     costs_section,
     differences_section,
+    policies_section,
     published_section,
     quality_section,
     sweep_section,
@@ -43,7 +44,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
     title += f", sweep of {_listed(list(results.sweep))}" if results.sweep else ""
     sections = [
         _header(results, title, anchors[0], directory),
-        glance_section(results),
+        policies_section(results),
         sweep_section(results),
         quality_section(results),
         differences_section(results),
@@ -53,7 +54,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
         method_section(results),
     ]
-    named = {"glance": "At a glance", "sweep": "Sweep", "quality": "Quality", "against": "Differences"}
+    named = {"policies": "All policies", "sweep": "Sweep", "quality": "Quality", "against": "Differences"}
     named |= {
         "convergence": "Convergence",
         "costs": "Costs",
@@ -79,19 +80,11 @@ def _asset(name: str) -> Markup:
 
 
 def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
-    first = results.runs[0]
-    policies = len({run.planner for run in results.runs})
-    counts = [
-        pluralised(len(results.scenes), "scene"),
-        pluralised(policies, "policy", "policies"),
+    facts = [
+        pluralised(len(results.runs), "run"),
         pluralised(len(results.seeds), "seed"),
         *(f"{pluralised(len(values), 'value')} of {name}" for name, values in results.sweep.items()),
-    ]
-    facts = [
-        f"{pluralised(len(results.runs), 'finished run')}: {', '.join(counts)}",
-        f"{first.job.conditions.setup} setup, preset {first.job.conditions.preset}, "
-        f"{results.each(lambda config: str(config['frame_budget']))} frames per run",
-        f"protocol{'s' * (len(results.protocols) > 1)} {' and '.join(results.protocols)}",
+        f"{results.each(lambda config: str(config['frame_budget']))} frames each",
     ]
     return render(
         "header.html.j2",
@@ -99,6 +92,7 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
         facts=facts,
         crossed={run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])},
         missing=results.missing,
+        answer=answer(results),
         figure=header_figure(results, anchor, directory),
     )
 

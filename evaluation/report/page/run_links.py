@@ -31,12 +31,20 @@ def run_links(run: Run, directory: Path | None) -> list[Link]:
     Only runs in ``directory`` or next to it are linked; other addresses would reveal local paths. None as ``directory``
     gives no links.
     """
+    place = relative_place(run, directory)
+    return (
+        []
+        if place is None
+        else [Link(name, f"{quote(place)}/{file}") for name, file in _FILES.items() if (run.directory / file).is_file()]
+    )
+
+
+def relative_place(run: Run, directory: Path | None) -> str | None:
+    """Return the path of a run relative to ``directory``, or None if it is neither in it nor next to it."""
     if directory is None:
-        return []
+        return None
     place = os.path.relpath(run.directory, directory).replace(os.sep, "/")
-    if place.startswith("../../") or os.path.isabs(place):
-        return []
-    return [Link(name, f"{quote(place)}/{file}") for name, file in _FILES.items() if (run.directory / file).is_file()]
+    return None if place.startswith("../../") or os.path.isabs(place) else place
 
 
 def replay_link(run: Run, directory: Path | None) -> Link | None:

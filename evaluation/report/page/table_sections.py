@@ -1,4 +1,4 @@
-"""Build the page's sections of tables: sweep, quality by scene, differences to the baseline, costs, published."""
+"""Build the page's sections of tables: all policies, sweep, quality by scene, differences, costs, published."""
 
 from __future__ import annotations
 
@@ -9,13 +9,28 @@ from markupsafe import Markup
 from activestructure_gym.evaluation.report.charts.plots import Bar, interval_chart, legend_marker
 from activestructure_gym.evaluation.report.charts.sweep import sweep_charts
 from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.page.method_text import metric_definitions, missing_value_texts
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.style import COLOURS
 from activestructure_gym.evaluation.report.tables import verdicts
 from activestructure_gym.evaluation.report.tables.columns import MAIN, Column, aspects, measured
 from activestructure_gym.evaluation.report.tables.layout import Table
-from activestructure_gym.evaluation.report.tables.paper import quality_table
+from activestructure_gym.evaluation.report.tables.paper import ablation_table, quality_table
 from activestructure_gym.evaluation.report.tables.sweep import sweep_lines, sweep_table
+
+
+def policies_section(results: Results) -> Markup:
+    """Return the section of all policies as HTML: a table for each aspect, and the definitions of the metrics."""
+    first, *others = [
+        html_table(ablation_table(results, aspect), colours=results.palette) for aspect in aspects(results.runs)
+    ]
+    return render(
+        "policies.html.j2",
+        first=first,
+        others=others,
+        definitions=metric_definitions(results),
+        missing_value_texts=missing_value_texts(results),
+    )
 
 
 def sweep_section(results: Results) -> Markup | None:

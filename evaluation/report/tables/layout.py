@@ -55,8 +55,8 @@ class Table:
 
     @property
     def sortable(self) -> bool:
-        """Return whether readers can sort the rows on the page; tables with blocks or groups cannot be sorted."""
-        return not self.blocks and not self.groups and len(self.rows) > 1
+        """Return whether readers can sort the rows on the page; tables with groups of columns cannot be sorted."""
+        return not self.groups and len(self.rows) > 1
 
     def shown(self, row: int, column: int) -> str:
         """Return the text of a cell; empty for a cell of column 0 that repeats the cell above in the same block."""

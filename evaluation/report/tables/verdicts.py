@@ -39,7 +39,7 @@ from activestructure_gym.evaluation.statistics import (
     probability_of_improvement,
 )
 
-_FEW = 6  # with fewer pairs, a two-sided sign test cannot be significant at 5 %: 2 / 2^5 = 6 %, and 2 / 2^6 = 3 %
+FEW = 6  # with fewer pairs, a two-sided sign test cannot be significant at 5 %: 2 / 2^5 = 6 %, and 2 / 2^6 = 3 %
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
     """Return a text such as "better (95 %)" and a tone for a paired difference; both are empty without an interval.
 
     Printed values are compared, so differences below the last printed digit are equal. With very few pairs, an interval
-    excludes 0 whenever all pairs have the same sign; with fewer than `_FEW` pairs, the text states their number and the
+    excludes 0 whenever all pairs have the same sign; with fewer than `FEW` pairs, the text states their number and the
     tone is empty.
     """
     exact = pair.difference
@@ -120,7 +120,7 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
         return "no significant difference", ""
     better = found.value * column.sign > 0
     words = f"{'better' if better else 'worse'} (95 %)"
-    if pair.pairs < _FEW:
+    if pair.pairs < FEW:
         return f"{words}, {pair.pairs} pairs only", ""
     return words, "good" if better else "bad"
 

@@ -55,7 +55,7 @@ def swept_runs(make_run):
 def test_texts_name_every_sensor_and_budget_of_a_sweep(swept_runs):
     results = Results(swept_runs, [])
     assert "sensor 96 x 54 or 160 x 54 pixels, depth noise none." in machine_text(results)
-    assert "200 or 100 frames per run" in html_page(results)
+    assert "200 or 100 frames each" in html_page(results)
     assert "200 or 100 frames of 96 x 54 or 160 x 54 pixels, protocol" in published_tables(results)[0].caption
 
 

@@ -39,4 +39,4 @@ def test_a_block_says_its_name_once():
     rows = [[Cell("a"), Cell("1")], [Cell("a"), Cell("2")], [Cell("a"), Cell("3")]]
     table = Table("t", "T", [Heading("x"), Heading("y")], rows, blocks=[2])
     assert [table.shown(i, 0) for i in range(3)] == ["a", "", "a"]
-    assert not table.sortable and Table("t", "T", [], rows).sortable
+    assert table.sortable and not Table("t", "T", [], rows, groups=[("g", 2)]).sortable

@@ -1,0 +1,68 @@
+"""Build the page's answer: the policy that is best in most metrics, and per metric the best one and its lead."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from activestructure_gym.errors import pluralised
+from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.tables import verdicts
+from activestructure_gym.evaluation.report.tables.layout import with_interval
+
+_NAMED = 3  # largest number of policies that the sentence names
+
+
+def answer(results: Results) -> Markup:
+    """Return a sentence and one card per main metric as HTML."""
+    leads = verdicts.leads(results)
+    return render("answer.html.j2", text=answer_text(results, leads), cards=[_card(results, lead) for lead in leads])
+
+
+def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
+    """Return sentences that name the policies with the best means, and how many of their leads are significant."""
+    if not any(lead.runner_up for lead in leads):
+        return ""
+    wins = Counter(lead.policy for lead in leads if not lead.tied).most_common()
+    count, more = pluralised(len(leads), "metric"), sum(number for _, number in wins[_NAMED:])
+    parts = [f"{policy} in {number}" for policy, number in wins[1:_NAMED]] + [f"others in {more}"] * bool(more)
+    text = "The best policies are equal in all metrics."
+    if wins:
+        policy, number = wins[0]
+        share = f"all {count}" if number == len(leads) else f"{number} of {count}"
+        text = f"{', '.join([f'{policy} is best in {share}', *parts])}."
+    if not verdicts.has_intervals(results):
+        seeds = "One seed gives" if len(results.seeds) == 1 else "A single pair on a scene gives"
+        return f"{text} {seeds} no intervals, so no lead is certain."
+    margins = [(lead.margin, lead.column) for lead in leads if lead.margin]
+    if not margins:
+        return text
+    sure = sum(verdicts.verdict(margin, column)[0].startswith("better") for margin, column in margins)
+    pairs = min(margin.pairs for margin, _ in margins)
+    few = f", from {pairs} pairs only" if pairs < verdicts.FEW else ""
+    return (
+        f"{text} {sure} of {pluralised(len(margins), 'lead')} {'is' if sure == 1 else 'are'} significant (95 %){few}."
+    )
+
+
+def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
+    column, ahead, words, tone = lead.column, "", "", ""
+    if lead.margin is not None and lead.runner_up is not None:
+        ahead = f"{with_interval(lead.margin.difference, column.digits, signed=True).text} against {lead.runner_up}"
+        words, tone = verdicts.verdict(lead.margin, column)
+    return {
+        "metric": column.header,
+        "meaning": column.meaning,
+        "value": f"{lead.mean.value:.{column.digits}f}",
+        "unit": column.unit,
+        "winners": [(results.palette.index(policy), policy) for policy in (lead.policy, *lead.tied)],
+        "shared": bool(lead.tied),
+        "ahead": ahead,
+        # The sentence above the cards defines "significant" and gives the number of pairs.
+        "verdict": words.partition(",")[0].replace(" significant", ""),
+        "tone": tone,
+    }

@@ -1,0 +1,54 @@
+import pytest
+
+from activestructure_gym.evaluation.report.page.answer import answer, answer_text
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.tables.verdicts import leads
+
+
+def made(make_run, seeds, **psnr):
+    """Results of policies with equal metrics except the PSNR, by seed."""
+    runs = [make_run("room", policy, seed, psnr=psnr[policy] + 0.1 * seed) for policy in psnr for seed in range(seeds)]
+    return Results(runs, [])
+
+
+@pytest.mark.parametrize(
+    ("seeds", "psnr", "text"),
+    [
+        (6, {"a": 20.0, "b": 22.0}, "b is best in 1 of 2 metrics. 1 of 1 lead is significant (95 %)."),
+        (
+            2,
+            {"a": 20.0, "b": 22.0},
+            "b is best in 1 of 2 metrics. 1 of 1 lead is significant (95 %), from 2 pairs only.",
+        ),
+        (2, {"a": 20.0, "b": 20.0}, "The best policies are equal in all metrics."),
+        (
+            1,
+            {"a": 23.0, "b": 22.0},
+            "a is best in 1 of 2 metrics. One seed gives no intervals, so no lead is certain.",
+        ),
+        (1, {"a": 23.0}, ""),
+    ],
+)
+def test_the_sentence_names_the_best_and_says_whether_it_is_sure(make_run, seeds, psnr, text):
+    results = made(make_run, seeds, **psnr)
+    assert answer_text(results, leads(results)) == text
+
+
+def test_of_several_winners_the_most_frequent_is_first(make_run):
+    numbers = {"a": {"psnr": 25.0}, "b": {"observed": 70.0, "completion_ratio": 85.0}, "c": {}}
+    runs = [
+        make_run("room", policy, seed, **{"observed": 60.0, **own})
+        for policy, own in numbers.items()
+        for seed in (0, 1)
+    ]
+    results = Results(runs, [])
+    assert answer_text(results, leads(results)).startswith("b is best in 2 of 3 metrics, a in 1. 3 of 3 leads are")
+
+
+def test_a_card_has_value_winner_lead_and_verdict(make_run):
+    text = answer(made(make_run, 6, a=20.0, b=22.0))
+    card = text[text.index('<span class="metric">PSNR</span>') :]
+    assert "<strong>22.25<small> dB</small></strong>" in card and "</i>b</span>" in card
+    assert '<span class="ahead">+2.00 [+2.00, +2.00] against a</span>' in card
+    assert '<span class="badge good">better (95 %)</span>' in card
+    assert "equal as printed" in text[: text.index('<span class="metric">PSNR</span>')]  # of C.R.

@@ -70,12 +70,12 @@ class ReconstructionConfig:
 Preset = Literal["rl", "fast", "default", "full", "paper"]
 
 # 2000 frames leave time for surfaces that the default pool cannot see, such as those under and behind objects
-# (docs/notebook/exploration.md, "What the pool can see at all").
+# (docs/notebook/lab_notes.md).
 _FINE_POOL = {"lattice_step_m": 0.25, "heights_m": (-1.0, -0.5, 0.0, 0.5, 0.8)}
 _CLOSE_BY = {"candidate_clearance": 0.2}
 
 # For learning and tests: small images, few keyframes, few candidates. Gaussians are seeded from depth and never
-# optimised (docs/notebook/performance.md, "Learning-sized environment").
+# optimised (docs/notebook/performance.md, "Environment for learning").
 _FAST: dict[str, Any] = {
     "frame_budget": 100,
     "keyframe_every": 20,
@@ -108,7 +108,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "motion": _CLOSE_BY,
     },
     # The paper's sensor, frame budget and iterations (Sec. 4.1). Every pixel can seed a Gaussian. The optimiser renders
-    # 300 x 170 pixels, and seeds are spaced for that size (docs/notebook/performance.md, "The paper's sizes on a CPU").
+    # 300 x 170 pixels, and seeds are spaced for that size (docs/notebook/performance.md).
     "paper": {
         "frame_budget": 2000,
         "sensor": {"width": 1200, "height": 680, "supersample": 1},

@@ -4,7 +4,7 @@ True planes come from the mesh, which gives the triangle of every pixel. A plane
 most pixels. Triangles join it if their normals differ by at most 3 degrees and their pixels are within 5 mm + 1.5
 sigma(z), where sigma(z) is the depth noise. So planes that the sensor cannot separate count as one. Pixels beyond the
 detector's range or at grazing angles are left out. Only planes and detected segments of at least 1 % of the image are
-counted (docs/notebook/groundwork.md). A plane is found, and a segment is correct, if their intersection over union is
+counted (docs/notebook/lab_notes.md). A plane is found, and a segment is correct, if their intersection over union is
 at least one half.
 
 *Clear* planes are large faces, for example of walls and boxes. A clear plane contains a circle with a diameter of 1/20
@@ -193,7 +193,7 @@ def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
     """Return a detector that uses OpenCV's plane finder, or None if OpenCV is older than version 5 and has none.
 
     ``noisy`` says whether images have Kinect noise. Block and segment sizes are the best measured ones: blocks of 4
-    pixels for images of 160 pixels width (docs/notebook/groundwork.md).
+    pixels for images of 160 pixels width (docs/notebook/lab_notes.md).
     """
     if not hasattr(cv2, "findPlanes") or not hasattr(cv2, "RgbdNormals_create"):
         return None

@@ -35,7 +35,7 @@ def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
 
     The path goes through known free space; its views are the keyframes that the episode would take. The second column
     is computed for 24 views without revisits: those with the largest first column times 1 / (1 + frames / 5). It is 0
-    for the others. The Gaussian map is not rendered. Alternatives: docs/notebook/exploration.md.
+    for the others. The Gaussian map is not rendered. Alternatives: docs/notebook/lab_notes.md.
     """
     poses, agent = context.world_from_camera, context.agent
     found = np.zeros((len(poses), 2))

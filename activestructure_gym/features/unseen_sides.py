@@ -31,7 +31,7 @@ def unseen_sides(context: FeatureContext) -> np.ndarray:  # [K]
     there, so `hole_area` finds no hole. A view close to a keyframe pose counts 0. Isotropic Gaussians have no back.
 
     The feature is our own; [gavis] also distinguishes the sides of a cell. Its measured effect is in
-    docs/notebook/exploration.md, "The other side of things".
+    docs/notebook/lab_notes.md.
     """
     camera = context.camera
     alpha, depth = context.alpha[:, ::_STRIDE, ::_STRIDE], context.depth[:, ::_STRIDE, ::_STRIDE]

@@ -106,7 +106,7 @@ class BaseMapperConfig:
     name: str = ""  # name under which the mapper is registered, or package.module:Name
     backend: str = "cpu"  # rasteriser: cpu (compiled kernels), gsplat (CUDA), reference (torch), or package.module:Name
     enabled: bool = True  # False: keyframes are stored, the map stays empty
-    iterations: int = 5  # optimiser steps per keyframe (row C15; 15 for higher quality)
+    iterations: int = 5  # optimiser steps per keyframe (measured; 15 for higher quality)
     keyframe_reduction: int = 1  # factor by which stored keyframes have fewer pixels per side; seeds use all pixels
     tracking: TrackingConfig = field(default_factory=TrackingConfig)  # tracking of keyframe poses; off by default
 

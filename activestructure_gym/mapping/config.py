@@ -44,8 +44,8 @@ _RANGES = {
 class MapperConfig(BaseMapperConfig):
     """Configure the default mapper, which maps posed RGB-D frames on a CPU.
 
-    The default values are the recipe ``default``. "Row B8" in a comment is a row of the table in
-    docs/notebook/groundwork.md. "Measured" refers to docs/notebook/map.md, which compares held-out views.
+    The default values are the recipe ``default``. "Measured" refers to docs/notebook/map.md and
+    docs/notebook/lab_notes.md.
     """
 
     made_by: ClassVar[str] = "activestructure_gym.mapping.mapper:Mapper"
@@ -68,7 +68,7 @@ class MapperConfig(BaseMapperConfig):
     seed_footprint: float = 1.05
     # Disks are narrowed until a boundary of the surface is this many sigmas from the mean; None means never (measured).
     border_sigmas: float | None = 1.0
-    seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: no effect in 0.02..0.3)
+    seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (measured: no effect in 0.02..0.3)
     # Opacity of a seed, 0..1 (measured: with 0.9, walls transmit 3 %, which adds up in hole features).
     seed_opacity: float = 0.99
     # Seeds with a smaller cosine between normal and line of sight are balls (own choice: 87 degrees, a depth edge).
@@ -82,7 +82,7 @@ class MapperConfig(BaseMapperConfig):
     # Seeding by SplaTAM's rule: at pixels missing in the rendered map
     # Seeds across the width of an image, up to rounding; at most one per pixel (SplaTAM-S: 600 of 1200 pixels).
     seed_columns: int = 600
-    covered_alpha: float = 0.5  # a pixel with at least this accumulated alpha is mapped (SplaTAM; row B20)
+    covered_alpha: float = 0.5  # a pixel with at least this accumulated alpha is mapped (SplaTAM)
     in_front_factor: float = 50.0  # depth tolerance of a mapped pixel, as a factor on the median depth error (SplaTAM)
     # Metres, smallest depth tolerance of a mapped pixel (own choice: no seeds from sensor noise).
     in_front_floor: float = 0.03
@@ -106,7 +106,7 @@ class MapperConfig(BaseMapperConfig):
     adam_beta1: float = 0.9  # decay rate of the first moment [adam]
     adam_beta2: float = 0.999  # decay rate of the second moment [adam]
     adam_epsilon: float = 1e-15  # term that prevents division by 0 [kerbl2023, code]
-    # Whether every event starts Adam anew, with bias correction (SplaTAM: True; row C12: −0.7 dB).
+    # Whether every event starts Adam anew, with bias correction (SplaTAM: True; measured: −0.7 dB).
     adam_reset: bool = False
 
     # View selection
@@ -152,7 +152,7 @@ class MapperConfig(BaseMapperConfig):
 
 # Recipes: differences from the default values of `MapperConfig`.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
-    # Own recipe: docs/notebook/groundwork.md, "The mapper's recipe", and later measurements.
+    # Own recipe: docs/notebook/lab_notes.md, and later measurements.
     "default": {},
     # SplaTAM-S with given poses and ActiveGAMER's schedule ([splatam, code], [activegamer, code]). Many active
     # reconstruction methods use this mapper. Values without a comment are from SplaTAM's Replica-S configuration.

@@ -1,6 +1,6 @@
 """Map posed RGB-D frames: insert Gaussians where the map lacks surface, take a few optimiser steps, prune.
 
-`MapperConfig` selects the recipe (default or SplaTAM's); measurements are in docs/notebook/groundwork.md. The backend
+`MapperConfig` selects the recipe (default or SplaTAM's); measurements are in docs/notebook/lab_notes.md. The backend
 `MapperConfig.backend` renders and optimises (`activestructure_gym.splatting.rasterizers`).
 """
 
@@ -38,7 +38,7 @@ from activestructure_gym.splatting import LossWeights
 
 # A map with more Gaussians than the first number is sorted spatially, and again whenever it has grown by the second
 # factor. Late keyframes insert few Gaussians in many places, so blocks in order of insertion would span rooms (measured
-# in docs/notebook/map.md, "Large maps").
+# in docs/notebook/map.md).
 _ORDERED_ABOVE = 200_000
 _ORDERED_AGAIN = 1.5
 

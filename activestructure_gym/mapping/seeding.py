@@ -1,7 +1,7 @@
 """Create Gaussians from surface samples of a frame, and find missing pixels by SplaTAM's rule.
 
 A seed is a flat disk in the tangent plane of the surface. Compared with one ball per pixel, disks need a quarter of the
-Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe"). The default recipe takes its
+Gaussians for the same image error (docs/notebook/lab_notes.md). The default recipe takes its
 samples from `activestructure_gym.mapping.density`; the recipe ``splatam`` uses SplaTAM's rule and balls.
 """
 

@@ -10,7 +10,7 @@ from activestructure_gym.motion.reachability import HERE, DistanceMap, path_leng
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
-_STEP = 0.4  # longest edge of the tree, metres (docs/notebook/groundwork.md, "Volume and paths")
+_STEP = 0.4  # longest edge of the tree, metres (docs/notebook/lab_notes.md)
 _GOAL_BIAS = 0.1  # fraction of samples that are the goal (same source)
 _SHORTCUTS = 100  # number of random shortcuts tried
 

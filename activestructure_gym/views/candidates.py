@@ -53,7 +53,7 @@ class ViewConfig:
     visited_distance_m: float = 0.3  # a candidate within this distance (metres) of a visited pose is removed ...
     visited_angle_deg: float = 10.0  # ... if its angle to that pose (degrees) is at most this too (GauSS-MI's rule)
     # Size of the images rendered for features, relative to the camera's images; 0.5 keeps the ranking
-    # (docs/notebook/groundwork.md).
+    # (docs/notebook/lab_notes.md).
     scoring_scale: float = 0.5
     coverage_alpha: float = 0.5  # a pixel is covered if the map's rendered opacity exceeds this (M_c of Sec. 3.4)
     # Names of candidate sources, grouped in stages. The first stage is active at the start of an episode; a planner can

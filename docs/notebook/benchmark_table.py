@@ -1,4 +1,4 @@
-"""Print the tables of benchmark.md from benchmark.csv, which has a line per run.
+"""Print the tables of benchmark.md and ablation.md from benchmark.csv, which has a line per run.
 
     python docs/notebook/benchmark_table.py                          # the table, and differences if it has a ladder.
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # add these runs to benchmark.csv first.
@@ -6,6 +6,7 @@
     python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
     python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv.
+    python docs/notebook/benchmark_table.py --readme                 # README's table, from benchmark.csv.
 
 A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
 rung. References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of
@@ -40,14 +41,10 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "completion_ratio": ("C.R. (%) ↑", 1, max),
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1, max),
     "observed": ("observed (%) ↑", 1, max),
-    "observed_area": ("observed, area (%) ↑", 1, max),
+    "observed_area": ("exploration (%) ↑", 1, max),
     "psnr": ("PSNR (dB) ↑", 2, max),
-    "ssim": ("SSIM ↑", 3, max),
     "depth_l1_cm": ("Depth (cm) ↓", 2, min),
-    "completion_cm": ("Com. (cm) ↓", 2, min),
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
-    "late_psnr_rate": ("late PSNR (dB / 100 frames) ↑", 3, max),
-    "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 HEADLINE_RUNS = "headline.csv"
 POOLED = ("procthor.csv",)  # files of single runs on many scenes, which are the sample: intervals are over the scenes
@@ -56,22 +53,33 @@ HEADLINE = {  # columns of the table of headline.csv: heading by metric
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
     "accuracy_cm": "Acc (cm) ↓",
 }  # fmt: skip
-DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
+DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
-    "observed_area": ("area (points)", 1),
+    "observed_area": ("exploration (points)", 1),
     "completion_ratio": ("C.R. (points)", 1),
     "observed": ("observed (points)", 1),
     "psnr": ("PSNR (dB)", 2),
 }
+README_ROWS = {  # rows of README's table: policy and its description
+    f"{REFERENCE}oracle": "one-step choice with ground truth",
+    "unknown_volume": "ours",
+    "activestructure": "the paper's full model, on our base",
+    "learned": "ours, trained on procedural apartments",
+    "hole_area": "ours",
+    "gs_planner": "published",
+    "active_gs": "published",
+    "fisherrf": "published",
+    "random": "",
+}
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
 LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
-    "ladder_300.csv": ("on `hole_area`, 300 frames: area (points)", "observed_area"),
+    "ladder_300.csv": ("on `hole_area`, 300 frames: exploration (points)", "observed_area"),
     "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
-    "ladder_pixels_300.csv": ("on pixels, 300 frames: area (points)", "observed_area"),
+    "ladder_pixels_300.csv": ("on pixels, 300 frames: exploration (points)", "observed_area"),
     "ladder_pixels_2000.csv": ("on pixels, 2,000 frames: PSNR (dB)", "psnr"),
 }
 OTHERS = (
-    "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
+    "ssim", "completion_cm", "late_psnr_rate", "late_depth_rate", "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
     "collisions",
 )  # fmt: skip
 KEPT = (*SHOWN, *OTHERS)
@@ -191,6 +199,22 @@ def ladders(folder: Path) -> str:
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"
 
 
+def readme(table: Table) -> str:
+    """Return README's table as Markdown: means of benchmark.csv for the policies in `README_ROWS`."""
+    keys = {"observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑"}
+    keys |= {"psnr": "PSNR (dB) ↑"}
+    lines = ["| planner | " + " | ".join([*keys.values(), "PSNR minus `hole_area`"]) + " |", "|---|" + "---:|" * 5]
+    cells = set.intersection(*map(set, table.values()))
+    table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
+    for policy, words in README_ROWS.items():
+        shown = [f"`{policy.removeprefix(REFERENCE)}`" + (f", {words}" if words else "")]
+        for key in keys:
+            shown.append(f"{_mean({cell: run[key] for cell, run in table[policy].items()}):.{SHOWN[key][1]}f}")
+        shown.append(_difference(table, policy, "hole_area", "psnr", 2).replace("-", "−"))
+        lines.append("| " + " | ".join(shown) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def headline(table: Table) -> str:
     """Return a table as Markdown with a row per policy: means over scenes of means over seeds, with intervals."""
     lines = ["| policy | " + " | ".join(HEADLINE.values()) + " |", "|---|" + "---:|" * len(HEADLINE)]
@@ -250,12 +274,16 @@ def main() -> None:
     instead.add_argument("--pairs", nargs="+", metavar="A:B")
     instead.add_argument("--ladders", action="store_true")
     instead.add_argument("--headline", action="store_true")
+    instead.add_argument("--readme", action="store_true")
     options = parser.parse_args()
     place = PLACE.with_name(options.file)
     if options.runs:
         added(place, options.runs)
     if options.ladders:
         print(ladders(PLACE.parent), end="")
+        return
+    if options.readme:
+        print(readme(read(PLACE)), end="")
         return
     if options.headline:
         print(headline(read(PLACE.with_name(HEADLINE_RUNS))), end="")

@@ -1,4 +1,4 @@
-"""Print the tables of benchmark.md, "Native setup", from native.csv, which has a line per run.
+"""Print the tables of native.md from native.csv, which has a line per run.
 
     python docs/notebook/native_table.py                       # the tables
     python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
@@ -28,29 +28,28 @@ PLACE = Path(__file__).with_name("native.csv")
 BASELINE = "hole_area"
 SHOWN = {  # columns by metric: heading, decimals
     "observed": ("observed (%) ↑", 1),
-    "observed_area": ("area (%) ↑", 1),
+    "observed_area": ("exploration (%) ↑", 1),
     "completion_ratio": ("C.R. (%) ↑", 1),
+    "activesplat/completion_ratio": ("C.R. of ActiveSplat (%) ↑", 1),
+    "naruto/completion_ratio": ("of NARUTO (%) ↑", 1),
+    "activegamer/completion_ratio": ("of ActiveGAMER (%) ↑", 1),
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1),
     "psnr": ("PSNR (dB) ↑", 2),
-    "depth_l1_cm": ("Depth (cm) ↓", 2),
-    "accuracy_cm": ("Acc (cm) ↓", 2),
     "frames_to_80": ("frames to 80 %", 0),
-    "frames_to_90": ("90 %", 0),
-    "frames_to_95": ("95 %", 0),
-    "decisions": ("decisions", 0),
     "keyframes": ("keyframes", 0),
-    "metres": ("way (m)", 0),
-    "decision_s": ("s per decision", 1),
-    "run_s": ("run (s)", 0),
 }
-DIFFERENCES = {"observed": ("observed", 1), "observed_area": ("area", 1), "psnr": ("PSNR", 2)}
+STORED = (  # further columns of native.csv
+    "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres", "decision_s", "run_s",
+)  # fmt: skip
+DIFFERENCES = {"observed": ("observed", 1), "psnr": ("PSNR", 2)}
+_COUNTED = ("keyframes", "decision_s", "run_s")  # not metrics of the run
 NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 
 
 def line_of(run: Run) -> dict[str, str]:
     """Return the metrics of a run as a line of native.csv, by column."""
     seconds, decisions = run.timing["seconds"], max(1, run.metrics["metrics"]["decisions"])
-    values = {key: value_of(run, key) for key in SHOWN if key not in ("keyframes", "decision_s", "run_s")}
+    values = {key: value_of(run, key) for key in (*SHOWN, *STORED) if key not in _COUNTED}
     values |= {
         "keyframes": len(run.trajectory["keyframes"]),
         "decision_s": sum(seconds.get(name, 0.0) for name in PLANNING) / decisions,
@@ -59,7 +58,7 @@ def line_of(run: Run) -> dict[str, str]:
     mapper = run.config["configuration"]["mapper"]
     names = (run.policy, run.scene, str(run.job.seed), mapper["name"], str(mapper["iterations"]))
     return dict(zip(NAMES, names)) | {
-        key: "" if value is None else f"{value:.6g}" for key, value in ((key, values[key]) for key in SHOWN)
+        key: "" if value is None else f"{value:.6g}" for key, value in ((key, values[key]) for key in (*SHOWN, *STORED))
     }
 
 
@@ -68,7 +67,7 @@ def rows() -> list[dict[str, str]]:
     if not PLACE.exists():
         return []
     with PLACE.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+        return [dict.fromkeys([*SHOWN, *STORED], "") | row for row in csv.DictReader(file)]
 
 
 def added(directories: Sequence[Path]) -> None:
@@ -78,23 +77,24 @@ def added(directories: Sequence[Path]) -> None:
         row = line_of(run)
         lines[tuple(row[name] for name in NAMES[:3])] = row
     with PLACE.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [*NAMES, *SHOWN], lineterminator="\n")
+        writer = csv.DictWriter(file, [*NAMES, *SHOWN, *STORED], lineterminator="\n")
         writer.writeheader()
         writer.writerows(lines[key] for key in sorted(lines))
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """Return the table of one scene as Markdown, given the scene's lines of native.csv."""
+    """Return the table of one scene as Markdown, given its lines of native.csv; columns without a value are left out."""
     runs: dict[str, dict[str, dict[str, str]]] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["seed"]] = row
     common = set.intersection(*map(set, runs.values()))
     runs = {policy: {seed: row for seed, row in by_seed.items() if seed in common} for policy, by_seed in runs.items()}
-    heads = [heading for heading, _ in SHOWN.values()]
+    shown = {key: column for key, column in SHOWN.items() if any(row[key] for row in lines)}
+    heads = [heading for heading, _ in shown.values()]
     heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
     text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
-        cells = [_shown(runs[policy], key, digits) for key, (_, digits) in SHOWN.items()]
+        cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
         cells += [_difference(runs, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
         mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")

@@ -1,4 +1,4 @@
-"""Print the table of planners.md, "Thresholds that are guesses": the effect of halving and doubling each threshold.
+"""Print the table of native.md, "Thresholds that are guesses": the effect of halving and doubling each threshold.
 
     python docs/notebook/thresholds.py gs_planner
     python docs/notebook/thresholds.py hgs_planner

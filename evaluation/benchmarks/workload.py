@@ -1,6 +1,6 @@
 """Make the maps and cameras of the splatting benchmark.
 
-A workload is a map and one or more cameras (sizes: docs/notebook/groundwork.md). The Gaussians are disks at the RGB-D
+A workload is a map and one or more cameras (sizes: docs/notebook/lab_notes.md). The Gaussians are disks at the RGB-D
 pixels of six views of a furnished box room. The first view is the target image. W1 has 160 x 120 pixels and 20,000
 Gaussians, W2 320 x 240 and 80,000, W3 640 x 480 and 300,000; W4 has 64 cameras of 80 x 60 pixels and 50,000 Gaussians.
 """

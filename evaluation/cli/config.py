@@ -74,7 +74,7 @@ _MAX_COLUMNS = (36, 10)  # widths of the columns "field" and "value" in characte
 _HINTS = {
     False: "Whole texts, and what the preset changes: --wide. Change a field: --set FIELD=VALUE.",
     True: "Where nothing is under default, the value is the default. Change a field: --set FIELD=VALUE.\n"
-    "Rows (B20, C15): docs/notebook/groundwork.md; measured: docs/notebook/map.md",
+    "Measured: docs/notebook/map.md and docs/notebook/lab_notes.md",
 }
 
 

@@ -22,7 +22,7 @@ def set_passive_waiting() -> None:
     """Make idle OpenMP threads sleep instead of spin. Call this before torch is imported.
 
     With spinning threads, two torch processes with two threads each took 35 times as long on two cores
-    (docs/notebook/groundwork.md).
+    (docs/notebook/lab_notes.md).
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 

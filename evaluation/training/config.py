@@ -97,7 +97,7 @@ class TrainingConfig:
     bins: int = 15  # ranks of the ordinal targets, as in VIN-NBV
     epochs: int = 60
     batch: int = 64  # states
-    # PPO; constants without a comment are from docs/notebook/groundwork.md, "Networks over candidates":
+    # PPO; constants without a comment are from docs/notebook/lab_notes.md:
     iterations: int = 40
     envs: int = 8  # environments, each with one layout per iteration
     steps: int = 128  # steps per env and iteration

@@ -61,7 +61,7 @@ def in_pool(
     A view needs a discovery gain of at least ``pool_share``, after the discount (Eq. 12) and the travel discount (Eq.
     15), or an IG_def of at least ``deficit_share``. The gain of a whole path grows with the size of the scene, and so
     does the largest gain of many views. With the gain of a single view per frame of travel, a phase ends at about the
-    same share of the surface in scenes of any size (docs/notebook/exploration.md).
+    same share of the surface in scenes of any size (docs/notebook/lab_notes.md).
     """
     enough = discovered * (1.0 - terms.discount) * terms.suppressed * travel >= phase.pool_share
     return valid & (enough | (terms.deficiency >= phase.deficit_share))

@@ -2,7 +2,7 @@
 
 The same small head is applied to every row of the candidate table. In training, it reaches the performance of a greedy
 expert within a few thousand steps. A flat network over the table learns nothing, because rows change their order in
-every step (docs/notebook/groundwork.md). Planes pass messages along the edges of the Plane Scene Graph, and a candidate
+every step (docs/notebook/lab_notes.md). Planes pass messages along the edges of the Plane Scene Graph, and a candidate
 gets the messages of the planes it would see. Scores are equivariant to permutations of candidates and invariant to
 permutations of planes.
 """

@@ -98,7 +98,7 @@ def test_more_viewpoints_never_see_less(nested):
     "name, share", [("hotel_room", (0.70, 0.80)), ("garage", (0.52, 0.63)), ("bookstore", (0.30, 0.41))]
 )
 def test_real_scenes(shared, name, share):
-    """The hotel's share was measured independently as 0.76 (docs/notebook/groundwork.md, 400 viewpoints)."""
+    """The hotel's share was measured independently as 0.76 (docs/notebook/lab_notes.md, 400 viewpoints)."""
     from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 
     surface = ground_truth_of(load_mesh_scene(shared / "scenes" / f"{name}.glb", up="z")).observable_surface

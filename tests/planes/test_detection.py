@@ -48,7 +48,7 @@ def test_planes_of_a_furnished_room_are_found(furnished_room, furnished_views, n
     found, total, right, segments, angle, offset = score(
         furnished_room, furnished_views[:views], noise=noise, size=size
     )
-    # The prototype (docs/notebook/groundwork.md) found 46 of 49 (0.94), right in 46 of 47 (0.98), 0.07 deg, 1.5 mm.
+    # The prototype (docs/notebook/lab_notes.md) found 46 of 49 (0.94), right in 46 of 47 (0.98), 0.07 deg, 1.5 mm.
     assert found >= 0.97 * total and total > 30
     assert right >= 0.97 * segments
     assert angle < 0.07 and offset < 0.0018  # medians over more planes: the small and far ones are among them

@@ -1,6 +1,6 @@
 """gsplat against the float64 reference: its own Python over stand-ins for its kernels (CPU), or all of it (CUDA).
 
-Tolerances are those of docs/notebook/groundwork.md: pictures 2e-4 but for a thousandth of the pixels (decisions at
+Tolerances are those of docs/notebook/lab_notes.md: pictures 2e-4 but for a thousandth of the pixels (decisions at
 1/255 and 1e-4), gradients 1e-3 relative. Two differences are gsplat's own. Its depth of a Gaussian at a pixel has no
 lower limit, so the reference is computed without one. And the determinant of the covariance in the image is
 xx yy - xy^2 in float32: of a needle only some digits remain.

@@ -1,6 +1,6 @@
 """Read COLLADA (`.dae`) with the standard library's XML parser.
 
-pycollada, which trimesh needs for it, supports less of what exporters write, and rounds (docs/notebook/groundwork.md).
+pycollada, which trimesh needs for it, supports less of what exporters write, and rounds (docs/notebook/lab_notes.md).
 Supported is what a still scene needs: triangles and polygons, node transforms, instances, skins and morphs in their
 stored pose, diffuse colours and textures, unit and up axis. Specification: [collada].
 """

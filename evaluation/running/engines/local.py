@@ -1,6 +1,6 @@
 """Run each job in a process of its own, several at a time.
 
-A process pool would lose all pending jobs when one worker is killed (docs/notebook/groundwork.md). Here only the job of
+A process pool would lose all pending jobs when one worker is killed (docs/notebook/lab_notes.md). Here only the job of
 the killed process is affected, and it is retried.
 """
 

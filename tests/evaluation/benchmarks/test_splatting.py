@@ -73,7 +73,6 @@ def test_an_iteration_is_measured_against_torch_and_through_autograd():
 
 @pytest.mark.parametrize("name, count, visible, per_pixel", [("W1", 20_000, 6_670, 15.2), ("W4", 50_000, None, 14.7)])
 def test_workloads_ask_for_as_much_as_those_of_the_prototypes(name, count, visible, per_pixel):
-    # docs/notebook/groundwork.md, "Rasteriser"; W4 had 27.0 at the blur of then, .3 px^2
     work = make_workload(name)
     counts = np.array([count_work(work, pose) for pose in (work.poses[:1] if name == "W1" else work.poses[::8])])
     assert work.count == count

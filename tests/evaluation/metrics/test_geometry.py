@@ -101,7 +101,7 @@ def test_nothing_reconstructed_scores_zero_and_has_no_distances(rng):
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
 def test_floaters_lower_accuracy_and_precision_and_leave_completion(rng, share):
-    # The table of docs/notebook/groundwork.md, "Floaters": a complete room with 1 cm of noise, and floaters beside it.
+    # The table of docs/notebook/lab_notes.md: a complete room with 1 cm of noise, and floaters beside it.
     surface = room(60_000, rng)
     good = room(30_000, rng).points + rng.normal(scale=0.01, size=(30_000, 3))
     floaters = rng.uniform(0.0, 1.0, (int(share * len(good)), 3)) * [5.0, 4.0, 3.0]

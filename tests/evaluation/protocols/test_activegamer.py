@@ -71,7 +71,7 @@ def test_a_circle_inside_a_wall_is_refused():
         replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(ground_truth_of(scene))
 
 
-# The table of docs/notebook/groundwork.md, "Floaters": a room of 170 m^2 with 1 cm of noise, 200,000 true points.
+# The table of docs/notebook/lab_notes.md: a room of 170 m^2 with 1 cm of noise, 200,000 true points.
 SIZE = np.array([10.0, 5.0, 2.3])
 
 

@@ -1,6 +1,6 @@
 """SIGKILL at random moments, to the supervisor or to a worker; then resume. The result is that of a run in peace.
 
-Four kills unless the environment says otherwise; docs/notebook/kill_test.log is the output of
+Four kills unless the environment says otherwise:
 
     ASG_KILLS=20 python -m pytest -m slow -s tests/evaluation/running/engines/test_kills.py
 """

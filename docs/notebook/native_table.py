@@ -110,15 +110,18 @@ def tables() -> dict[str, str]:
 
 
 def native_settings() -> str:
-    """Return a Markdown list of the policies' native settings and their papers' budgets.
+    """Return a Markdown table of the policies' native settings and their papers' budgets.
 
-    Policies with equal settings share one item.
+    Policies with equal settings share a row.
     """
     users: dict[str, list[str]] = {}
     for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
         users.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
-    items = "".join(f"- {', '.join(names)}: {text}.\n" for text, names in sorted(users.items(), key=lambda one: one[1]))
-    return items.replace("; budget in", ". Budget in")
+    text = "| planners | settings | budget in the paper |\n|---|---|---|\n"
+    for settings, names in sorted(users.items(), key=lambda one: one[1]):
+        ours, _, budget = settings.partition("; budget in its paper: ")
+        text += f"| {', '.join(names)} | {ours} | {budget} |\n"
+    return text
 
 
 def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:

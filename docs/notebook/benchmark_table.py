@@ -79,8 +79,8 @@ LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
     "ladder_pixels_2000.csv": ("on pixels, 2,000 frames: PSNR (dB)", "psnr"),
 }
 OTHERS = (
-    "ssim", "completion_cm", "late_psnr_rate", "late_depth_rate", "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
-    "collisions",
+    "ssim", "completion_cm", "late_psnr_rate", "late_depth_rate", "precision", "frames_to_80", "frames_to_85",
+    "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians", "collisions",
 )  # fmt: skip
 KEPT = (*SHOWN, *OTHERS)
 Table = dict[str, dict[Cell, dict[str, float]]]  # metrics by policy, then by (scene, seed)

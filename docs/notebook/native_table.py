@@ -83,7 +83,7 @@ def added(directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """Return the table of one scene as Markdown, given its lines of native.csv; columns without a value are left out."""
+    """Return the table of one scene as Markdown, given its lines of native.csv, without empty columns."""
     runs: dict[str, dict[str, dict[str, str]]] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["seed"]] = row

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,29 +87,68 @@ def interpolate(
     most = np.radians(config.max_turn_deg)
     start_angles, goal_angles = yaw_pitch(start_pose), yaw_pitch(goal_pose)
 
-    positions, headings = _along(path, config.max_step_m)
+    track = track_along(path, start_angles, config)
     if look_at is not None:
-        positions, angles = _fixating(np.vstack([path[:1], positions]), start_angles, goal_angles, look_at, most)
-        poses = poses_at(positions, angles[:, 0], angles[:, 1])
-        poses[-1] = goal_pose
-        return poses
-    turns = int(np.ceil(np.linalg.norm(_difference(goal_angles, start_angles)) / most - 1e-9))
-    waiting = max(turns - len(positions), 0 if len(positions) else 1)
-    before = waiting // 2
-    positions = np.vstack([np.tile(path[0], (before, 1)), positions, np.tile(path[-1], (waiting - before, 1))])
-    count = len(positions)
-
-    steps = np.arange(1, count + 1)[:, None] / count
-    wanted = start_angles + steps * _difference(goal_angles, start_angles)
-    if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > config.look_ahead_above:
-        ahead = _look_ahead(headings, start_angles, np.radians(config.look_ahead_pitch_deg))
-        wanted[before : before + len(ahead)] = ahead
-        wanted[:before] = ahead[0]
-    angles = _limit_turns(wanted, start_angles, goal_angles, most)
-
+        positions, angles = _fixating(track.places[:-1], start_angles, goal_angles, look_at, most)
+    else:
+        places, angles = frames_to(track, start_angles, goal_angles, most)
+        positions = track.places[places]
     poses = poses_at(positions, angles[:, 0], angles[:, 1])
     poses[-1] = goal_pose
     return poses
+
+
+class Track(NamedTuple):
+    """Hold the part of the interpolation that all goal poses at the end of a path share."""
+
+    places: np.ndarray  # [M + 2, 3] metres: the start of the path, M steps along it, its end
+    ahead: np.ndarray | None  # [M, 2] yaw and pitch along the motion of each step; None on short paths
+
+
+def track_along(
+    path: np.ndarray,  # [P, 3] metres
+    start_angles: np.ndarray,  # [2] yaw and pitch at the start
+    config: MotionConfig,
+) -> Track:
+    """Return the steps along a path, at most ``max_step_m`` long, and on long paths the direction of each step.
+
+    All vertices are included, since a cut corner was not checked for collisions.
+    """
+    places, headings, counts = [path[:1]], list[np.ndarray](), list[int]()
+    for first, second in zip(path[:-1], path[1:]):
+        length = _length(second - first)
+        if length < 1e-9:
+            continue
+        count = math.ceil(length / config.max_step_m - 1e-9)
+        shares = np.arange(1, count + 1)[:, None] / count
+        places.append(first * (1 - shares) + second * shares)
+        headings.append((second - first) / length)
+        counts.append(count)
+    ahead = None
+    if headings and np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > config.look_ahead_above:
+        angles = _look_ahead(headings, start_angles, math.radians(config.look_ahead_pitch_deg))
+        ahead = np.repeat(angles, counts, axis=0)
+    return Track(np.concatenate([*places, path[-1:]]), ahead)
+
+
+def frames_to(
+    track: Track,
+    start_angles: np.ndarray,  # [2] yaw and pitch at the start
+    goal_angles: np.ndarray,  # [2] yaw and pitch at the end
+    most: float,  # radians per frame
+) -> tuple[np.ndarray, np.ndarray]:  # [T] int64 indices into ``places``; [T, 2] yaw and pitch
+    """Return the place, yaw and pitch of every frame to a goal, as `interpolate` describes."""
+    moves = len(track.places) - 2
+    turn = _difference(goal_angles, start_angles)
+    turns = math.ceil(_length(turn) / most - 1e-9)
+    waiting = max(turns - moves, 0 if moves else 1)
+    before, count = waiting // 2, moves + waiting
+    number = np.arange(1, count + 1)
+    wanted = start_angles + number[:, None] / count * turn
+    if track.ahead is not None:
+        wanted[before : before + moves] = track.ahead
+        wanted[:before] = track.ahead[0]
+    return (number - before).clip(0, moves + 1), _limit_turns(wanted, start_angles, goal_angles, most)
 
 
 def first_blocked(
@@ -173,17 +213,19 @@ def arrived_at(
 
 
 def yaw_pitch(
-    pose: np.ndarray,  # [4, 4] world_from_camera, without roll
-) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (positive = up)
+    pose: np.ndarray,  # [..., 4, 4] world_from_camera, without roll
+) -> np.ndarray:  # [..., 2] radians: yaw around world z (0 = +x), pitch (positive = up)
     """Return yaw and pitch of the optical axis. For a vertical axis the yaw follows from the right axis.
 
     Raises ValueError for a pose with roll. `geometry.look_along` creates poses without roll, and motion adds none.
     """
-    right, forward = pose[:3, 0], pose[:3, 2]
-    if not is_level(pose):
-        raise ValueError(f"expected a pose without roll (image right level, image up not down), got {pose[:3, :3]}")
-    yaw = np.arctan2(right[0], -right[1])
-    return np.array([yaw, np.arctan2(forward[2], np.hypot(forward[0], forward[1]))])
+    level = is_level(pose)
+    if not level.all():
+        wrong = pose[~level][0] if pose.ndim > 2 else pose
+        raise ValueError(f"expected a pose without roll (image right level, image up not down), got {wrong[:3, :3]}")
+    right, forward = pose[..., :3, 0], pose[..., :3, 2]
+    pitch = np.arctan2(forward[..., 2], np.hypot(forward[..., 0], forward[..., 1]))
+    return np.stack([np.arctan2(right[..., 0], -right[..., 1]), pitch], axis=-1)
 
 
 def poses_at(
@@ -204,23 +246,6 @@ def poses_at(
     poses[:, :3, 2] = np.cos(pitch)[:, None] * ahead + np.sin(pitch)[:, None] * up
     poses[:, :3, 3] = positions
     return poses
-
-
-def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions [M, 3] along a path, at most ``step`` metres apart, and the direction of each one's edge [M, 3].
-
-    The first position is left out. All vertices are included, since a cut corner was not checked for collisions.
-    """
-    positions, headings = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for first, second in zip(path[:-1], path[1:]):
-        length = np.linalg.norm(second - first)
-        if length < 1e-9:
-            continue
-        count = int(np.ceil(length / step - 1e-9))
-        shares = np.arange(1, count + 1)[:, None] / count
-        positions.append(first * (1 - shares) + second * shares)
-        headings.append(np.tile((second - first) / length, (count, 1)))
-    return np.vstack(positions), np.vstack(headings)
 
 
 def _fixating(
@@ -260,8 +285,8 @@ def _fixating(
     return np.array(moves), np.array(angles)
 
 
-def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [M, 2]
-    """Return yaw and pitch along each heading [M, 3], a unit vector of motion.
+def _look_ahead(headings: list[np.ndarray], start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [E, 2]
+    """Return yaw and pitch along each of E headings [3], unit vectors of motion.
 
     Vertical motion keeps the previous yaw, which is at first that of ``start_angles``. The pitch is limited to
     ``most_pitch`` radians.
@@ -272,7 +297,7 @@ def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: floa
         level = np.hypot(heading[0], heading[1])
         if level > 0.1:
             yaw = np.arctan2(heading[1], heading[0])
-        angles[n] = yaw, np.clip(np.arctan2(heading[2], level), -most_pitch, most_pitch)
+        angles[n] = yaw, min(max(np.arctan2(heading[2], level), -most_pitch), most_pitch)
     return angles
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
 from activestructure_gym import Reconstruction, configure, ground_truth_of, load_scene
 from activestructure_gym.geometry import look_along
-from activestructure_gym.motion import Agent, MotionConfig, least_frames, path_lengths
+from activestructure_gym.motion import Agent, MotionConfig, least_frames, path_lengths, plan_path
+from activestructure_gym.motion.trajectory import interpolate
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 HERE = look_along(np.array([0.55, 0.55, 0.55]), np.array([1.0, 0, 0]))
@@ -45,6 +48,26 @@ def test_the_budget_ends_a_way() -> None:
     # Frames 4 .. 12: the fifth, the tenth, and the last of the budget.
     assert path.frames == 9
     np.testing.assert_allclose(path.keyframes[:, 0, 3], [0.75, 1.25, 1.45], atol=1e-9)
+
+
+@pytest.mark.parametrize(("frames", "budget"), [(3, 100), (4, 100), (0, 9), (12, 12)])
+def test_keyframes_are_those_of_every_path_alone(frames: int, budget: int) -> None:
+    volume = open_space()
+    volume.state[12, :14] = OCCUPIED  # most paths lead around it, so the planner draws random numbers
+    rng, asked = np.random.default_rng(2), agent(volume, frames, budget)
+    places = np.array([[3.45, 0.55, 0.55], [0.95, 1.25, 0.45], [2.05, 0.45, 0.65], [0.55, 0.55, 0.55]])
+    goals = [look_along(place, rng.normal(size=3)) for place in (*places, *places)]
+    drawn = 0
+    for goal, found in zip(goals, asked.paths(volume, goals)):
+        generator = copy.deepcopy(asked.rng)
+        path = plan_path(volume, HERE[:3, 3], goal[:3, 3], min_clearance=0.1, rng=generator, distances=asked.distances)
+        drawn += generator.bit_generator.state != asked.rng.bit_generator.state
+        assert path is not None and found is not None
+        poses = interpolate(path, HERE, goal, asked.motion)[: budget - frames]
+        number = frames + 1 + np.arange(len(poses))
+        taken = (number % 5 == 0) | (number == number[-1:])
+        assert found.frames == len(poses) and found.keyframes.tobytes() == poses[taken].tobytes()
+    assert drawn >= 4
 
 
 def test_no_way_through_a_wall_and_nothing_is_drawn() -> None:

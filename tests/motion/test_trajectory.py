@@ -96,6 +96,48 @@ def wrapped(difference):
     return np.array([(difference[0] + np.pi) % (2 * np.pi) - np.pi, difference[1]])
 
 
+def interpolated_plainly(path, start, goal, config):
+    """The plain formulas of `interpolate`, frame by frame, as an oracle for its bits."""
+    most, first, last = np.radians(config.max_turn_deg), yaw_pitch(start), yaw_pitch(goal)
+    positions, ahead, yaw = [], [], first[0]
+    for a, b in zip(path[:-1], path[1:]):
+        length = np.linalg.norm(b - a)
+        for n in range(1, int(np.ceil(length / config.max_step_m - 1e-9)) + 1 if length >= 1e-9 else 0):
+            share = n / int(np.ceil(length / config.max_step_m - 1e-9))
+            positions.append(a * (1 - share) + b * share)
+            heading = (b - a) / length
+            level = np.hypot(heading[0], heading[1])
+            yaw = np.arctan2(heading[1], heading[0]) if level > 0.1 else yaw
+            most_pitch = np.radians(config.look_ahead_pitch_deg)
+            ahead.append([yaw, np.clip(np.arctan2(heading[2], level), -most_pitch, most_pitch)])
+    turn = wrapped(last - first)
+    turns = int(np.ceil(np.linalg.norm(turn) / most - 1e-9))
+    waiting = max(turns - len(positions), 0 if positions else 1)
+    before = waiting // 2
+    count = len(positions) + waiting
+    positions = [path[0]] * before + positions + [path[-1]] * (waiting - before)
+    wanted = np.array([first + n / count * turn for n in range(1, count + 1)])
+    if ahead and np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > config.look_ahead_above:
+        wanted[before : before + len(ahead)] = ahead
+        wanted[:before] = ahead[0]
+    angles = _limit_turns(wanted, first, last, most)
+    poses = [poses_at(position[None], *angle[:, None])[0] for position, angle in zip(positions, angles)]
+    return np.array([*poses[:-1], goal])
+
+
+def test_bits_equal_those_of_the_plain_formulas():
+    rng = np.random.default_rng(1)
+    for n in range(200):
+        path = np.cumsum(rng.normal(size=(rng.integers(1, 7), 3)) * rng.choice([0.05, 0.5, 2.0]), axis=0)
+        if n % 5 == 0:
+            path = np.repeat(path, 2, axis=0)  # edges without length
+        if n % 7 == 0:
+            path[:, :2] = path[0, :2]  # vertical
+        start, goal = random_pose(rng, path[0]), random_pose(rng, path[-1])
+        frames = interpolate(path, start, goal, CONFIG)
+        assert frames.tobytes() == interpolated_plainly(path, start, goal, CONFIG).tobytes()
+
+
 def test_long_paths_look_where_they_go():
     path = np.array([[0.0, 0, 1], [6.0, 0, 1]])
     start, goal = look_along(path[0], np.array([-1.0, 0.2, 0])), look_along(path[1], np.array([0.0, -1.0, 0.5]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.thread_team import TEAM, default_threads
@@ -109,8 +108,20 @@ def target_voxels(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
     free.
     """
     volume = context.volume
-    near_occupied = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
+    near_occupied = _dilated(volume.occupied)
     return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~near_occupied & ~volume.no_return))
+
+
+def _dilated(mask: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool, both
+    """Return which voxels have a voxel of the mask at most two voxels away along every axis."""
+    for axis in range(3):
+        result = mask.copy()
+        source, target = np.moveaxis(mask, axis, 0), np.moveaxis(result, axis, 0)
+        for shift in range(1, _SHELL + 1):
+            target[shift:] |= source[:-shift]
+            target[:-shift] |= source[shift:]
+        mask = result
+    return mask
 
 
 @kernel

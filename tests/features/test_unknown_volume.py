@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from activestructure_gym import Reconstruction, configure, ground_truth_of, load_scene
 from activestructure_gym.features import FeatureContext
@@ -16,6 +17,7 @@ from activestructure_gym.features.unknown_volume import (
     MEAN_DEPTH,
     REACH,
     SHORTLIST,
+    _dilated,
     opened_volume,
     target_voxels,
     unknown_volume,
@@ -114,6 +116,13 @@ def test_what_was_looked_through_counts_only_away_from_what_is_occupied() -> Non
     assert (~wanted).sum() == 5**3 and not wanted[18:23, 18:23, 18:23].any()
     space.state[wanted] = FREE
     assert alone(space, EAST)[0] == 0.0  # the shell of the occupied voxel stays, and is worth nothing
+
+
+@pytest.mark.parametrize("shape", [(9, 12, 7), (1, 2, 20), (3, 3, 3)])
+def test_targets_keep_away_from_what_is_occupied_as_a_maximum_filter_does(shape: tuple[int, ...]) -> None:
+    mask = np.random.default_rng(0).random(shape) < 0.02
+    mask.flat[-1] = True
+    np.testing.assert_array_equal(_dilated(mask), ndimage.maximum_filter(mask, size=5))
 
 
 def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -193,8 +193,9 @@ class ActiveStructure(StructurePolicy):
     source = "ActiveStructure, Sec. 3; variant E of its Table 3"
     deficiencies = True
 
-    def __init__(self, discovery: Discovery = "unknown_volume") -> None:
+    def __init__(self, discovery: Discovery = "unknown_volume", revisits: bool = True) -> None:
         super().__init__(discovery)
+        self._revisits = revisits
         self.required_features += tuple(_OF_VIEW[name] for name in self._discovers if name in _OF_VIEW)
         self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 
@@ -254,6 +255,8 @@ class ActiveStructure(StructurePolicy):
 
         ``left`` is whether a keyframe is left to revisit, ``lowest`` the 10 % quantile of the keyframes' PSNR in dB.
         """
+        if not self._revisits:
+            return "no revisits (revisits=false)"
         if not left:
             return "no keyframe left to revisit"
         if lowest >= GOOD_PSNR:

@@ -94,8 +94,8 @@ def test_the_pool_counts_what_a_view_shows_itself_and_not_what_its_path_shows() 
         assert policy._machine.index == phase, (way, view, frames)
 
 
-def in_last_phase() -> ActiveStructure:
-    policy = bound(ActiveStructure(discovery="hole_area"))
+def in_last_phase(*, revisits: bool = True) -> ActiveStructure:
+    policy = bound(ActiveStructure(discovery="hole_area", revisits=revisits))
     policy.reset(0)
     for _ in range(2 * PATIENCE):
         policy.act(observation(NOTHING))
@@ -135,6 +135,12 @@ def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
     for _ in range(2 * PATIENCE):
         policy.act(observation(NOTHING))
     assert chosen(1.0) == (2, None)
+
+
+def test_without_revisits_phase_three_explores() -> None:
+    policy = in_last_phase(revisits=False)
+    assert policy.act(observation([[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], revisit=(2,), fidelity=20.0)) == 1
+    assert policy.trace()["phase"] == PHASES[2].name and policy.trace()["settled"] == "no revisits (revisits=false)"
 
 
 def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:

@@ -30,9 +30,12 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/start/own_policy.md, own_feature.md, own_planner.md and own_scene.md, importable."""
-    pages = ["docs/start/own_policy.md", *(f"docs/howto/own_{name}.md" for name in ("feature", "planner", "scene"))]
-    for page, block in [(name, block) for name in pages for block in blocks(name)]:
+    """The files of docs/howto/own_feature.md and own_planner.md and those of two examples, importable."""
+    for example, module in (("02_own_policy", "my_policy"), ("04_own_scene", "my_scene")):
+        (tmp_path / f"{module}.py").write_text((ROOT / "examples" / f"{example}.py").read_text())
+    for page, block in [
+        (name, one) for name in ("own_feature", "own_planner") for one in blocks(f"docs/howto/{name}.md")
+    ]:
         name = re.match(r"# (\w+\.py)\n", block)
         assert name, f"a block of {page} does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)

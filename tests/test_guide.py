@@ -17,7 +17,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = {
     page.name: page for part in ("start", "howto", "reference", "explanation") for page in (DOCS / part).glob("*.md")
 }
-SHOWN = ("first_episode.md", "compare.md", "own_parts.md", "own_world.md", "run_format.md", "watching.md")
+SHOWN = ("first_episode.md", "own_parts.md", "own_world.md", "run_format.md", "watching.md")
 
 
 def blocks(page: str) -> list[str]:
@@ -48,7 +48,7 @@ def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.Monk
 
 def test_no_page_shows_python_that_no_test_runs() -> None:
     # By tests/test_docs.py and tests/examples.
-    elsewhere = {"own_policy.md", "own_feature.md", "own_planner.md", "own_scene.md", "own_source.md", "training.md"}
+    elsewhere = {"own_feature.md", "own_planner.md", "own_source.md", "training.md"}
     shown = {name for name in PAGES if blocks(name)}
     assert shown == elsewhere | set(SHOWN)
 

@@ -1,7 +1,7 @@
 """Explore a USD scene in Isaac Sim 6: a free RGB-D camera without a body.
 
     world="world:isaac_sim_world:IsaacWorld?usd=FILE.usd&bounds=-5,-5,0,5,5,3&start=0,0,1.2,0"
-    PYTHONPATH=examples/worlds ./python.sh examples/play.py --scene "$world"
+    PYTHONPATH=examples/worlds ./python.sh examples/00_play.py --scene "$world"
 
 The USD stage must have z up and metres as its unit. Its cameras look along their own -z with y up.
 """

@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.scenes import SCENES
+from tests.bare_jobs import bare_jobs
 from tests.conftest import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -43,18 +46,51 @@ def program(text: str) -> list[str]:
 
 
 def test_twelve_lines_of_stable_baselines3(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (EXAMPLES / "sb3_ppo.py").read_text()
+    text = (EXAMPLES / "03_train.py").read_text()
     lines = program(text)
     assert len(lines) - 1 == 12 and lines[-1].startswith("print(")
-    exec(compile(in_small(text), "sb3_ppo.py", "exec"), {"__name__": "example"})
+    exec(compile(in_small(text), "03_train.py", "exec"), {"__name__": "example"})
     assert "20 frames" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("page", "number"), [("docs/start/training.md", 0), ("README.md", 1)])
-def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
-    shown = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
-    text = (EXAMPLES / "sb3_ppo.py").read_text()
-    assert [line for line in shown[number].splitlines() if line.strip()] == program(text)
+def test_readme_shows_the_lines_that_ran() -> None:
+    shown = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    text = (EXAMPLES / "03_train.py").read_text()
+    assert [line for line in shown[1].splitlines() if line.strip()] == program(text)
+
+
+def test_every_numbered_example_is_shown_by_one_page_and_begins_where_it_says() -> None:
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").glob("*/*.md"))
+    shown = dict(re.findall(r"{literalinclude} \.\./\.\./examples/(\w+)\.py\n:(?:start-at|pyobject): (.*)", pages))
+    numbered = sorted(EXAMPLES.glob("[0-9]*.py"))
+    assert [path.stem[:2] for path in numbered] == [f"0{number}" for number in range(6)]
+    assert sorted(shown) == [path.stem for path in numbered] and pages.count("{literalinclude}") == 6
+    for path in numbered:
+        assert path.read_text(encoding="utf-8").count(shown[path.stem]) >= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "small", "said"),
+    [
+        ("01_compare", {}, r"pixel_only C\.R\. [\d.]+ % PSNR [\d.]+ dB\n$"),
+        ("02_own_policy", {'scene="room"': 'scene="box", frame_budget=15'}, r"\d+ Gaussians after 15 frames"),
+        ("04_own_scene", {}, r"[1-9]\d* start poses"),
+        ("05_own_world", {"scene=room": "scene=box", "60": "15"}, r"\d+ Gaussians after"),
+    ],
+)
+def test_a_numbered_example_runs(
+    name: str, small: dict[str, str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for registry in (POLICIES, SCENES):
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+    text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    for usual, short in small.items():
+        assert usual in text
+        text = text.replace(usual, short)
+    module = ModuleType("__main__")
+    with bare_jobs():
+        exec(compile(text, name, "exec"), module.__dict__)
+    assert re.search(said, capsys.readouterr().out)
 
 
 def shown_for(library: str) -> str:
@@ -100,7 +136,7 @@ def test_a_flat_vector_environment_resets_in_the_same_step(capsys: pytest.Captur
 
 
 def test_any_policy_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    example = load("play")
+    example = load("00_play")
     for policy in ("hole_area", "activestructure"):
         args = example.Args(policy=policy, scene="box", frames=20, picture=tmp_path / "last.png")
         rows = example.main(args)

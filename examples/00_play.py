@@ -1,6 +1,6 @@
 """Run any policy on any scene, step by step, with the same loop as `asg compare`.
 
-    python examples/play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
+    python examples/00_play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
 
 The environment computes the features that the policy requires, and the policy finds their columns by name. You can copy
 this file and change the loop.

@@ -81,7 +81,7 @@ def read_npy(stream: Any, name: str, size: int) -> np.ndarray:
     elif version == (2, 0):
         shape, fortran, dtype = npy.read_array_header_2_0(stream)
     else:
-        raise ValueError(f"'{name}' has the npy version {version}")
+        raise ValueError(f"'{name}' has the npy version {version}, expected 1.0 or 2.0")
     if dtype.hasobject:
         raise ValueError(f"'{name}' holds Python objects, which are never unpickled (allow_pickle)")
     count = math.prod(shape) * dtype.itemsize

@@ -56,7 +56,7 @@ class Recipe:
         """Return a mapper of this recipe with an empty map."""
         config = mapper_config(self.mapper)
         if not isinstance(config, MapperConfig):
-            raise InputError(f"mapper '{self.mapper}' is no recipe of MapperConfig")
+            raise InputError(f"mapper '{self.mapper}' is not a recipe of MapperConfig")
         return Mapper(replace(config, iterations=self.iterations), rng)
 
 

@@ -28,7 +28,7 @@ def only_world(scenes: Sequence[SceneSpec], start_pose: Any) -> World | None:
     if not worlds:
         return None
     if len(scenes) > 1:
-        raise InputError("an environment explores one world; a sequence may hold scenes only")
+        raise InputError("an environment explores one world: give a sequence of scenes, or a single world")
     if start_pose is not None:
         raise InputError("a world has its own start pose: leave out start_pose")
     (world,) = worlds

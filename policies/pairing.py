@@ -94,7 +94,7 @@ def _with(settings: NativeSettings, config: Any) -> dict[str, Any]:
     """Return the overrides of a policy's native settings, updated by the user's fields ``config``."""
     if config is not None and not isinstance(config, Mapping):
         raise InputError(
-            'with setup="native" the policy changes the configuration: give config as a dictionary of the fields that '
-            f"shall differ, got {type(config).__name__}"
+            'with setup="native" the policy changes the configuration: give config as a dictionary of field values, '
+            f"got {type(config).__name__}"
         )
     return {**settings.overrides(), **(config or {})}

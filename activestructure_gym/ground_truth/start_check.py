@@ -28,7 +28,7 @@ def check_start_pose(
         raise InputError(f"a start pose must be a finite 4 x 4 matrix (world_from_camera), got shape {pose.shape}")
     rotation = pose[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_ROUNDING or np.linalg.det(rotation) < 0:
-        raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
+        raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is not a rotation")
     space, position = truth.free_space, pose[:3, 3]
     starts = space.start_poses[:, :3, 3]
     # Tolerance of a tenth of a voxel: the clearance between voxel centres is interpolated.

@@ -145,7 +145,10 @@ class GaussianMap:
         """Sort the Gaussians, their moments and ids by ``order`` ([count] indices, each once)."""
         order = np.asarray(order)
         if order.shape != (self.count,) or not np.array_equal(np.sort(order), np.arange(self.count)):
-            raise ValueError(f"order must hold each of 0..{self.count - 1} once, got {order.dtype} of {order.shape}")
+            raise ValueError(
+                f"order must hold each index from 0 to {self.count - 1} once, "
+                f"got {order.dtype} of the shape {order.shape}"
+            )
         for array in (self.parameters, self.first_moment, self.second_moment):
             for row in array:
                 row[: self.count] = row[order]

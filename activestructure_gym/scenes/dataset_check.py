@@ -136,5 +136,5 @@ def _wrong_with_json(path: Path) -> str:
     try:
         json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        return f"it is no JSON: {error}".splitlines()[0]
+        return f"it is not JSON: {error}".splitlines()[0]
     return ""

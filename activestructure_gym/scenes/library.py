@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, short_repr, unknown_name
+from activestructure_gym.errors import InputError, listed, short_repr, unknown_name
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.loaders.habitat import ENDING, is_habitat, load_habitat_scene
 from activestructure_gym.scenes.loaders.hm3d import is_hm3d, load_gibson_scene, load_hm3d_scene
@@ -172,7 +172,10 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
     Raises `InputError` for an option that the scene does not take or already has.
     """
     if isinstance(spec, Scene):
-        raise InputError(f"the scene '{spec.name}' is loaded already and takes no {' and no '.join(options)}")
+        raise InputError(
+            f"the scene '{spec.name}' is loaded already, so its options cannot be changed: "
+            f"remove {listed(list(options))}"
+        )
     _, factory, _, said = _resolved(spec)
     parameters = inspect.signature(factory).parameters
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())

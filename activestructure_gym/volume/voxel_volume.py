@@ -73,7 +73,9 @@ class VoxelVolume:
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
-            raise ValueError(f"depth is {frame.depth.shape}, its camera {(camera.height, camera.width)}")
+            raise ValueError(
+                f"depth has the shape {frame.depth.shape}, but its camera has {(camera.height, camera.width)}"
+            )
         depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
         if not np.isfinite(depth).all():
             depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)

@@ -61,11 +61,11 @@ def check_views(results: Mapping[str, Any], protocol: StandardProtocol, pictures
         _check_plan(pictures)
         return
     if not 1 <= len(measured) <= protocol.views:
-        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol has 1 to {protocol.views}")
+        raise Mismatch(f"metrics.json lists {len(measured)} views, but its protocol has 1 to {protocol.views}")
     rows, columns = pictures["true"].shape[1:3]
     if protocol.view_source == "free_space" and (rows, columns) != (protocol.view_height, protocol.view_width):
         wanted = f"{protocol.view_width} x {protocol.view_height}"
-        raise Mismatch(f"pictures.npz holds views of {columns} x {rows} pixels, and its protocol has {wanted}")
+        raise Mismatch(f"pictures.npz holds views of {columns} x {rows} pixels, but its protocol has {wanted}")
     kept = {"metrics.json": min(STORED_VIEWS, len(measured)), "pictures.npz": len(pictures["psnr"])}
     _agree("pictures of views", kept)
     for number, (view, psnr) in enumerate(zip(measured, pictures["psnr"]), start=1):

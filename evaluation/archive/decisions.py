@@ -113,7 +113,7 @@ def rows_by_decision(arrays: Mapping[str, np.ndarray], features: Sequence[str]) 
     if ((counts < 1) | (counts > BEST)).any():
         raise Mismatch(f"each decision must have 1 to {BEST} rows")
     if sizes["F"] != len(features) and sizes["R"]:
-        raise Mismatch(f"it holds {sizes['F']} features, and config.json names {len(features)}")
+        raise Mismatch(f"it holds {sizes['F']} features, but config.json names {len(features)}")
     decisions = []
     for decision in range(sizes["D"]):
         first, end = starts[decision : decision + 2]

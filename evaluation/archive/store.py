@@ -202,12 +202,12 @@ def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None
     """Return the finished run of this job, None if there is none; raise `InputError` if it is damaged."""
     marker = marker_and_checksums(directory)[0]
     if marker != job.hash and (directory / DONE).exists():
-        raise _damaged(directory / DONE, "it belongs to another job than the directory's name says")
+        raise _damaged(directory / DONE, "it belongs to another job than the name of its directory")
     if not marker:
         return None
     run = read_run(directory, scene)
     if run.job.hash != job.hash:
-        raise _damaged(directory / CONFIG, "it belongs to another job than the directory's name says")
+        raise _damaged(directory / CONFIG, "it belongs to another job than the name of its directory")
     return run
 
 

@@ -56,15 +56,15 @@ class GridOptions:
     )
     mappers: NoNames = ()
     (
-        "Map the trajectories among the policies (trajectory:FILE, :sweep, :passive) by default, splatam, monogs, "
-        "gaussian_slam or co_slam, one run for each."
+        "Map given trajectories (policies trajectory:FILE, :sweep or :passive) with these mappers, one run for each: "
+        "default, splatam, monogs, gaussian_slam, co_slam."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
     """Use these whole numbers as seeds; equal seeds start at the same pose, so that policies are compared in pairs."""
     references: NoNames = ()
     (
-        "Add upper bounds with ground truth: oracle (one-step choice by newly observed surface among all views of the "
-        "pool), oracle-quality (then by image quality)."
+        "Add upper bounds that see the ground truth: oracle takes the view with the most new surface, oracle-quality "
+        "in its second half the view with the best image quality."
     )
     sweep: Annotated[tuple[str, ...], option("FIELD=A,B [FIELD=A,B ...]", "")] = ()
     (
@@ -83,18 +83,18 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
 
     setup: Annotated[Setup | None, option("{shared,native}", "(default: shared)")] = None
     (
-        "Give all policies equal candidates, keyframes and mapper (shared), or each its own (native), by default at "
-        "2000 frames of 320 x 180 (preset full)."
+        "Give all policies equal candidates, keyframes and mapper (shared), or each policy its own (native, with "
+        "preset full)."
     )
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
     (
-        "Start every episode at x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or where papers start in "
-        "that scene of Replica or Matterport3D (published)."
+        "Start every episode at this pose in metres and degrees, such as --start=-1,2,1.4,90; `published` is the start "
+        "of the papers in Replica and Matterport3D."
     )
     shard: Annotated[str | None, option("I/N", "")] = None
     (
-        "Run every N-th job, from the I-th one on, so that N programs, one for each I, run the whole comparison into "
-        "--out (afterwards `asg compare --resume --out` runs missing jobs and writes the report)."
+        "Run part I of N of the comparison, on one of N machines. When all parts are done, `asg compare --resume "
+        "--out` writes the report."
     )
     timeout_min: float = 0.0
     """Stop a run after this number of minutes and try it again; 0 is no limit."""

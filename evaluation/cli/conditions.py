@@ -87,8 +87,8 @@ class RunOptions:
     """Print the runs, their frame budget and their directory, and write nothing."""
     resume: Switch = False
     (
-        "Resume the comparison in --out without repeating finished runs; scenes, policies and seeds given as well are "
-        "added, and all other conditions are kept."
+        "Continue the comparison in --out under its own conditions. Finished runs are kept; further scenes, policies "
+        "and seeds are added."
     )
     engine: Annotated[str, option("local|inline|ray")] = "local"
     (
@@ -98,4 +98,4 @@ class RunOptions:
     workers: int = 0
     """Run this number of jobs at a time; 0 is one per core."""
     trust_code: Switch = False
-    """Run code that files name as package.module:Name (the record of --resume, a checkpoint, a run)."""
+    """Import code that files name as package.module:Name: the record of --resume, a checkpoint, a run."""

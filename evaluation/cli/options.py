@@ -68,7 +68,7 @@ def split_policies(words: Sequence[str]) -> tuple[Spec, ...]:
         spec = Spec(word)
         name = spec.name
         if spec.kind == "reference":
-            raise InputError(f"'{word}' is no policy: ask for it by --references {spec.place}")
+            raise InputError(f"'{word}' is not a policy: ask for it by --references {spec.place}")
         if name not in groups and name not in POLICIES and ":" not in name:
             raise unknown_name("policy", name, (*POLICIES, *groups))
     return tuple(Spec(name) for word in split_list(words) for name in groups.get(word, (word,)))

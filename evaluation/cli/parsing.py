@@ -36,7 +36,7 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     """
     for word in words:
         if "\0" in word or not _encodable(word):
-            raise InputError(f"{name}: {short_repr(word)} holds bytes that are no text")
+            raise InputError(f"{name}: {short_repr(word)} holds bytes that are not text")
     if words and words[0].replace("_", "-").startswith("--tyro-"):
         raise InputError(f"{name} has no option {short_repr(words[0])}; `asg completion` prints a script for a shell")
     lists = _lists(kind)

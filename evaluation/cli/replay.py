@@ -54,7 +54,9 @@ class Replay:
 
         if self.video is not None:
             if self.out is not None or len(directories) != 1:
-                raise InputError("--video is of one run, and takes the place of --out")
+                raise InputError(
+                    "--video takes the place of --out and shows one run: leave out --out, and name one run"
+                )
             return _video(make_console(), directories[0], Path(self.video))
         out = Path(self.out or (directories[0] / REPLAY if len(directories) == 1 else REPLAY))
         _check_place("--out", out)

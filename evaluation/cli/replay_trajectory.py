@@ -66,7 +66,7 @@ class ReplayTrajectory(RunOptions, ConditionOptions, TrajectoryOptions):
         if self.scene is None and run is None:
             if not Path(self.trajectory).exists():
                 raise InputError(f"there is no trajectory {short_repr(self.trajectory)}")
-            raise InputError(f"'{self.trajectory}' is no finished run, which would name its scene: give --scene")
+            raise InputError(f"'{self.trajectory}' is not a finished run, which would name its scene: give --scene")
         return compare_with(*_asked(self, run))
 
 

@@ -156,7 +156,7 @@ class TrainingConfig:
         for part, kind, given in (("run", cls, values), ("world", WorldConfig, world)):
             known = {field.name for field in dataclasses.fields(kind)} - {"world"}
             if not isinstance(given, Mapping) or not given.keys() <= known:
-                raise InputError(f"this is no description of a training {part}: expected {listed(sorted(known))}")
+                raise InputError(f"this is not a description of a training {part}: expected {listed(sorted(known))}")
         assert isinstance(world, Mapping)
         changes = world.get("overrides", {})
         if not isinstance(changes, Mapping):

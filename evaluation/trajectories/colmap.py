@@ -42,7 +42,7 @@ def colmap_poses(path: Path) -> np.ndarray:  # [T, 4, 4] world_from_camera
         raise InputError(f"'{path}' is a COLMAP model without images")
     rows = np.array([numbers for _, numbers in sorted(images, key=lambda image: in_number_order(image[0]))])
     if not (np.abs(rows[:, 4:]) <= MAX_COORDINATE_M).all():
-        raise InputError(f"'{path}' holds a translation over {MAX_COORDINATE_M:g} m, or one that is no number")
+        raise InputError(f"'{path}' holds a translation over {MAX_COORDINATE_M:g} m, or one that is not a number")
     xyzw = np.roll(rows[:, :4], -1, axis=1)
     return invert_rigid(poses_of_quaternions(rows[:, 4:], xyzw, path))
 
@@ -70,7 +70,7 @@ def _text(path: Path) -> Iterator[_Image]:
             words = line.decode("utf-8", errors="replace").split(maxsplit=9)
             if not is_image_line(words):
                 raise InputError(
-                    f"'{path}' is no images.txt of COLMAP: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME and a "
+                    f"'{path}' is not a COLMAP images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME and a "
                     f"line of image points for each image, got {short_repr(' '.join(words)[:80])}"
                 )
             if count == MAX_POSES:
@@ -84,7 +84,7 @@ def _binary(path: Path) -> Iterator[_Image]:
         size = path.stat().st_size
         (count,) = struct.unpack("<Q", stream.read(8).ljust(8, b"\0"))
         if count > MAX_POSES or count * _IMAGE.size > size:
-            raise InputError(f"'{path}' is no images.bin of COLMAP: {count:,} images do not fit in its {size:,} bytes")
+            raise InputError(f"'{path}' is not a COLMAP images.bin: {count:,} images do not fit in its {size:,} bytes")
         for number in range(1, count + 1):
             head = stream.read(_IMAGE.size)
             begin = stream.tell()
@@ -101,4 +101,4 @@ def _binary(path: Path) -> Iterator[_Image]:
             stream.seek(position)
             yield name.decode("utf-8", errors="replace"), list(_IMAGE.unpack(head)[1:8])
         if stream.read(1):
-            raise InputError(f"'{path}' is no images.bin of COLMAP: data follow its {count} images")
+            raise InputError(f"'{path}' is not a COLMAP images.bin: data follow its {count} images")

@@ -95,7 +95,7 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
         wanted = [(name, known) for name, known in _IN_FOLDERS if kind in ("auto", known)]
         found = [(path / name, known) for name, known in wanted if (path / name).exists()]
         if not found:
-            names = ", ".join(name for name, _ in wanted) or f"{kind} is no format of a folder"
+            names = ", ".join(name for name, _ in wanted) or f"{kind} is not a format of a folder"
             raise InputError(f"the folder '{path}' has no trajectory ({names}); name the file itself")
         return found[0]
     if not path.is_file():

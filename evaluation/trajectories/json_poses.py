@@ -52,7 +52,7 @@ def habitat_poses(path: Path) -> np.ndarray:  # [T, 4, 4]
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
     except ValueError as error:
         wanted = 'a list of {"position": [x, y, z], "rotation": [x, y, z, w]}'
-        raise InputError(f"'{path}' is no trajectory of Habitat, {wanted}: {error}") from error
+        raise InputError(f"'{path}' is not a trajectory of Habitat, {wanted}: {error}") from error
     rotations = np.array([pose["rotation"] for pose in given], dtype=np.float64)
     positions = np.array([pose["position"] for pose in given], dtype=np.float64)
     return poses_of_quaternions(positions, rotations, path)

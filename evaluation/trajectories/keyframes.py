@@ -36,13 +36,14 @@ def listed_poses(file: Path, count: int, stamps: np.ndarray | None) -> np.ndarra
     asked = numbers_of(file).ravel()
     mask = np.zeros(count, dtype=bool)
     if not np.isfinite(asked).all():
-        raise InputError(f"'{file}' lists a keyframe that is no finite number")
+        raise InputError(f"'{file}' lists a keyframe that is not a finite number")
     if (asked == np.round(asked)).all() and (asked >= 0).all() and (asked < count).all():
         mask[asked.astype(np.int64)] = True
         return mask
     if stamps is None:
         raise InputError(
-            f"'{file}' lists keyframes that are no indices from 0 to {count - 1}, and the trajectory has no time stamps"
+            f"'{file}' lists keyframes that are not indices from 0 to {count - 1}, and the trajectory has no "
+            "time stamps"
         )
     nearest = nearest_stamps(stamps, asked)
     apart = np.abs(stamps[nearest] - asked)

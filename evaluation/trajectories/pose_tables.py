@@ -70,7 +70,7 @@ def table_rows(path: Path, kind: str) -> np.ndarray:  # [T, 8]: time, x, y, z, q
     try:
         return np.array(rows, dtype=np.float64)
     except ValueError as error:
-        raise InputError(f"'{path}' is no table of numbers: {' '.join(str(error).split())[:200]}") from error
+        raise InputError(f"'{path}' is not a table of numbers: {' '.join(str(error).split())[:200]}") from error
 
 
 def _check(columns: dict[str, int], cells: Sequence[str], path: Path) -> None:

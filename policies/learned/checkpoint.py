@@ -45,11 +45,11 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
         if not file.is_file():
             cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
             if cut:
-                raise InputError(f"'{place}' is no checkpoint, but '{cut[0]}' is there: {_NO_QUESTION_MARK}")
+                raise InputError(f"'{place}' is not a checkpoint, but '{cut[0]}' is there: {_NO_QUESTION_MARK}")
             hint = "; a model of stable-baselines3 becomes one by model.policy.save_learned(PLACE)"
             raise InputError(
-                f"'{place}' is no checkpoint of a learned policy: it is no folder that asg train wrote, and there is "
-                f"no file '{file}'{hint if path.suffix == '.zip' else ''}"
+                f"'{place}' is not a checkpoint of a learned policy: it is not a folder that asg train wrote, and "
+                f"there is no file '{file}'{hint if path.suffix == '.zip' else ''}"
             )
     return weights
 
@@ -150,7 +150,7 @@ def read_tensors(
     with open(file, "rb") as stream:
         header = int.from_bytes(stream.read(8), "little")
     if header > _MAX_HEADER_BYTES:
-        raise InputError(f"'{file}' is no whole safetensors file: its header would have {header:,} bytes")
+        raise InputError(f"'{file}' is not a whole safetensors file: its header would have {header:,} bytes")
     try:
         with safe_open(file, "pt") as stored:
             slices = {name: stored.get_slice(name) for name in stored.keys()}
@@ -167,7 +167,7 @@ def read_tensors(
             notes = dict(stored.metadata() or {})
     except (SafetensorError, OSError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise InputError(f"'{file}' is no whole safetensors file ({reason})") from error
+        raise InputError(f"'{file}' is not a whole safetensors file ({reason})") from error
     for name, tensor in tensors.items():
         if not torch.isfinite(tensor).all():
             raise InputError(f"'{file}' holds numbers in '{name[:80]}' that are not finite")

@@ -286,7 +286,11 @@ def test_the_seed_of_the_layout_reaches_every_scene_that_takes_one(box_options: 
     ("task", "given", "message"),
     [
         ("Room", {"scene": "box?seed=3", "scene_seed": 4}, "the scene 'box?seed=3' gives its own seed; give it in one"),
-        ("Room", {"scene": load_scene("box"), "scene_seed": 4}, "is loaded already and takes no seed"),
+        (
+            "Room",
+            {"scene": load_scene("box"), "scene_seed": 4},
+            "is loaded already, so its options cannot be changed: remove seed",
+        ),
         ("Apartment", {"scene": "box", "rooms": 2}, "the scene 'box' takes no rooms; remove it"),
         ("Room", {"scene_seed": 1.5}, "scene_seed must be a whole number from 0 to 2^63 - 1, got 1.5"),
         ("Room", {"scene_seed": -1}, "scene_seed must be a whole number"),

@@ -100,8 +100,8 @@ def test_matrices_that_are_no_poses(furnished_room):
     for bad, said in (
         (np.eye(3), "4 x 4"),
         (np.full((4, 4), np.nan), "finite"),
-        (good * [[2], [2], [2], [1]], "no rotation"),
-        (good @ np.diag([1.0, 1.0, -1.0, 1.0]), "no rotation"),
+        (good * [[2], [2], [2], [1]], "not a rotation"),
+        (good @ np.diag([1.0, 1.0, -1.0, 1.0]), "not a rotation"),
     ):
         with pytest.raises(InputError, match=said):
             check(furnished_room, bad)

@@ -205,7 +205,7 @@ def test_reordering_moves_whole_gaussians_with_moments_ids_and_boxes():
 def test_orders_that_lose_gaussians_are_refused(order):
     gaussians = GaussianMap()
     gaussians.append(np.zeros((ROWS, 3), np.float32))
-    with pytest.raises(ValueError, match="each of 0..2 once"):
+    with pytest.raises(ValueError, match="each index from 0 to 2 once"):
         gaussians.reorder(order)
 
 

@@ -148,7 +148,7 @@ def test_the_folder_one_stands_in(replica_folder, monkeypatch):
     monkeypatch.chdir("habitat")
     assert load_scene("replica:..").name == "room_a"
     monkeypatch.chdir(replica_folder / "seq")
-    with pytest.raises(InputError, match="is no Replica scene"):
+    with pytest.raises(InputError, match="is not a Replica scene"):
         load_scene("replica:.")
 
 
@@ -236,7 +236,7 @@ def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):
         ("hut?seed=3", "the scene 'hut?seed=3' gives its own seed"),
         (str(mesh_file), "takes no seed"),
         (mesh_file, "takes no seed"),
-        (furnished_room, "is loaded already and takes no seed"),
+        (furnished_room, "is loaded already, so its options cannot be changed: remove seed"),
         ("hutt", "did you mean 'hut'"),
     ):
         with pytest.raises(InputError, match=said.replace("?", r"\?")):

@@ -63,7 +63,7 @@ class SceneBudget:
         """Return the content of a regular file, and count its size; raise `LimitError` for devices and pipes."""
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
-            raise LimitError(f"'{path.name}' is a device or a pipe and no file")
+            raise LimitError(f"'{path.name}' is a device or a pipe, not a file")
         if (status.st_dev, status.st_ino) not in self._files:
             self._files.add((status.st_dev, status.st_ino))
             self.bytes_read += status.st_size

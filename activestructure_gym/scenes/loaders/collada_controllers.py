@@ -107,7 +107,9 @@ def _skinned(
     inverse_bind = floats(_array(skin.find("joints"), "INV_BIND_MATRIX", target).text)
     joints = _joints((names.text or "").split(), target, worlds, instance)
     if len(inverse_bind) != 16 * len(joints):
-        raise UnreadableMesh(f"a skin has {len(joints)} joints and {len(inverse_bind)} numbers of their bind matrices")
+        raise UnreadableMesh(
+            f"a skin with {len(joints)} joints needs 16 numbers of a bind matrix for each, got {len(inverse_bind)}"
+        )
     matrices = np.stack([*joints, np.eye(4)]) @ np.stack([*inverse_bind.reshape(-1, 4, 4), np.eye(4)])
     vertex, joint, weight = _weights(skin.find("vertex_weights"), len(values), len(joints), target)
     total = np.bincount(vertex, weight, minlength=len(values))
@@ -134,7 +136,7 @@ def _joints(
             known.setdefault(node.get(key, ""), node)
     for name in names:
         if name not in known:
-            raise UnreadableMesh(f"the joint '{name[:40]}' of a skin is no node of its scene")
+            raise UnreadableMesh(f"the joint '{name[:40]}' of a skin is not a node of its scene")
     return [worlds[known[name]] for name in names]
 
 

@@ -26,7 +26,7 @@ def attribute(element: ElementTree.Element, name: str, default: int = 0) -> int:
     """Return the value of an attribute, a non-negative integer; raise `UnreadableMesh` for another value."""
     text = element.get(name, str(default)).strip()
     if not text.isdecimal() or len(text) > 9:
-        raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
+        raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is not a whole number from 0 on')
     return int(text)
 
 

@@ -29,7 +29,7 @@ class Input:
         """
         index = corners[:, self.column]
         if len(index) and (index.min() < 0 or index.max() >= len(self.values)):
-            raise UnreadableMesh(f"its corners name {self.semantic} {index.max()} of {len(self.values)}")
+            raise UnreadableMesh(f"a corner has the {self.semantic} {index.max()}, but there are {len(self.values)}")
         if self.values.shape[1] < width:
             raise UnreadableMesh(f"its {self.semantic} values have {self.values.shape[1]} numbers instead of {width}")
         return self.values[index, :width]
@@ -67,7 +67,7 @@ def corners_and_triangles(primitives: Element, width: int, positions: Input) -> 
 def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
     flat = integers(indices.text)
     if len(flat) % width:
-        raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are no rows of {width}")
+        raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are not rows of {width}")
     return flat.reshape(-1, width)
 
 

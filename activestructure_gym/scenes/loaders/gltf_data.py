@@ -51,7 +51,7 @@ _OLD = "it is glTF {}, and only glTF 2.0 is read; convert it with gltf-pipeline 
 def _checked(header: Any) -> dict[str, Any]:
     """Return the header if it is glTF 2.0, else raise `UnreadableMesh`; glTF 1.0 has dictionaries instead of lists."""
     if not isinstance(header, dict):
-        raise UnreadableMesh("its JSON is no object with 'asset' and 'meshes', as glTF has it")
+        raise UnreadableMesh("its JSON is not an object with 'asset' and 'meshes', as glTF has it")
     asset = header.get("asset")
     version = str(asset.get("version", "")) if isinstance(asset, dict) else ""
     if isinstance(header.get("meshes"), dict) and not version:
@@ -79,7 +79,7 @@ class GltfData:
             wrong = f"it refers to number {str(index)[:40]} of its {kind}, and there are {count}"
             raise UnreadableMesh(f"{wrong}; export it again")
         if not isinstance(entries[index], dict):
-            raise UnreadableMesh(f"number {index} of its {kind} is no object; export it again")
+            raise UnreadableMesh(f"number {index} of its {kind} is not an object; export it again")
         return entries[index]
 
     def view_bytes(self, index: int) -> bytes:

@@ -64,7 +64,7 @@ def check_extensions(path: Path, header: dict[str, Any]) -> list[str]:
 def _names(header: dict[str, Any], key: str) -> list[str]:
     names = header.get(key, [])
     if not isinstance(names, list):
-        raise UnreadableMesh(f"its {key} is no list")
+        raise UnreadableMesh(f"its {key} is not a list")
     return [str(name) for name in names]
 
 

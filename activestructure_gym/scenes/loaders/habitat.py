@@ -99,7 +99,7 @@ def load_habitat_scene(
         origin = str(content.get("translation_origin", ""))
         for one in listed if objects else ():
             if not isinstance(one, Mapping):
-                raise InputError(f"'{where}' has an object instance that is no table: {short_repr(one)}")
+                raise InputError(f"'{where}' has an object instance that is not a table: {short_repr(one)}")
             parts += _instance(dataset, "objects", one, textures, where, origin)
     check_visible(chosen.file, parts)
     turned = [replace(part, vertices=upright(part.vertices, "y")) for part in parts]
@@ -257,7 +257,7 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
                 matches = sorted(root.glob(str(pattern).strip("/") or "."))
                 files = [f for match in matches for f in (sorted(match.iterdir()) if match.is_dir() else [match])]
             except (ValueError, NotImplementedError, IndexError):
-                raise InputError(f"{kind} names a path that is no pattern: {short_repr(pattern)}") from None
+                raise InputError(f"{kind} names a path that is not a pattern: {short_repr(pattern)}") from None
             except OSError as error:
                 raise InputError(f"{kind} names a path that cannot be read: {error}") from None
             for file in map(Path, map(os.path.abspath, files)):
@@ -333,7 +333,7 @@ def _instance(
     )
     quaternion = _vector(told, "rotation", where, (1.0, 0.0, 0.0, 0.0))
     if not 0.5 < np.linalg.norm(quaternion) < 2.0:
-        raise InputError(f"'{where}' has a rotation that is no unit quaternion [w, x, y, z]: {short_repr(told)}")
+        raise InputError(f"'{where}' has a rotation that is not a unit quaternion [w, x, y, z]: {short_repr(told)}")
     motion = Rotation.from_quat(quaternion, scalar_first=True).as_matrix() * scale
     moved_by = _vector(told, "translation", where, (0.0,) * 3)
     if kind == "objects" and str(told.get("translation_origin", origin)).lower() != "asset_local":

@@ -32,7 +32,7 @@ def load_hm3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> 
         beside = mesh_file.with_name(f"{mesh_file.stem}{_BASIS}")
         hint = ", only its copy for Habitat, whose textures are Basis" if beside.is_file() else ""
         raise InputError(
-            f"'{path}' is no HM3D scan that can be read: there is no file '{mesh_file.name}'"
+            f"'{path}' is not an HM3D scan that can be read: there is no file '{mesh_file.name}'"
             f"{hint}; download the split's `glb` archive"
         )
     if mesh_file.suffix.lower() != ".glb":
@@ -61,8 +61,8 @@ def _mesh_in(folder: Path) -> Path:
     meshes = [file for file in sorted(folder.glob("*.glb")) if "." not in file.stem]
     if len(meshes) != 1:
         raise InputError(
-            f"'{folder}' is no folder of an HM3D scan: expected a name like 00800-TEEsavR23oF, or one .glb file in it, "
-            f"found {len(meshes)}"
+            f"'{folder}' is not a folder of an HM3D scan: expected a name like 00800-TEEsavR23oF, or one .glb file in "
+            f"it, found {len(meshes)}"
         )
     return meshes[0]
 

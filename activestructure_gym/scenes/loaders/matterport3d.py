@@ -32,7 +32,7 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
             found = sorted(p for p in path.glob("*.glb") if not p.name.endswith("_semantic.glb"))
             if len(found) != 1:
                 raise InputError(
-                    f"'{path}' is no Matterport3D scene: expected '{path.name}.glb' in it, found "
+                    f"'{path}' is not a Matterport3D scene: expected '{path.name}.glb' in it, found "
                     f"{', '.join(p.name for p in found) or 'no .glb file'}"
                 )
             mesh_file = found[0]

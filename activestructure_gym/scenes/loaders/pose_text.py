@@ -27,7 +27,7 @@ def text_of(path: Path) -> str:
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' is no text; a trajectory of numbers is expected") from error
+        raise InputError(f"'{path}' is not text; a trajectory of numbers is expected") from error
 
 
 def lines_of(path: Path, *, most: int | None = None) -> list[tuple[int, list[str]]]:
@@ -85,7 +85,7 @@ def tum_poses(
             "sort the lines"
         )
     if not np.isfinite(rows[:, 0]).all():
-        raise InputError(f"a time stamp of '{path}' is no finite number")
+        raise InputError(f"a time stamp of '{path}' is not a finite number")
     return poses
 
 
@@ -133,5 +133,7 @@ def rigid_poses(poses: np.ndarray, path: Path) -> np.ndarray:  # [T, 4, 4]
             "convention is needed (invert one axis)"
         )
     if not straight.all():
-        raise InputError(f"pose {int(np.argmin(straight)) + 1} of '{path}' is no rigid motion (rotation, translation)")
+        raise InputError(
+            f"pose {int(np.argmin(straight)) + 1} of '{path}' is not a rigid motion (rotation, translation)"
+        )
     return unrounded(poses)

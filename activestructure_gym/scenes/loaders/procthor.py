@@ -63,13 +63,13 @@ def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects
     try:
         parts, doubts = _parts(json.loads(_text(path, house)), objects=objects)
     except KeyError as error:
-        raise InputError(f"'{path}' is no ProcTHOR house: {error} is missing") from None
+        raise InputError(f"'{path}' is not a ProcTHOR house: {error} is missing") from None
     except (TypeError, AttributeError, IndexError):
-        raise InputError(f"'{path}' is no ProcTHOR house: a part of it is of another kind") from None
+        raise InputError(f"'{path}' is not a ProcTHOR house: a part of it is of another kind") from None
     except RecursionError:
-        raise InputError(f"'{path}' is no ProcTHOR house: it is nested too deeply") from None
+        raise InputError(f"'{path}' is not a ProcTHOR house: it is nested too deeply") from None
     except (UnreadableMesh, ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
-        raise InputError(f"'{path}' is no ProcTHOR house: {' '.join(str(error).split())[:200]}") from None
+        raise InputError(f"'{path}' is not a ProcTHOR house: {' '.join(str(error).split())[:200]}") from None
     stem = path.name.partition(".")[0]
     name = f"{stem}-{house}" if ".jsonl" in path.name.lower() else stem
     return finished_scene(assemble(parts, ()), path, name=name, doubts=doubts)
@@ -203,7 +203,7 @@ def _boxes(thing: dict[str, Any], doubtful: list[str], *, on_floor: bool) -> lis
     turned = thing.get("rotation") or {}
     degrees = [float(turned.get(axis, 0.0)) for axis in "yxz"]  # Unity turns about z first, then x, then y
     if not max(map(abs, degrees)) < 1e6 or np.isnan(degrees).any():
-        raise UnreadableMesh(f"the rotation of {short_repr(thing.get('id', name))} is no finite number of degrees")
+        raise UnreadableMesh(f"the rotation of {short_repr(thing.get('id', name))} is not a finite number of degrees")
     corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
     spun = Rotation.from_euler("YXZ", degrees, degrees=True).apply(0.5 * size * corners[:, [0, 2, 1]])
     placed = spun[:, [0, 2, 1]] + middle
@@ -217,7 +217,7 @@ def _boxes(thing: dict[str, Any], doubtful: list[str], *, on_floor: bool) -> lis
 def _points(corners: Sequence[dict[str, Any]]) -> np.ndarray:  # [N, 3] metres, z up
     points = np.array([[float(p["x"]), float(p["z"]), float(p["y"])] for p in corners]).reshape(-1, 3)
     if not len(points) or not np.isfinite(points).all() or np.abs(points).max() > 1e4:
-        raise UnreadableMesh("a position is no finite number of metres")
+        raise UnreadableMesh("a position is not a finite number of metres")
     return points
 
 
@@ -244,7 +244,7 @@ def _material(material: Any) -> str:
 
 def _list(found: Any, what: str, most: int) -> list[Any]:
     if not isinstance(found, list):
-        raise UnreadableMesh(f"its {what} are no list")
+        raise UnreadableMesh(f"its {what} are not a list")
     if len(found) > most:
         raise UnreadableMesh(f"it has {len(found)} {what}, more than {most}")
     return found

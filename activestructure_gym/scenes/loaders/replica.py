@@ -135,7 +135,7 @@ def _mesh_file(path: Path) -> tuple[Path, Path]:
         raise InputError(
             f"'{path}' is a posed sequence without a mesh; give the folder with mesh.ply and pass this one as sequence="
         )
-    raise InputError(f"'{path}' is no Replica scene: it has neither mesh.ply nor habitat/mesh_semantic.ply")
+    raise InputError(f"'{path}' is not a Replica scene: it has neither mesh.ply nor habitat/mesh_semantic.ply")
 
 
 def _from_stage_config(path: Path) -> tuple[Path, Path]:

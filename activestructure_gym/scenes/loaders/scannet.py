@@ -34,8 +34,8 @@ def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
     mesh_file = path / f"{path.name}{_SCANNET_MESH}" if path.is_dir() else path
     if not mesh_file.name.endswith(_SCANNET_MESH) or not mesh_file.is_file():
         raise InputError(
-            f"'{path}' is no ScanNet scan: expected a folder <scan> with '<scan>{_SCANNET_MESH}' in it, found no file "
-            f"'{mesh_file.name}'; download the scan's _vh_clean_2.ply and .txt"
+            f"'{path}' is not a ScanNet scan: expected a folder <scan> with '<scan>{_SCANNET_MESH}' in it, found no "
+            f"file '{mesh_file.name}'; download the scan's _vh_clean_2.ply and .txt"
         )
     name = mesh_file.name.removesuffix(_SCANNET_MESH)
     motion = axis_alignment(mesh_file.with_name(f"{name}.txt"))
@@ -53,8 +53,8 @@ def load_scannetpp_scene(path: str | os.PathLike[str]) -> Scene:
     mesh_file = path / _SCANNETPP_MESH if path.is_dir() else path
     if mesh_file.name != _SCANNETPP_MESH.name or not mesh_file.is_file():
         raise InputError(
-            f"'{path}' is no ScanNet++ scene: expected a folder <scene> with '{_SCANNETPP_MESH}' in it, found no such "
-            "file; download the scene's mesh, or load another one as mesh:FILE"
+            f"'{path}' is not a ScanNet++ scene: expected a folder <scene> with '{_SCANNETPP_MESH}' in it, found no "
+            "such file; download the scene's mesh, or load another one as mesh:FILE"
         )
     return load_mesh_scene(mesh_file, units="m", up="z", name=mesh_file.parent.parent.name)
 

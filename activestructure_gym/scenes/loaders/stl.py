@@ -39,7 +39,7 @@ def read_stl(data: bytes, textures: TextureStore) -> list[MeshPart]:
     else:
         corners = np.array(_VERTEX.findall(_NAME.sub(b"", data))).astype(np.float64).reshape(-1, 3)
     if len(corners) % 3:
-        raise UnreadableMesh(f"its triangles have {len(corners)} corners in all, which is no multiple of 3")
+        raise UnreadableMesh(f"its triangles have {len(corners)} corners in all, which is not a multiple of 3")
     return [MeshPart(corners, np.arange(len(corners)).reshape(-1, 3), colors)]
 
 

@@ -117,7 +117,7 @@ def _decoded(data: bytes) -> str:
 def _obj_text(data: bytes) -> str:
     text = _decoded(data)
     if "\0" in text:
-        raise UnreadableMesh("it is a binary file and no OBJ text, or UTF-16 without a mark: save it as UTF-8")
+        raise UnreadableMesh("it is not OBJ text, but binary or UTF-16 without a byte-order mark: save it as UTF-8")
     return plain_obj(text)
 
 

@@ -68,7 +68,7 @@ def bad_meshes(tmp_path):
     corners = 1000 * np.array([(x, y, z) for x in (0, 5) for y in (0, 4) for z in (0, 2.6)])
     faces = "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 1 3 7 5\nf 2 4 8 6\n"
     write_obj(tmp_path / "millimetres.obj", corners, faces)
-    (tmp_path / "text.glb").write_text("this is no mesh")
+    (tmp_path / "text.glb").write_text("this is not a mesh")
     # 150 m long: a building may be, but no volume of 0.1 m voxels.
     write_obj(tmp_path / "inches.obj", corners * 0.03, faces)
 
@@ -90,7 +90,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "bx"], ["unknown scene 'bx'", "did you mean 'box'"]),
         (["compare", "--scenes", "box", "--start", "0.01,0.01,1.3,0"], ["start"]),
         (["compare", "--scenes", "box", "--start", "90,90,1.3,0"], ["start"]),
-        (["compare", "--scenes", "box", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
+        (["compare", "--scenes", "box", "--policies", "learned:nowhere"], ["not a checkpoint", "nowhere"]),
         (["compare", "--scenes", "box", "--policies", "frontire"], ["unknown policy 'frontire'"]),
         (["compare", "--scenes", "box", "--frames", "0"], ["frame budget must be at least 1, got 0"]),
         (["compare", "--scenes", "box", "--frames", "-5"], ["frame budget must be at least 1, got -5"]),

@@ -118,7 +118,7 @@ def test_groups_of_policies() -> None:
     assert set(split_policies(["all"])) == set(POLICIES)
     with pytest.raises(InputError, match=r"did you mean 'ladder'\? `asg list policies` lists the names"):
         split_policies(["random,lader"])
-    with pytest.raises(InputError, match="'reference:oracle' is no policy: ask for it by --references oracle"):
+    with pytest.raises(InputError, match="'reference:oracle' is not a policy: ask for it by --references oracle"):
         split_policies(["random,reference:oracle"])
     assert LADDER[0] == "activestructure-a" and LADDER[-1] == "activestructure" and len(LADDER) == 5
 

@@ -60,7 +60,7 @@ def test_completion_has_one_door(option, capsys):
 @pytest.mark.parametrize("word", ["a\0b", "caf\udce9"])
 @pytest.mark.parametrize("option", [["--scenes"], ["--out"], ["--set"], []])
 def test_bytes_that_are_no_text_are_refused(word, option):
-    with pytest.raises(InputError, match="holds bytes that are no text"):
+    with pytest.raises(InputError, match="holds bytes that are not text"):
         parse(find_command("compare"), "compare", [*option, word])
 
 

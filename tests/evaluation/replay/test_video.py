@@ -44,7 +44,7 @@ def test_what_cannot_be_a_video_is_said(
     one, other = (str(run.directory) for run in finished)
     for words, message in (
         ([one, "--video", str(tmp_path / "run.gif")], "a video ends in .mp4 or .webm, got 'run.gif'"),
-        ([one, other, "--video", str(tmp_path / "run.mp4")], "--video is of one run"),
+        ([one, other, "--video", str(tmp_path / "run.mp4")], "shows one run"),
         ([one, "--video", str(tmp_path / "run.mp4"), "--out", "page.html"], "takes the place of --out"),
         ([one, "--video", str(tmp_path / "nowhere" / "run.mp4")], "in a directory that exists"),
     ):

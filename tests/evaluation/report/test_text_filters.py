@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.text_filters import compressed, witho
             "asg compare --scenes /home/me/a.glb,/home/me/b.glb --out=/tmp/c/",
             "asg compare --scenes a.glb,b.glb --out=c",
         ),
-        ("'/home/me' is no scene", "'me' is no scene"),
+        ("'/home/me' is not a scene", "'me' is not a scene"),
         ("~/scenes/a.glb and C:\\Users\\me\\a.glb", "a.glb and a.glb"),
         (
             "../shared/a.glb, runs/mine, ./b and docs/reference/protocols.md",

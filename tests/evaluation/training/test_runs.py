@@ -201,7 +201,7 @@ def state(place: Path, change: Any = lambda tensors: None, **notes: Any) -> None
 @pytest.mark.parametrize(
     "change, words",
     [
-        (lambda place: (place / STATE).write_bytes(b""), "state.safetensors' is damaged: .*no whole safetensors"),
+        (lambda place: (place / STATE).write_bytes(b""), "state.safetensors' is damaged: .*not a whole safetensors"),
         (lambda place: (place / STATE).write_bytes(b"\xff" * 99), "state.safetensors' is damaged: .*header would have"),
         (lambda place: state(place, position=7), "it is of unit 7, of 3"),
         (lambda place: state(place, position="1"), "position: expected a whole number"),
@@ -229,7 +229,7 @@ def test_damage_names_the_file(change: Any, words: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change, words",
     [
-        ({"method": []}, "unknown method"), ({"more": 1}, "no description of a training run"),
+        ({"method": []}, "unknown method"), ({"more": 1}, "not a description of a training run"),
         ({"world": {"features": 3}}, "features of a training world is a list"),
         ({"world": {"features": ["os:system"]}},
          "config.json' names the feature 'os:system', and to load it would run code"),

@@ -396,5 +396,5 @@ def test_configurations_are_checked_and_return_from_json() -> None:
     for wrong in ({"rooms": ()}, {"rooms": (9,)}, {"reward": "points"}, {"layouts": 0}):
         with pytest.raises(InputError):
             WorldConfig(**wrong)
-    with pytest.raises(InputError, match="no description of a training world"):
+    with pytest.raises(InputError, match="not a description of a training world"):
         TrainingConfig.from_dict({"method": "bc"})

@@ -82,7 +82,7 @@ def test_a_changed_checkpoint_is_another_policy(checkpoint: Path, tmp_path: Path
 def test_damaged_files_are_told(checkpoint: Path, tmp_path: Path) -> None:
     (tmp_path / "a.safetensors").write_bytes(b"nothing")
     (tmp_path / "a.json").write_bytes(checkpoint.with_suffix(".json").read_bytes())
-    with pytest.raises(InputError, match="no whole safetensors file.*; its JSON describes other weights, or one of"):
+    with pytest.raises(InputError, match="not a whole safetensors file.*; its JSON describes other weights, or one of"):
         load_network(find_checkpoint(tmp_path / "a"))
     for content in (b"{}", b"", b"\xff", b"[" * 100_000, b"[]"):
         (tmp_path / "a.json").write_bytes(content)

@@ -279,10 +279,10 @@ def test_a_skin_stands_where_its_joints_are(document):
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("first second", "first third", "the joint 'third' of a skin is no node"),
+        ("first second", "first third", "the joint 'third' of a skin is not a node"),
         ("<vcount>1 2 2 1", "<vcount>1 2 2", "weights for 3 of 4 vertices"),
         ("1 0 1 1 1 0 0</v>", "1 0 1 1 1 7 0</v>", "joints or weights that do not exist"),
-        (".1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1 .1", ".1", "2 joints and 16 numbers"),
+        (".1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1 .1", ".1", "2 joints needs 16 numbers of a bind matrix for each, got 16"),
         ('<joints><input semantic="JOINT" source="#names"/>', "<joints>", "no <input> for JOINT"),
     ],
 )
@@ -397,8 +397,8 @@ def test_vertex_colours_without_a_material_s_own_are_seen_as_they_are(document, 
     [
         ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 1,0 0 0 1 1 0 0 1 0", "written with commas"),
         ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 one 0 0 1 1 0 0 1 0", "'one' was found where numbers are expected"),
-        ("<p>0 1 2 0 2 3", "<p>0 1 2 0 2 9", "its corners name VERTEX 9 of 4"),
-        ("<p>0 0 0 1 0 1 2", "<p>0 0 0 1 0 1 2 2", "no rows of 3"),
+        ("<p>0 1 2 0 2 3", "<p>0 1 2 0 2 9", "a corner has the VERTEX 9, but there are 4"),
+        ("<p>0 0 0 1 0 1 2", "<p>0 0 0 1 0 1 2 2", "not rows of 3"),
         ("<vcount>4", "<vcount>5", "counts 5 corners and has 4"),
         ('count="4" stride="3"', 'count="4" stride="2"', "have 2 numbers instead of 3"),
     ],

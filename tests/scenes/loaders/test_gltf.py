@@ -326,7 +326,7 @@ def test_arrays_of_different_lengths(tmp_path, gltf, name):
         (("nodes", 0, "mesh"), 7, "number 7 of its meshes, and there are 1"),
         (("nodes", 0, "mesh"), -1, "number -1 of its meshes"),
         (("nodes", 0), [], "not what the format says"),
-        (("meshes", 0), 5, "number 0 of its meshes is no object"),
+        (("meshes", 0), 5, "number 0 of its meshes is not an object"),
         (("scenes",), [{"nodes": [9]}], "number 9 of its nodes"),
         (("meshes", 0, "primitives", 0, "attributes", "POSITION"), 9, "number 9 of its accessors, and there are 2"),
         (("meshes", 0, "primitives", 0, "attributes", "POSITION"), None, "lacks 'POSITION'"),
@@ -345,7 +345,7 @@ def test_arrays_of_different_lengths(tmp_path, gltf, name):
         (("buffers", 0, "uri"), "data:,a", "damaged"),
         (("nodes", 0, "matrix"), [1, 2], "not what the format says"),
         (("nodes", 0, "rotation"), [1, 2], "not what the format says"),
-        (("extensionsRequired",), 3, "extensionsRequired is no list"),
+        (("extensionsRequired",), 3, "extensionsRequired is not a list"),
     ],
 )
 def test_damage_is_said_in_words(tmp_path, gltf, place, value, said):

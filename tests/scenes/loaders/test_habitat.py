@@ -211,7 +211,7 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
             {"stage_instance": {"template_name": "hall"}},
             "unknown template among the stages.*Known: room",
         ),
-        ("scenes/one.scene_instance.json", {"object_instances": [7]}, "no table"),
+        ("scenes/one.scene_instance.json", {"object_instances": [7]}, "not a table"),
         (
             "scenes/one.scene_instance.json",
             {"object_instances": [{"translation": [0, 0, 0]}]},
@@ -220,7 +220,7 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
         (
             "scenes/one.scene_instance.json",
             {"object_instances": [{"template_name": "chest", "rotation": [0, 0, 0, 0]}]},
-            "no unit quaternion",
+            "not a unit quaternion",
         ),
     ],
 )

@@ -56,12 +56,12 @@ def test_the_copy_for_habitat_alone_is_refused_with_what_to_get(scan, form):
 
 
 def test_what_is_no_scan_of_hm3d_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no folder of an HM3D scan.*found 0"):
+    with pytest.raises(InputError, match="not a folder of an HM3D scan.*found 0"):
         load_hm3d_scene(tmp_path)
     (tmp_path / "house.obj").write_text("")
     with pytest.raises(InputError, match="not an HM3D mesh"):
         load_hm3d_scene(tmp_path / "house.obj")
-    with pytest.raises(InputError, match="no HM3D scan that can be read"):
+    with pytest.raises(InputError, match="not an HM3D scan that can be read"):
         load_scene(f"hm3d:{tmp_path / '00001-nothing'}")
 
 

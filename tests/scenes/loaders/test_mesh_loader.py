@@ -143,7 +143,7 @@ def test_a_file_that_is_cut_off(write_box, suffix):
 
 def test_a_binary_file_called_obj_is_no_missing_package(write_box):
     odd = write_box(".glb").rename(write_box(".obj"))
-    assert "no OBJ text" in _error(odd)
+    assert "not OBJ text" in _error(odd)
 
 
 def test_empty_mesh_and_mesh_without_area(tmp_path, gltf):

@@ -36,7 +36,7 @@ def colors_of(tmp_path, data):
 @pytest.mark.parametrize(
     "lines",
     [
-        {"comments": ["comment this is no end_header yet"]},
+        {"comments": ["comment this is not an end_header yet"]},
         {"comments": ["obj_info end_header", "comment element face 9", "comment", "", "comment gr\u00fcn"]},
         {"before": ["comment made before the format is said, in ascii"]},
         {"before": ["comment binary_big_endian"], "comments": ["comment end_header"]},

@@ -263,20 +263,20 @@ def changed(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
     [
         ({}, "'walls' is missing"),
         ([], "a part of it is of another kind"),
-        (changed(("walls",), {}), "its walls are no list"),
-        (changed(("rooms", 0, "floorPolygon", 0, "x"), float("nan")), "no finite number"),
+        (changed(("walls",), {}), "its walls are not a list"),
+        (changed(("rooms", 0, "floorPolygon", 0, "x"), float("nan")), "not a finite number"),
         (changed(("rooms", 0, "floorPolygon", 0, "x"), "left"), "could not convert"),
         (changed(("doors", 0, "wall0"), "z9"), "'z9' is missing"),
         (changed(("walls", 0, "polygon"), [point(0, 0, 0)] * 4), "has no width or no height"),
         (changed(("objects", 0, "position"), None), "a part of it is of another kind"),
-        (changed(("objects", 0, "rotation"), {"y": float("nan")}), "the rotation of 'Bed|2|0' is no finite number"),
-        (changed(("objects", 0, "rotation"), {"y": float("inf")}), "the rotation of 'Bed|2|0' is no finite number"),
+        (changed(("objects", 0, "rotation"), {"y": float("nan")}), "the rotation of 'Bed|2|0' is not a finite number"),
+        (changed(("objects", 0, "rotation"), {"y": float("inf")}), "the rotation of 'Bed|2|0' is not a finite number"),
     ],
 )
 def test_what_is_no_house_is_said(tmp_path: Path, content: Any, message: str) -> None:
     path = tmp_path / "house.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=f"'{path}' is no ProcTHOR house: .*{message}"):
+    with pytest.raises(InputError, match=f"'{path}' is not a ProcTHOR house: .*{message}"):
         load_procthor_scene(path)
 
 
@@ -291,5 +291,5 @@ def test_what_is_no_file_of_houses_is_said(tmp_path: Path) -> None:
     (tmp_path / "HOUSE.JSON.GZ").write_bytes(gzip.compress(json.dumps(house()).encode()))
     assert load_procthor_scene(tmp_path / "HOUSE.JSON.GZ").name == "HOUSE"
     for name in ("deep.json", "bad.jsonl.gz"):
-        with pytest.raises(InputError, match="is no ProcTHOR house"):
+        with pytest.raises(InputError, match="is not a ProcTHOR house"):
             load_procthor_scene(tmp_path / name)

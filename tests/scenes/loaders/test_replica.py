@@ -143,7 +143,7 @@ def _error(path) -> str:
 
 
 def test_what_is_no_replica_scene(tmp_path, replica_folder):
-    assert "is no Replica scene" in _error(tmp_path)
+    assert "is not a Replica scene" in _error(tmp_path)
     assert "there is no Replica scene" in _error(tmp_path / "mesh.ply")
     assert "no stage config" in _error(tmp_path / "a.stage_config.json")
     (tmp_path / "a.stage_config.json").write_text("{}")

@@ -63,7 +63,7 @@ def test_an_alignment_that_is_no_motion_is_refused(scan, said):
 def test_what_is_missing_is_named(scan):
     with pytest.raises(InputError, match="a folder of scenes; give one of them"):
         load_scene(str(scan.parent))
-    with pytest.raises(InputError, match="is no ScanNet scan: expected a folder"):
+    with pytest.raises(InputError, match="is not a ScanNet scan: expected a folder"):
         load_scene(f"scannet:{scan.parent}")
     (scan / "scene0000_00.txt").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="not the text file of a ScanNet scan"):
@@ -85,5 +85,5 @@ def test_a_scene_of_scannetpp_is_named_by_its_folder(tmp_path, box_at, form, pre
 
 
 def test_a_folder_without_the_mesh_of_scannetpp_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"is no ScanNet\+\+ scene: expected a folder"):
+    with pytest.raises(InputError, match=r"is not a ScanNet\+\+ scene: expected a folder"):
         load_scene(f"scannetpp:{tmp_path}")

@@ -217,14 +217,14 @@ def test_a_native_table_by_hand() -> None:
     usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "mapper": "default", "iterations": "10"}
 
     def run(policy: str, seed: str, observed: str, reached: str = "") -> dict[str, str]:
-        return usual | {"policy": policy, "seed": seed, "observed": observed, "frames_to_95": reached}
+        return usual | {"policy": policy, "seed": seed, "observed": observed, "frames_to_80": reached}
 
     lines = [run("hole_area", "0", "90"), run("hole_area", "1", "92"), run("hole_area", "2", "10")]
     table = script["markdown"]([*lines, run("random", "0", "93", "1500"), run("random", "1", "93")])
     heads, _, first, second = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
     # The third seed, which one alone played, does not count.
     assert (first[1], second[1]) == ("`random`", "`hole_area`")
-    assert (first[heads.index("95 %")], second[heads.index("95 %")]) == ("1,500 (1 of 2)", "–")
+    assert (first[heads.index("frames to 80 %")], second[heads.index("frames to 80 %")]) == ("1,500 (1 of 2)", "–")
     column = heads.index("observed minus `hole_area`")
     assert (first[column], second[column]) == ("+2.0 [1.0, 3.0]", "")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -174,3 +175,29 @@ def test_rllib_runs_two_iterations(tmp_path: Path) -> None:
     example = load("rllib_ppo")
     returns = example.main(example.Args(frames=12, iterations=2, env_runners=0, steps=16))
     assert len(returns) == 2 and np.isfinite(returns).all()
+
+
+@pytest.mark.slow
+def test_the_notebook_plays_and_shows_a_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its cells run without IPython; of the lines that IPython runs itself, those of pip are left out."""
+    from activestructure_gym.evaluation.cli import main
+
+    shown: list[str] = []
+    display = SimpleNamespace(HTML=shown.append)
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert not any(cell.get("outputs") for cell in cells)
+    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    text = re.sub(r"^%pip .*$", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^!asg (.*)$", lambda line: f"asg({line[1].split()!r})", text, flags=re.MULTILINE)
+    text = text.replace('scene="room"', 'scene="box", frame_budget=15')
+    assert text.count("'--scenes', 'room'") == 1
+    text = text.replace("'--scenes', 'room'", "'--scenes', 'box', '--frames', '15'")
+    with bare_jobs():
+        exec(compile(text, "notebook.ipynb", "exec"), {"__name__": "notebook", "asg": main})
+    assert "Gaussians after 15 frames" in capsys.readouterr().out
+    assert len(shown) == 1 and "srcdoc=" in shown[0] and len(shown[0]) > 100_000

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from activestructure_gym.config import configure
 from activestructure_gym.features import FEATURES
@@ -275,6 +276,20 @@ def test_readme_has_the_benchmark_s_numbers() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
     told = script["readme"](script["read"](script["PLACE"]))
     assert told in (ROOT / "README.md").read_text(), "README.md is out of date: paste what --readme prints"
+
+
+@pytest.mark.parametrize("film", ["replay.webp", "kitchen.webp"])
+def test_the_films_of_the_docs_are_short_and_small(film: str) -> None:
+    path = ROOT / "docs" / "images" / film
+    assert path.stat().st_size < 3e6
+    with Image.open(path) as shown:
+        assert shown.size == (1200, 686)  # two maps side by side, as `asg replay RUN RUN --video` writes them
+        durations = []
+        for number in range(shown.n_frames):  # type: ignore[attr-defined]
+            shown.seek(number)
+            assert np.asarray(shown.convert("L")).std() > 10
+            durations.append(shown.info["duration"])  # known after the image has been read
+    assert sum(durations) == pytest.approx(6000, abs=100)
 
 
 @pytest.mark.parametrize("picture", ["replay.webp", "views.jpg"])

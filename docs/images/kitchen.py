@@ -1,8 +1,9 @@
-"""Make kitchen.webp: a planner explores the Franka kitchen in MuJoCo, one picture per decision.
+"""Make kitchen.webp: a film of two planners that explore the Franka kitchen in MuJoCo.
 
-    python docs/images/kitchen.py
+    python docs/images/kitchen.py runs/kitchen
 
-It needs the extra ``mujoco`` and gymnasium-robotics.
+The comparison is played into the given directory, or read from it. It needs the extra ``mujoco`` and
+gymnasium-robotics.
 """
 
 from __future__ import annotations
@@ -10,37 +11,27 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from PIL import Image
-
-from activestructure_gym.policies import make_env_and_policy
+from activestructure_gym.evaluation import Conditions, compare
+from activestructure_gym.evaluation.replay import play_again, write_video
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "worlds"))
 from mujoco_kitchen import kitchen
 
 OUT = Path(__file__).with_name("kitchen.webp")
-POLICY, FRAMES, MS, WIDTH = "activestructure", 300, 350, 760
+POLICIES, FRAMES = ["random", "activestructure"], 300
 
 
-def main() -> None:
-    """Play the episode and write the animation."""
-    env, policy = make_env_and_policy(
-        POLICY, f"{kitchen()}&width=320&height=180", preset="default", frame_budget=FRAMES, render_mode="rgb_array"
-    )
-    policy.reset(0)
-    observation, info = env.reset(seed=0)
-    panels, ended = [env.render()], False
-    while not ended:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        ended = terminated or truncated
-        panels.append(env.render())
-        print(f"frame {info['frames']} of {FRAMES}", flush=True)
-    env.close()
-    size = (WIDTH, round(WIDTH * panels[0].shape[0] / panels[0].shape[1]))  # type: ignore[union-attr]
-    pictures = [Image.fromarray(panel).resize(size, Image.Resampling.LANCZOS) for panel in panels]  # type: ignore[arg-type]
-    times = [MS] * (len(pictures) - 1) + [2500]
-    pictures[0].save(OUT, save_all=True, append_images=pictures[1:], duration=times, loop=0, quality=60, method=6)
-    print(f"{OUT}: {len(pictures)} pictures, {OUT.stat().st_size / 1e6:.2f} MB")
+def main(folder: Path) -> None:
+    """Play the episodes that are missing, replay them, and write the film."""
+    world = f"{kitchen()}&width=320&height=180"
+    runs = compare(
+        [world], POLICIES, folder, conditions=Conditions(frame_budget=FRAMES), engine="inline", resume=folder.is_dir()
+    ).runs
+    write_video([play_again(run) for run in sorted(runs, key=lambda run: POLICIES.index(run.policy))], OUT)
+    print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) != 2:
+        sys.exit("give the directory of the comparison: python docs/images/kitchen.py DIR")
+    main(Path(sys.argv[1]))

@@ -29,7 +29,7 @@ MAX_RUNS = 2
 
 @dataclass(frozen=True)
 class Replay:
-    """Write a page that replays one or two finished runs.
+    """Write a page, or a film, that replays one or two finished runs.
 
     The page shows the map as it grows, the camera, planes, candidates and curves; two runs side by side on one clock.
     It needs no server, no network and no other file.
@@ -40,7 +40,7 @@ class Replay:
     out: Out = None
     """Write this page (default: replay.html in the run's directory, of two runs in the working directory)."""
     video: PathName = None
-    """Write a video of one run instead, .mp4 or .webm."""
+    """Write a film of 6 s instead, with each map as it grows and a curve: .mp4, .webm, or .webp for web pages."""
     trust_code: Switch = False
     """Run code (package.module:Name) that the runs' files name."""
 
@@ -51,17 +51,17 @@ class Replay:
         if not 1 <= len(directories) <= MAX_RUNS:
             raise InputError(f"a replay shows one run or two, got {len(directories)}: name their directories in jobs/")
         from activestructure_gym.evaluation.archive.store import REPLAY, read_run
+        from activestructure_gym.evaluation.replay import check_video
 
-        if self.video is not None:
-            if self.out is not None or len(directories) != 1:
-                raise InputError(
-                    "--video takes the place of --out and shows one run: leave out --out, and name one run"
-                )
-            return _video(make_console(), directories[0], Path(self.video))
-        out = Path(self.out or (directories[0] / REPLAY if len(directories) == 1 else REPLAY))
-        _check_place("--out", out)
-
-        write_page(make_console(), out, [read_run(directory) for directory in directories])
+        if self.video is not None and self.out is not None:
+            raise InputError("--video takes the place of --out: leave out one of the two")
+        film = self.video is not None
+        out = Path(self.video or self.out or (directories[0] / REPLAY if len(directories) == 1 else REPLAY))
+        if film:
+            check_video(out)
+        if out.is_dir() or not out.absolute().parent.is_dir():
+            raise InputError(f"{'--video' if film else '--out'} is a file in a directory that exists, got '{out}'")
+        write_page(make_console(), out, [read_run(directory) for directory in directories], film=film)
         return 0
 
 
@@ -81,13 +81,13 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
                 console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]")
 
 
-def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
-    """Play one or two runs again, write the replay page to ``out``, and print its address.
+def write_page(console: Console, out: Path, runs: Sequence[Run], *, film: bool = False, trusted: bool = False) -> None:
+    """Play one or two runs again, write the replay page or, with ``film``, the film to ``out``, and print its place.
 
     With ``trusted``, plugins that the runs' files name are imported.
     """
     from activestructure_gym.evaluation.archive.temporary import writing
-    from activestructure_gym.evaluation.replay import play_again, write_replay
+    from activestructure_gym.evaluation.replay import play_again, write_replay, write_video
 
     began, recordings = time.monotonic(), []
     for run in runs:
@@ -97,30 +97,16 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
         if recording.divergence:
             console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.divergence)}[/]")
     with writing(out):
-        size = write_replay(recordings, out)
-    seconds = time.monotonic() - began
-    console.print(f"{size / 1e6:.1f} MB, {seconds:.0f} s")
-    print_page(console, out)
-
-
-def _video(console: Console, directory: Path, out: Path) -> int:
-    from activestructure_gym.evaluation.archive.store import read_run
-    from activestructure_gym.evaluation.archive.temporary import writing
-    from activestructure_gym.evaluation.replay import check_video, write_video
-
-    check_video(out)
-    _check_place("--video", out)
-    run, began = read_run(directory), time.monotonic()
-    with _progress(console, run) as update, writing(out):
-        length = write_video(run, out, update)
+        if film:
+            length = write_video(recordings, out)
+        else:
+            write_replay(recordings, out)
     size, seconds = out.stat().st_size / 1e6, time.monotonic() - began
-    console.print(f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s")
-    return 0
-
-
-def _check_place(name: str, out: Path) -> None:
-    if out.is_dir() or not out.absolute().parent.is_dir():
-        raise InputError(f"{name} is a file in a directory that exists, got '{out}'")
+    console.print(f"{size:.1f} MB, {seconds:.0f} s")
+    if film:
+        console.print(f"[bold]{escape(str(out))}[/]: {length:g} s")
+    else:
+        print_page(console, out)
 
 
 @contextmanager

@@ -36,7 +36,13 @@ class Player {
     const low = Math.min(...runs.map((run) => run.film.bounds[0][2])), high = Math.max(...runs.map((run) => run.film.bounds[1][2]));
     this.heights = [low, high];
     find("runs").replaceChildren(...runs.map((run) => run.element));
-    for (const run of runs) { run.start(); this.listen(run); run.why.open = runs.length === 1; } // two tables would take the maps' room
+    for (const run of runs) {
+      run.orbit.home.yaw = runs[0].orbit.home.yaw;
+      run.orbit.reset();
+      run.start();
+      this.listen(run);
+      run.why.open = runs.length === 1; // two tables would take the maps' room
+    }
     const feature = runs[0].film.feature;
     find("scores").textContent = feature ? `other candidates, low to high ${feature}` : "other candidates";
     this.to(1);

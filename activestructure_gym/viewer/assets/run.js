@@ -36,9 +36,9 @@ class Run {
       element("figure", {}, this.rendered, element("figcaption", {}, "map")));
     this.stage = element("div", { className: "stage" }, this.canvas, element("h2", { className: RUN_CLASSES[number], hidden: !film.name }, film.name),
       this.pictures, element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: zoom"));
-    this.element = element("section", { className: "run" }, this.stage, element("div", { className: "note" }, this.why, this.facts));
+    this.element = element("section", { className: "run" }, this.stage, element("div", { className: `note of-${RUN_CLASSES[number]}`, "data-name": film.name }, this.why, this.facts));
     if (film.warning) this.facts.after(element("p", { className: "warning" }, film.warning));
-    this.orbit = new Orbit(film.bounds);
+    this.orbit = new Orbit(film.bounds, this.arrays.poses);
     this.images = new Map();
   }
 

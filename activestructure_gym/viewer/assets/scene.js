@@ -362,11 +362,11 @@ function perspective(focal, aspect, near, far) {
 }
 
 class Orbit {
-  constructor(bounds) {
-    const [low, high] = bounds;
-    this.target = [0, 1, 2].map((axis) => low[axis] + (axis < 2 ? 0.5 : 0.3) * (high[axis] - low[axis])); // the ceiling is hidden
+  constructor(bounds, start) { // seen from the corner nearest to the camera's first position
+    const [low, high] = bounds, side = [0, 1].map((axis) => start[axis] - (low[axis] + high[axis]) / 2), turn = Math.PI / 2;
+    this.target = [0, 1, 2].map((axis) => low[axis] + (axis < 2 ? 0.5 : 0.25) * (high[axis] - low[axis])); // the ceiling is hidden
     this.size = Math.hypot(high[0] - low[0], high[1] - low[1]);
-    this.home = { yaw: -2.2, pitch: 0.95, distance: this.size * 1.2, target: [...this.target] };
+    this.home = { yaw: 0.94 + turn * Math.round((Math.atan2(side[1], side[0]) - 0.94) / turn), pitch: 0.95, distance: this.size * 1.25, target: [...this.target] };
     this.reset();
   }
   reset() { Object.assign(this, { ...this.home, target: [...this.home.target] }); }

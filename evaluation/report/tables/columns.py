@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from activestructure_gym.errors import pluralised, unknown_name
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.metrics.planning import LEVELS
+from activestructure_gym.evaluation.metrics.planning import LEVELS, ended_frame
 from activestructure_gym.evaluation.protocols.metrics import Metric, standard
 from activestructure_gym.evaluation.protocols.metrics.base import Best
 from activestructure_gym.evaluation.protocols.metrics.without_truth import WITHOUT_TRUTH
@@ -92,6 +92,7 @@ COSTS = (
     Column("frames", "frames", "", 0),
     Column("metres", "path", "m", 1),
     Column("decisions", "decisions", "", 0),
+    Column("ended_frame", "ended at frame", "", 0, meaning="last frame of a movement, if later decisions only stayed"),
     *_SIZES,
     Column("collisions", "collisions", "", 0),
     Column("planning_seconds", "planning", "s", 1),
@@ -163,6 +164,9 @@ def value_of(run: Run, key: str) -> float | None:
         return run.timing["total"]
     if key in stages:
         return sum(run.timing.get("seconds", {}).get(stage, 0.0) for stage in stages[key])
+    if key == "ended_frame":
+        legs = run.trajectory.get("legs")
+        return None if legs is None else ended_frame(legs, run.config["configuration"]["frame_budget"])
     metrics = run.metrics["metrics"]
     if key.startswith(LOWER_BOUND):
         if metrics.get("observed_area") is None:

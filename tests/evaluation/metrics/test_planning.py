@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.metrics.planning import first_reaching, late_rate, planning_scores
+from activestructure_gym.evaluation.metrics.planning import ended_frame, first_reaching, late_rate, planning_scores
 
 # Of 200 frames: 0 -> 40 -> 80 -> 90 % at frames 0, 50, 100, 200; PSNR and depth error beside it.
 CURVE = [
@@ -53,3 +53,25 @@ def test_a_straight_line_has_its_own_slope_wherever_its_points_stand():
     rng = np.random.default_rng(0)
     frames = np.sort(rng.choice(400, 30, replace=False)).astype(float)
     assert late_rate(frames, 7.0 + 0.03 * frames, 300) == pytest.approx(3.0)
+
+
+MOVED = [[11, 11, 0], [21, 21, 0]]  # two decisions of ten frames; the path begins with one pose
+
+
+@pytest.mark.parametrize(
+    "after, ended",
+    [
+        ([], 21),  # no candidate left before the budget
+        ([[101, 100, 0]], None),  # the budget ends a movement
+        ([[21, 26, 1], [21, 31, 1], [21, 100, 1]], 21),  # optimisation in place until the budget
+        ([[21, 26, 1], [31, 36, 0], [31, 41, 1]], 36),  # a movement after a stay
+        ([[21, 21, 0], [21, 21, 0]], 21),  # a switch of stages, then the row that ends the episode
+    ],
+)
+def test_a_policy_has_ended_at_its_last_movement_if_it_only_stays_afterwards(after, ended):
+    assert ended_frame(np.array([*MOVED, *after]), 100) == ended
+
+
+def test_a_policy_without_any_movement_has_no_last_one():
+    assert ended_frame(np.array([[1, 6, 1], [1, 11, 1]]), 100) is None
+    assert ended_frame(np.zeros((0, 3), int), 100) is None

@@ -23,12 +23,17 @@ def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
     """
     frame, ends = last_moved(context.mapper.keyframes), places(context)
     here, camera = context.mapper.keyframes[-1].world_from_camera[:3, 3], frame.world_from_camera
-    seen = frame.camera.backproject(frame.depth)[frame.depth > 0] @ camera[:3, :3].T + camera[:3, 3]
-    box = np.vstack([seen, camera[:3, 3]])[:, :2]
+    box = np.vstack([returns(frame), camera[:3, 3]])[:, :2]
     inside = ((ends[:, :2] >= box.min(axis=0)) & (ends[:, :2] <= box.max(axis=0))).all(axis=1)
     free = context.volume.segments_free(here, ends, min_clearance=_CLEAR)
     at_node = context.once(voronoi_node) >= 0
     return (free & inside if (free & inside & at_node).any() else free).astype(np.float64)
+
+
+def returns(frame: Frame) -> np.ndarray:  # [n, 3] metres, world
+    """Return the points of all depth returns of a frame."""
+    camera = frame.world_from_camera
+    return frame.camera.backproject(frame.depth)[frame.depth > 0] @ camera[:3, :3].T + camera[:3, 3]
 
 
 def last_moved(keyframes: list[Frame]) -> Frame:

@@ -8,44 +8,71 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.in_horizon import returns
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
-from activestructure_gym.volume import FREE
+from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 KEPT = 0.8  # share of the surface that is clustered, the most uncertain part
 CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since a ceiling connects all walls
 MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent; nearer targets are only used if all are nearer
+ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a robot on wheels
+BODY_M = (
+    1.1  # metres below a target of a robot on wheels that must not be occupied: 1.5 m less 0.4 m ([activeinr, code])
+)
+_SAMPLES = 10  # number of tested points over these metres
 
 
 def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
     """Compute the surface share of the cluster assigned to each candidate, and the cluster's target (metres, world).
 
     ``uncertainty`` returns the surface with its uncertainty. The target is the camera position for the cluster
-    (`Clusters.targets`). Targets should be free, at least 1 m from the agent, and inside the workspace; a condition
-    that no remaining target satisfies is skipped (`preferred`).
+    (`Clusters.targets`); if all candidates have one height, it has that height too. Targets should be free (`free`), at
+    least 1 m from the agent, and inside the bounding box of the depth returns of the newest keyframe. A condition that
+    no remaining target satisfies is skipped (`preferred`).
 
     Each cluster, the largest first, is assigned the candidate that is nearest to its target and to its view direction
     -mean n. One metre counts as much as a right angle. Revisits and candidates of larger clusters are left out.
-    Candidates without a cluster have 0 and their own position. Source: [anm].
+    Candidates without a cluster have 0 and their own position. Source: [anm], [activeinr, code].
     """
-    poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
+    poses, newest = context.world_from_camera, context.mapper.keyframes[-1]
     table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)
     found = clusters(context.once(uncertainty).below(context.bounds[1, 2] - CEILING), KEPT)
     taken = context.revisits.copy()
+    heights = poses[~taken, 2, 3]
+    on_wheels = len(heights) > 0 and float(np.ptp(heights)) < ONE_HEIGHT_M
+    targets, seen = found.targets.copy(), returns(newest)
+    if on_wheels:
+        targets[:, 2] = heights[0]
+    low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.zeros(3), np.zeros(3))
+    inside = ((targets > low) & (targets < high)).all(axis=1)
     for cluster in np.flatnonzero(
         preferred(
-            context.volume.state_at(found.targets) == FREE,
-            np.linalg.norm(found.targets - here, axis=1) > MIN_TARGET_DISTANCE_M,
-            ((found.targets >= context.bounds[0]) & (found.targets <= context.bounds[1])).all(axis=1),
+            free(context.volume, targets, on_wheels),
+            np.linalg.norm(targets - newest.world_from_camera[:3, 3], axis=1) > MIN_TARGET_DISTANCE_M,
+            inside,
         )
     ):  # clusters are sorted, the largest first
         if taken.all():
             break
-        target, direction = found.targets[cluster], found.directions[cluster]
+        target, direction = targets[cluster], found.directions[cluster]
         cost = np.linalg.norm(poses[:, :3, 3] - target, axis=1) + 1.0 - poses[:, :3, 2] @ direction
         row = int(np.where(taken, np.inf, cost).argmin())
         taken[row], table[row, 0], table[row, 1:] = True, found.shares[cluster], target
     return table
+
+
+def free(volume: VoxelVolume, targets: np.ndarray, on_wheels: bool) -> np.ndarray:  # [C, 3] metres -> [C] bool
+    """Return which targets are free: the agent's body there is not occupied, or without wheels, the voxel is free.
+
+    The body reaches from the target to `BODY_M` below it. Its voxels may be unknown, as in the original, which tests
+    the sign of the signed distance.
+    """
+    if not on_wheels:
+        return volume.state_at(targets) == FREE
+    body = np.repeat(targets[:, None], _SAMPLES, axis=1)
+    body[:, :, 2] -= np.linspace(0.0, BODY_M, _SAMPLES)
+    return (volume.state_at(body.reshape(-1, 3)).reshape(-1, _SAMPLES) != OCCUPIED).all(axis=1)
 
 
 def preferred(*conditions: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool

@@ -9,13 +9,11 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.anm_s.policy import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, at_current_pose, best_valid, nearest_new
-from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSettings
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
-ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a wheeled robot
-PATIENCE = 0.1  # share of the frame budget after which the next target is chosen (100 of 1000 frames)
+PATIENCE = 100  # frames after which the next target is chosen (steps of 6.5 cm or 10 degrees in [activeinr, code])
 
 
 @POLICIES.register("activeinr")
@@ -23,9 +21,9 @@ class ActiveINR(Planner):
     """Choose target* = mean of v + 0.5 n over the points v of the largest cluster of uncertain surface ([anm]).
 
     Clusters are connected parts of the most uncertain 80 % of the surface, each at least 0.5 % of it. Targets that are
-    free, more than 1 m away and inside the workspace are preferred (feature ``activeinr``). There is no travel term.
-    The target is kept until the agent is within 0.8 m or a tenth of the frame budget has passed. Until then, the
-    candidate nearest to the target is chosen. If all candidates have one height, targets have that height too.
+    free, more than 1 m away and inside the bounding box of what the newest keyframe sees are preferred (feature
+    ``activeinr``). There is no travel term. The target is kept until the agent is within 0.8 m or has moved for 100
+    frames. Until then, the candidate nearest to the target is chosen.
 
     ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
     without rendering. Source: [activeinr, code].
@@ -53,38 +51,30 @@ class ActiveINR(Planner):
         """Begin without a target."""
         super().reset(seed)
         self._target: np.ndarray | None = None  # [3] metres
-        self._chosen_at = 1.0  # share of the budget left when the target was chosen
+        self._spent = 0.0  # frames of the paths since the target was chosen
 
     def act(self, observation: Observation) -> int:
         """Return the candidate of the largest cluster, or the candidate nearest to the current target."""
         candidates = self.candidates(observation)
         usable = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates)
         share = np.where(usable, candidates[self._feature], 0.0)
-        left = float(observation["budget"][0])
         if self._target is not None:
-            self._level(candidates)
             gap = float(np.linalg.norm(observation["pose"][:3] - self._target))
-            if gap < REACHED_M or self._chosen_at - left >= PATIENCE:
+            if gap < REACHED_M or self._spent >= PATIENCE:
                 self._target = None
         if self._target is None and share.any():
             choice = best_valid(self.scores(share, observation), observation)
             self._target = candidates.feature(self._feature)[choice, 1:].astype(float)
-            self._chosen_at, stage = left, "new target"
-            self._level(candidates)
+            self._spent, stage = 0.0, "new target"
         elif self._target is not None and usable.any():
             gap_of = np.linalg.norm(candidates.xyz - self._target, axis=1)
             choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
         else:  # the map has no surface yet
             choice, stage = nearest_new(observation), "no target"
+        self._spent += float(candidates.frames[choice])
         self._trace = {
             "stage": stage,
             self._feature: float(share[choice]),
             "target": None if self._target is None else self._target.round(2).tolist(),
         }
         return choice
-
-    def _level(self, candidates: Candidates) -> None:
-        """Move the target to the height of the views if all valid views have one height (`agent_Y` in the original)."""
-        heights = candidates.xyz[candidates.valid, 2]
-        if self._target is not None and len(heights) and np.ptp(heights) < ONE_HEIGHT_M:
-            self._target[2] = float(heights[0])

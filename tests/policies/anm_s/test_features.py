@@ -20,13 +20,20 @@ X, Y, Z = np.eye(3)
 BOUNDS = np.array([[0.0, 0, 0], [10.0, 4, 3]])
 
 
+def keyframe(world_from_camera: np.ndarray, seen: np.ndarray = BOUNDS) -> SimpleNamespace:
+    """A keyframe with two depth returns, at the corners ``seen`` [2, 3] of a box."""
+    rotation, position = world_from_camera[:3, :3], world_from_camera[:3, 3]
+    camera = SimpleNamespace(backproject=lambda depth: (seen - position) @ rotation)
+    return SimpleNamespace(world_from_camera=world_from_camera, camera=camera, depth=np.ones(2))
+
+
 def context(poses: list[tuple], surface: Surface, nodes: list | None = None, **graph: list) -> FeatureContext:
     """Candidates (position, direction); the agent stands at (1, 2, 1.5); surface and graph as given."""
     volume = VoxelVolume(BOUNDS, VolumeConfig())
     volume.state[:] = FREE
     here = look_along(np.array([1.0, 2.0, 1.5]), X)
     made = FeatureContext(
-        mapper=SimpleNamespace(keyframes=[SimpleNamespace(world_from_camera=here)]), volume=volume, planes=None,
+        mapper=SimpleNamespace(keyframes=[keyframe(here)]), volume=volume, planes=None,
         camera=PinholeCamera.from_size(40, 24), bounds=BOUNDS, coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(np.array(p, float), np.array(d, float)) for p, d in poses]),
     )  # fmt: skip
@@ -118,10 +125,27 @@ def test_targets_that_are_not_free_or_too_near_or_outside_come_last() -> None:
     poses = [((8.5, 2, 1.5), X), ((1.0, 2, 1.5), Z), ((0.3, 2, 1.5), X)]
     ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
     assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [True, False, False]
-    # Each wish counts as far as anything is left: what is free is too near then, and taken all the same.
+    # Each wish counts as far as anything is left: what is free and far is outside then, and taken all the same.
     ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
     ctx.volume.state[80:90] = OCCUPIED
-    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [False, True, False]
+    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [False, False, True]
+
+
+def test_targets_that_the_newest_keyframe_does_not_surround_come_last() -> None:
+    behind, ahead = ((0.5, 3.4, 1.5), X, 5, 1.0), ((9.0, 1.8, 1.5), -X, 3, 1.0)
+    ctx = context([((1, 3.6, 1.5), -X), ((8.5, 2, 1.5), X)], patches(behind, ahead))
+    ctx.mapper.keyframes[-1] = keyframe(look_along(np.array([1.0, 2.0, 1.5]), X), np.array([[2.0, 0, 0], [10, 4, 3]]))
+    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [False, True]
+
+
+def test_on_wheels_a_target_has_the_height_of_the_camera_and_room_for_the_body_below_it() -> None:
+    table, wall = ((5.0, 1.8, 0.8), Z, 5, 1.0), ((9.0, 1.8, 1.0), -X, 3, 1.0)
+    level, flying = [((5, 2, 1.5), X), ((8.5, 2, 1.5), X)], [((5, 2, 1.3), X), ((8.5, 2, 1.5), X)]
+    for poses, shares, heights in ((level, [0, 2 / 8], [1.5, 1.5]), (flying, [5 / 8, 2 / 8], [1.3, 1.0])):
+        ctx = context(poses, patches(table, wall))
+        ctx.volume.state[50:53, 18:24, 7:9] = OCCUPIED  # the target is above it
+        found = columns(ctx, "activeinr_proxy")[:, [0, 3]]
+        np.testing.assert_allclose(found, np.column_stack([shares, heights]), atol=1e-6)
 
 
 def test_wishes_that_nothing_fulfils_are_dropped_one_by_one() -> None:

@@ -20,7 +20,7 @@ class Gavis(Planner):
     travel_term = "none; ties by path length"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
     required_features = ("gavis",)
-    native_settings = replace(SELECTED_VIEWS, budget="")
+    native_settings = replace(SELECTED_VIEWS, budget="10 (objects), 40 (Gibson) or 80 (HM3D) views")
 
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; of equal ones the one with the fewest frames."""

@@ -36,6 +36,7 @@ SHOWN = {  # columns by metric: heading, decimals
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1),
     "psnr": ("PSNR (dB) ↑", 2),
     "frames_to_80": ("frames to 80 %", 0),
+    "ended_frame": ("ended at frame", 0),
     "keyframes": ("keyframes", 0),
 }
 STORED = (  # further columns of native.csv

@@ -47,7 +47,8 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
 HEADLINE_RUNS = "headline.csv"
-POOLED = ("procthor.csv", "phases_300.csv")  # files of single runs on many scenes, which are the sample: intervals are over the scenes
+# Files of single runs on many scenes, which are the sample: intervals are over the scenes.
+POOLED = ("procthor.csv", "phases_300.csv")
 HEADLINE = {  # columns of the table of headline.csv: heading by metric
     "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",

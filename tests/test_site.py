@@ -271,7 +271,7 @@ def test_links_out_of_the_docs_become_names_and_others_stay(monkeypatch: pytest.
     monkeypatch.syspath_prepend(str(DOCS))
     links = importlib.import_module("_site.links")
     text = [
-        "[play](../../examples/play.py) [page](compare.md#native-setup) [gone](../../nowhere.py) "
+        "[play](../../examples/00_play.py) [page](compare.md#native-setup) [gone](../../nowhere.py) "
         "[far](https://a.b/c.md) ![picture](../../docs/images/wall.jpg)"
     ]
     links.outside_links(None, "start/index", text)

@@ -60,5 +60,5 @@ def test_the_guide_is_an_hour_of_reading() -> None:
         *("api.md", "observation.md", "offline.md", "own_parts.md", "own_world.md", "planners.md"),
         *("protocols.md", "scene_files.md", "trajectory_files.md", "volume.md"),
     }
-    assert sum(count for name, count in words.items() if name not in looked_up) <= 11_400
-    assert sum(words.values()) <= 21_700
+    assert sum(count for name, count in words.items() if name not in looked_up) <= 9_300
+    assert sum(words.values()) <= 17_000

@@ -272,6 +272,12 @@ def test_the_ablation_has_the_ladders_side_by_side() -> None:
     assert told in (ROOT / "docs" / "notebook" / "ablation.md").read_text(), "paste what --ladders prints"
 
 
+def test_the_ablation_has_the_runs_of_the_phases() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    told = (ROOT / "docs" / "notebook" / "ablation.md").read_text()
+    assert all(script["phases"](file) in told for file in script["PHASES"]), "paste what --phases prints"
+
+
 def test_readme_has_the_benchmark_s_numbers() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
     told = script["readme"](script["read"](script["PLACE"]))

@@ -6,6 +6,7 @@
     python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
     python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv.
+    python docs/notebook/benchmark_table.py --phases                 # the tables of the phases.
     python docs/notebook/benchmark_table.py --readme                 # README's table, from benchmark.csv.
 
 A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
@@ -48,7 +49,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
 }
 HEADLINE_RUNS = "headline.csv"
 # Files of single runs on many scenes, which are the sample: intervals are over the scenes.
-POOLED = ("procthor.csv", "phases_300.csv")
+POOLED = ("procthor.csv", "phases_300.csv", "phases_rooms.csv")
 HEADLINE = {  # columns of the table of headline.csv: heading by metric
     "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
     "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
@@ -71,6 +72,22 @@ README_ROWS = {  # rows of README's table: policy and its description
     "active_gs": "published",
     "fisherrf": "published",
     "random": "",
+}
+_UNSEEN = "activestructure?discovery=unseen"
+PHASES = {  # tables of the phases by file: pairs of policies
+    "phases_300.csv": (
+        ("unknown_volume", "hole_area"),
+        ("unseen", "unknown_volume"),
+        ("activestructure", "unknown_volume"),
+        (_UNSEEN, "unseen"),
+    ),
+    "phases_rooms.csv": (
+        ("activestructure", "unknown_volume"),
+        ("activestructure?revisits=false", "unknown_volume"),
+        (_UNSEEN, "unknown_volume"),
+        (f"{_UNSEEN}&revisits=false", "unknown_volume"),
+        ("activestructure?revisits=false", "activestructure"),
+    ),
 }
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
 LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
@@ -167,6 +184,12 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
         cells = [str(psnr.pairs), *found, str(psnr.higher), _formatted(depth, 2, sign="", of=math.exp)]
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def phases(file: str) -> str:
+    """Return the table of paired differences of a file in `PHASES` as Markdown."""
+    wanted = [(f"`{ours}` minus `{theirs}`", ours, theirs) for ours, theirs in PHASES[file]]
+    return pairs(read(PLACE.with_name(file)), wanted)
 
 
 def ladder(table: Table) -> list[tuple[str, str, str]]:
@@ -276,12 +299,16 @@ def main() -> None:
     instead.add_argument("--ladders", action="store_true")
     instead.add_argument("--headline", action="store_true")
     instead.add_argument("--readme", action="store_true")
+    instead.add_argument("--phases", action="store_true")
     options = parser.parse_args()
     place = PLACE.with_name(options.file)
     if options.runs:
         added(place, options.runs)
     if options.ladders:
         print(ladders(PLACE.parent), end="")
+        return
+    if options.phases:
+        print("\n".join(map(phases, PHASES)), end="")
         return
     if options.readme:
         print(readme(read(PLACE)), end="")

@@ -346,3 +346,29 @@ def test_readme_and_results_are_short() -> None:
     assert len(readme.splitlines()) <= 130 and words(ROOT / "README.md") <= 1_150
     results = {path.name: words(path) for path in (ROOT / "docs" / "notebook").glob("*.md")}
     assert max(results.values()) <= 2_500 and sum(results.values()) <= 12_000, results
+
+
+def test_readme_s_conclusions_are_those_of_the_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").replace("−", "-").split())
+
+    def difference(file: str, ours: str, theirs: str, key: str, without: str = "none") -> str:
+        table = script["read"](script["PLACE"].with_name(file))
+        kept = {name: {c: run for c, run in runs.items() if without not in c[0]} for name, runs in table.items()}
+        return script["_difference"](kept, ours, theirs, key, script["OF_PAIRS"][key][1])
+
+    planes = ("benchmark.csv", "activestructure", "unknown_volume")
+    assert f"by {difference(*planes, 'observed_area')} points" in text
+    assert f"PSNR changes by {difference(*planes, 'psnr')} dB" in text
+    lead = ("benchmark.csv", "unknown_volume", "hole_area", "psnr")
+    assert f"it is {difference(*lead)} dB over five seeds" in text
+    assert f"Without hotel_room it is {difference(*lead, 'hotel_room')}" in text
+    rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area"
+    assert f"before them:** {difference('ladder_2000.csv', full, rung, 'psnr')} dB" in text
+    assert f"base: {difference('ladder_2000.csv', full, 'hole_area', 'psnr')} dB" in text
+    assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
+    calm = difference("phases_rooms.csv", "activestructure?revisits=false", "activestructure", "psnr")
+    assert f"revisits cost {calm.removeprefix('+')} dB" in text
+    for base, file in (("hole_area", "ladder_2000.csv"), ("pixel_only", "ladder_pixels_2000.csv")):
+        first = "activestructure-b" + ("?discovery=hole_area" if base == "hole_area" else "")
+        assert difference(file, first, base, "psnr").startswith(("-0.7", "-0.6"))  # "visible planes cost 0.7 dB"

@@ -29,7 +29,7 @@ MAX_RUNS = 2
 
 @dataclass(frozen=True)
 class Replay:
-    """Write a page, or a film, that replays one or two finished runs.
+    """Write a page or a film that replays finished runs.
 
     The page shows the map as it grows, the camera, planes, candidates and curves; two runs side by side on one clock.
     It needs no server, no network and no other file.

@@ -187,6 +187,13 @@ class ActiveStructure(StructurePolicy):
     By default the discovery gain is the unknown volume instead of uncovered pixels. A phase ends when its pool is
     empty, and uncovered pixels would keep views through open windows in the pool. The pool has the views that would
     show much unknown space themselves, for the frames that the path to them costs.
+
+    Parameters
+    ----------
+    discovery
+        The gain of unknown space, as in `StructurePolicy`.
+    revisits
+        Whether phase III revisits the keyframes with the lowest PSNR; if False, it continues to explore.
     """
 
     criterion = "unknown space and deficient planes, in three phases"

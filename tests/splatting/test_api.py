@@ -249,7 +249,7 @@ def test_backends_are_named_and_probed(splats_of):
         (dict(colors=torch.zeros(199, 3)), r"colors must have the shape \(200, 3\)"),
         (dict(colors=None), "got neither"),
         (dict(sh=torch.zeros(200, 4, 3)), "got both"),
-        (dict(colors=None, sh=torch.zeros(200, 5, 3)), "K = 1, 4, 9 or 16"),
+        (dict(colors=None, sh=torch.zeros(200, 5, 3)), "K is 1, 4, 9 or 16"),
         (dict(channels=torch.zeros(200)), r"channels must have the shape \[200, D\]"),
         (dict(channels=torch.zeros(200, 0)), "D at least 1"),
         (dict(channels=torch.zeros(200, 1, dtype=torch.float64)), "one type on one device"),

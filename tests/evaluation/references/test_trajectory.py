@@ -96,7 +96,7 @@ def test_a_wrong_convention_is_refused_before_anything_runs(played: Run, tmp_pat
     with pytest.raises(InputError, match="the most likely convention is --axes opengl"):
         Comparison(["box"], [f"trajectory:{file}"], conditions=Conditions(preset="fast")).prepare()
     relative = write(tmp_path / "relative.txt", np.linalg.inv(poses[0]) @ poses)
-    with pytest.raises(InputError, match="--start x,y,z,yaw says"):
+    with pytest.raises(InputError, match="give its pose by --start x,y,z,yaw"):
         Comparison(["box"], [f"trajectory:{relative}"], conditions=Conditions(preset="fast")).prepare()
 
 

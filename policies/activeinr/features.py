@@ -45,7 +45,7 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
     if on_wheels:
         targets[:, 2] = heights[0]
     low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.zeros(3), np.zeros(3))
-    inside = ((targets > low) & (targets < high)).all(axis=1)
+    inside = np.all((targets > low) & (targets < high), axis=1)
     for cluster in np.flatnonzero(
         preferred(
             free(context.volume, targets, on_wheels),

@@ -150,6 +150,7 @@ def _typed(what: str, value: Any, hint: Any) -> Any:
                 raise ValueError
             return tuple(_typed(what, item, kind) for item, kind in zip(items, kinds))
     except (ValueError, KeyError):
-        expected = f"{len(inner)} values with commas" if origin is tuple else getattr(hint, "__name__", str(hint))
+        words = {bool: "true or false", int: "a whole number", float: "a number"}
+        expected = f"{len(inner)} values with commas" if origin is tuple else words.get(hint, str(hint))
         raise InputError(f"{what} must be {expected}, got '{value}'") from None
     return value

@@ -351,6 +351,10 @@ def test_readme_and_results_are_short() -> None:
 def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
     text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").replace("−", "-").split())
+    assert f"It has {len([*POLICIES])} planners" in text
+    longer = (ROOT / "docs" / "notebook" / "performance.md").read_text(encoding="utf-8")
+    percents = re.findall(r"(?:C.R. of|three rooms) ([\d.]+) %", text)
+    assert len(percents) == 2 and all(f"| {percent} / " in longer for percent in percents)
 
     def difference(file: str, ours: str, theirs: str, key: str, without: str = "none") -> str:
         table = script["read"](script["PLACE"].with_name(file))

@@ -51,8 +51,8 @@ def test_the_text_of_a_number_is_that_number(value):
     "kind, query, message",
     [
         (make, "dpth=3", "unknown option of thing 'x' 'dpth'; did you mean 'depth'? Known: depth, name, size, wide"),
-        (make, "depth=deep", "option depth of thing 'x' must be int, got 'deep'"),
-        (make, "wide=maybe", "option wide of thing 'x' must be bool, got 'maybe'"),
+        (make, "depth=deep", "option depth of thing 'x' must be a whole number, got 'deep'"),
+        (make, "wide=maybe", "option wide of thing 'x' must be true or false, got 'maybe'"),
         (make, "size=3", "option size of thing 'x' must be 2 values with commas, got '3'"),
         (make, "depth", "'depth' in thing 'x' is not of the form key=value&key=value"),
         (Maker, "", "thing 'x' needs the option depth (as in 'NAME?depth=...')"),

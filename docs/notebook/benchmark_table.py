@@ -5,7 +5,6 @@
     python docs/notebook/benchmark_table.py --pairs A:B C:D          # only the differences A minus B and C minus D.
     python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
-    python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv.
     python docs/notebook/benchmark_table.py --phases                 # the tables of the phases.
     python docs/notebook/benchmark_table.py --readme                 # README's table, from benchmark.csv.
 
@@ -25,15 +24,13 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
-from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate
+from activestructure_gym.evaluation.statistics.resampling import Estimate
 from activestructure_gym.policies.activestructure import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
@@ -47,14 +44,8 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "depth_l1_cm": ("Depth (cm) ↓", 2, min),
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
-HEADLINE_RUNS = "headline.csv"
 # Files of single runs on many scenes, which are the sample: intervals are over the scenes.
 POOLED = ("procthor.csv", "phases_300.csv", "phases_rooms.csv")
-HEADLINE = {  # columns of the table of headline.csv: heading by metric
-    "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
-    "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
-    "accuracy_cm": "Acc (cm) ↓",
-}  # fmt: skip
 DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
     "observed_area": ("exploration (points)", 1),
@@ -239,19 +230,6 @@ def readme(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def headline(table: Table) -> str:
-    """Return a table as Markdown with a row per policy: means over scenes of means over seeds, with intervals."""
-    lines = ["| policy | " + " | ".join(HEADLINE.values()) + " |", "|---|" + "---:|" * len(HEADLINE)]
-    for policy, runs in table.items():
-        cells = []
-        for key in HEADLINE:
-            scenes = sorted({scene for scene, _ in runs})
-            strata = [np.array([run[key] for (place, _), run in runs.items() if place == scene]) for scene in scenes]
-            cells.append(_formatted(estimate(strata), SHOWN[key][1], sign=""))
-        lines.append(f"| `{policy}` | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
 def _rows(place: Path) -> list[dict[str, str]]:
     if not place.exists():
         return []
@@ -297,7 +275,6 @@ def main() -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--pairs", nargs="+", metavar="A:B")
     instead.add_argument("--ladders", action="store_true")
-    instead.add_argument("--headline", action="store_true")
     instead.add_argument("--readme", action="store_true")
     instead.add_argument("--phases", action="store_true")
     options = parser.parse_args()
@@ -312,9 +289,6 @@ def main() -> None:
         return
     if options.readme:
         print(readme(read(PLACE)), end="")
-        return
-    if options.headline:
-        print(headline(read(PLACE.with_name(HEADLINE_RUNS))), end="")
         return
     table = read(place)
     if not table:

@@ -17,9 +17,8 @@ KEPT = 0.8  # share of the surface that is clustered, the most uncertain part
 CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since a ceiling connects all walls
 MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent; nearer targets are only used if all are nearer
 ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a robot on wheels
-BODY_M = (
-    1.1  # metres below a target of a robot on wheels that must not be occupied: 1.5 m less 0.4 m ([activeinr, code])
-)
+# Metres below a target of a robot on wheels that must not be occupied: 1.5 m less 0.4 m ([activeinr, code]).
+BODY_M = 1.1
 _SAMPLES = 10  # number of tested points over these metres
 
 

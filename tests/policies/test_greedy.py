@@ -101,7 +101,7 @@ def test_a_spec_makes_the_policy_it_says() -> None:
     [
         ("plain_here?travel=far", "policy 'plain_here?travel=far': option travel must be native or shared, got 'far'"),
         ("plain_here?travl=shared", "unknown option of policy 'plain_here' 'travl'; did you mean 'travel'?"),
-        ("halving_here?frames=few", "option frames of policy 'halving_here' must be float, got 'few'"),
+        ("halving_here?frames=few", "option frames of policy 'halving_here' must be a number, got 'few'"),
         ("halving_here?frames=0", "policy 'halving_here?frames=0': frames must be above 0, got 0"),
         ("plain_here?travel", "'travel' in policy 'plain_here?travel' is not of the form key=value"),
         ("random?travel=shared", "unknown option of policy 'random' 'travel'. Known: views_of"),

@@ -64,20 +64,20 @@ README_ROWS = {  # rows of README's table: policy and its description
     "fisherrf": "published",
     "random": "",
 }
-_UNSEEN = "activestructure?discovery=unseen"
+_FULL, _UNSEEN, _REVISITS = "activestructure", "activestructure?discovery=unseen", "revisits=true"
 PHASES = {  # tables of the phases by file: pairs of policies
     "phases_300.csv": (
         ("unknown_volume", "hole_area"),
         ("unseen", "unknown_volume"),
-        ("activestructure", "unknown_volume"),
-        (_UNSEEN, "unseen"),
+        (f"{_FULL}?{_REVISITS}", "unknown_volume"),
+        (f"{_UNSEEN}&{_REVISITS}", "unseen"),
     ),
     "phases_rooms.csv": (
-        ("activestructure", "unknown_volume"),
-        ("activestructure?revisits=false", "unknown_volume"),
+        (f"{_FULL}?{_REVISITS}", "unknown_volume"),
+        (_FULL, "unknown_volume"),
+        (f"{_UNSEEN}&{_REVISITS}", "unknown_volume"),
         (_UNSEEN, "unknown_volume"),
-        (f"{_UNSEEN}&revisits=false", "unknown_volume"),
-        ("activestructure?revisits=false", "activestructure"),
+        (_FULL, f"{_FULL}?{_REVISITS}"),
     ),
 }
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
@@ -190,7 +190,7 @@ def ladder(table: Table) -> list[tuple[str, str, str]]:
     """
     for base in BASELINES:
         discovery = "" if base == "pixel_only" else f"?discovery={base}"
-        top = f"{LADDER[-1]}?discovery={base.removesuffix('_only')}"
+        top = LADDER[-1].replace("=pixel", f"={base.removesuffix('_only')}")
         rungs = [base, *(f"{name}{discovery}" for name in LADDER[1:-1]), top]
         if all(name in table for name in rungs):
             return [*zip(RUNGS, rungs[1:], rungs), (f"all over `{base}`", top, base)]

@@ -193,14 +193,15 @@ class ActiveStructure(StructurePolicy):
     discovery
         The gain of unknown space, as in `StructurePolicy`.
     revisits
-        Whether phase III revisits the keyframes with the lowest PSNR; if False, it continues to explore.
+        Whether phase III revisits the keyframes with the lowest PSNR, as in the paper. By default it continues to
+        explore instead, because revisits cost observed surface and do not raise the PSNR (docs/notebook/ablation.md).
     """
 
     criterion = "unknown space and deficient planes, in three phases"
     source = "ActiveStructure, Sec. 3; variant E of its Table 3"
     deficiencies = True
 
-    def __init__(self, discovery: Discovery = "unknown_volume", revisits: bool = True) -> None:
+    def __init__(self, discovery: Discovery = "unknown_volume", revisits: bool = False) -> None:
         super().__init__(discovery)
         self._revisits = revisits
         self.required_features += tuple(_OF_VIEW[name] for name in self._discovers if name in _OF_VIEW)
@@ -212,7 +213,7 @@ class ActiveStructure(StructurePolicy):
         self._machine, self._revisited, self._progress = PhaseMachine(), RevisitedViews(), RevisitProgress()
 
     def act(self, observation: Observation) -> int:
-        """Return the best view of the current phase; in phase III the nearest of the keyframes with the lowest PSNR."""
+        """Return the best view of the current phase; phase III may return a revisit of the worst keyframe instead."""
         machine, planes = self._machine, plane_view(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid & ~candidates.revisit
@@ -274,4 +275,10 @@ class ActiveStructure(StructurePolicy):
 
 
 # The variants in the order of Table 3; each adds one component.
-LADDER = ("activestructure-a", "activestructure-b", "activestructure-c", "activestructure-d", "activestructure")
+LADDER = (
+    "activestructure-a",
+    "activestructure-b",
+    "activestructure-c",
+    "activestructure-d",
+    "activestructure?discovery=pixel&revisits=true",
+)

@@ -18,15 +18,10 @@ from activestructure_gym.evaluation.report.tables.layout import (
     with_interval,
 )
 from activestructure_gym.evaluation.statistics import estimate, mean
+from activestructure_gym.policies.activestructure import LADDER
 
-# Names of the ablation variants in the paper's Table 3.
-LADDER = {
-    "activestructure-a": "(A) Pixel-only",
-    "activestructure-b": "(B) + PSG gain",
-    "activestructure-c": "(C) + Anomaly detection",
-    "activestructure-d": "(D) + Deficiency targeting",
-    "activestructure": "(E) Full model",
-}
+_VARIANTS = ("Pixel-only", "+ PSG gain", "+ Anomaly detection", "+ Deficiency targeting", "Full model")
+NAMES = {rung: f"({letter}) {name}" for rung, letter, name in zip(LADDER, "ABCDE", _VARIANTS)}  # as in Table 3
 
 
 def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
@@ -76,9 +71,9 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
                 else with_interval(estimate(strata), column.digits)
             )
         by_column.append(ranked(found, column, results.planners))
-    ladder = "activestructure-a" in results.policies
+    ladder = LADDER[0] in results.policies
     rows = [
-        [Cell(LADDER.get(policy, policy) if ladder else policy, note=policy), *(cells[k] for cells in by_column)]
+        [Cell(NAMES.get(policy, policy) if ladder else policy, note=policy), *(cells[k] for cells in by_column)]
         for k, policy in enumerate(results.policies)
     ]
     headings = [Heading("Variant" if ladder else "Policy", numeric=False), *map(Heading.of, columns)]

@@ -94,7 +94,7 @@ def test_the_pool_counts_what_a_view_shows_itself_and_not_what_its_path_shows() 
         assert policy._machine.index == phase, (way, view, frames)
 
 
-def in_last_phase(*, revisits: bool = True) -> ActiveStructure:
+def in_last_phase(*, revisits: bool) -> ActiveStructure:
     policy = bound(ActiveStructure(discovery="hole_area", revisits=revisits))
     policy.reset(0)
     for _ in range(2 * PATIENCE):
@@ -116,7 +116,7 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
 
 
 def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
-    policy = in_last_phase()
+    policy = in_last_phase(revisits=True)
     features, frames = [[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], [5.0, 5.0, 40.0]
 
     def chosen(place: float, fidelity: float = GOOD_PSNR - 0.1, masked: bool = False) -> tuple[int, str | None]:
@@ -144,7 +144,7 @@ def test_without_revisits_phase_three_explores() -> None:
 
 
 def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:
-    policy = in_last_phase()
+    policy = in_last_phase(revisits=True)
 
     def revisits(fidelity: float, place: float) -> bool:
         observed = observation([[0.3, 0.0], [0.0, 0.0]], revisit=(1,), fidelity=fidelity)
@@ -175,7 +175,7 @@ def test_a_keyframe_is_known_by_place_and_direction() -> None:
 
 
 def test_reset_begins_again_with_the_first_phase_and_a_pickle_does_not() -> None:
-    policy = in_last_phase()
+    policy = in_last_phase(revisits=True)
     observed = observation([[0.9, 0.0], [0.1, 0.0]], revisit=(1,))
     copy = pickle.loads(pickle.dumps(policy))
     assert copy.act(observed) == policy.act(observed) == 1
@@ -214,7 +214,7 @@ def test_the_full_model_ends_where_that_is_offered_and_nothing_moves_any_more() 
 
 
 def test_the_trace_names_the_last_phase() -> None:
-    late = in_last_phase()
+    late = in_last_phase(revisits=True)
     late.act(observation(NOTHING, revisit=(1,)))
     assert json.loads(json.dumps(late.trace())) == late.trace()
     assert late.trace()["phase"] == PHASES[2].name

@@ -3,6 +3,7 @@ import pytest
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables.columns import aspects
 from activestructure_gym.evaluation.report.tables.paper import ablation_table, quality_table, time_table
+from activestructure_gym.policies.activestructure import LADDER
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def test_table_3_has_a_row_per_variant_with_intervals(results):
 
 
 def test_the_ladder_has_the_papers_names(make_run):
-    rungs = ["activestructure-a", "activestructure-b", "activestructure"]
+    rungs = ["activestructure-a", "activestructure-b", LADDER[-1]]
     runs = [make_run(policy=policy) for policy in rungs]
     table = ablation_table(Results(runs, []), aspects(runs)[0])
     assert [row[0].text for row in table.rows] == ["(A) Pixel-only", "(B) + PSG gain", "(E) Full model"]

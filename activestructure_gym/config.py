@@ -60,8 +60,8 @@ class ReconstructionConfig:
         if not self.motion.min_clearance > overlooked:
             raise InputError(
                 f"motion.min_clearance must be above {overlooked:.3g} m, {SAMPLING_DIP:.2f} of volume.voxel_size, got "
-                f"{self.motion.min_clearance}: the clearance may drop this much between the samples of a path, and no "
-                "path would be blocked; raise min_clearance or use smaller voxels"
+                f"{self.motion.min_clearance}. Between the samples of a path the clearance may drop by this much, so a "
+                "smaller limit would block no path: raise min_clearance or use smaller voxels"
             )
         object.__setattr__(self, "features", column_names(self.features))
         make_stages(self.views.stages, self.views.max_candidates)

@@ -369,11 +369,11 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     assert f"it is {difference(*lead)} dB over five seeds" in text
     assert f"Without hotel_room it is {difference(*lead, 'hotel_room')}" in text
     rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"
-    assert f"before them:** {difference('ladder_2000.csv', full, rung, 'psnr')} dB" in text
+    assert f"without them:** {difference('ladder_2000.csv', full, rung, 'psnr')} dB" in text
     assert f"base: {difference('ladder_2000.csv', full, 'hole_area', 'psnr')} dB" in text
-    assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
+    assert f"`activestructure` minus `hole_area` is {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
     calm = difference("phases_rooms.csv", "activestructure", "activestructure?revisits=true", "psnr")
-    assert f"revisits cost {calm.removeprefix('+')} dB" in text
+    assert f"the revisits in phase III cost {calm.removeprefix('+')} dB" in text
     for base, file in (("hole_area", "ladder_2000.csv"), ("pixel_only", "ladder_pixels_2000.csv")):
         first = "activestructure-b" + ("?discovery=hole_area" if base == "hole_area" else "")
         assert difference(file, first, base, "psnr").startswith(("-0.7", "-0.6"))  # "visible planes cost 0.7 dB"

@@ -114,8 +114,8 @@ def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
     root = os.environ.get(dataset.variable, "").strip()
     if not root:
         raise InputError(
-            f"the {dataset.title} scene '{path}' is looked for in the folder that the environment variable "
-            f"{dataset.variable} names, which is not set; get the dataset from {dataset.source}"
+            f"the environment variable {dataset.variable} is not set: set it to the folder with the {dataset.title} "
+            f"scene '{path}'; get the dataset from {dataset.source}"
         )
     place = dataset.place_in(Path(os.path.expanduser(root)), folder)
     if place is not None:
@@ -143,8 +143,8 @@ def published_start(scene: Scene) -> tuple[float, float, float, float]:  # x, y,
             x, y, z = first[:3, 3].tolist()
             return x, y, z, float(np.degrees(np.arctan2(first[1, 2], first[0, 2])))
     raise InputError(
-        f"no start is published for the scene '{scene.name}'; of Replica it is the first pose of a recorded sequence "
-        "(`?sequence=FOLDER`), else give --start x,y,z,yaw"
+        f"no start is published for the scene '{scene.name}': give --start x,y,z,yaw, or for Replica a recorded "
+        "sequence (`?sequence=FOLDER`), whose first pose is the start"
     )
 
 

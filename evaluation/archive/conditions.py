@@ -66,8 +66,8 @@ class Conditions:
                 raise InputError(f"{kind} is a list of names, as ['{names}'], got the text {short_repr(names)}")
         if self.protocol.name != StandardProtocol.name:
             raise InputError(
-                f"a run is measured by protocol '{StandardProtocol.name}' first, got '{self.protocol.name}': "
-                "name it in also"
+                f"the first protocol of a run must be '{StandardProtocol.name}', got '{self.protocol.name}': name "
+                "further protocols in `also`"
             )
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")

@@ -78,8 +78,8 @@ def _take(descriptor: int, directory: Path, *, shared: bool = False) -> None:
             raise InputError(f"{who} is at work in '{directory}': wait until it has ended, or choose another --out")
         if waited > _PATIENCE:
             raise InputError(
-                f"runs that process {process} began before it was killed have not ended in '{directory}': "
-                "try again in a moment, or end them yourself"
+                f"process {process} was killed, but runs that it started are still active in '{directory}': try again "
+                "in a moment, or end them yourself"
             )
         time.sleep(_TICK)
         waited += _TICK

@@ -44,8 +44,7 @@ class ConditionOptions:
     samples: Annotated[int | None, option("N", "(default: 200000)")] = None
     """Measure geometry on this number of points of the true surface, observed or not."""
     protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
-    """Measure finished maps by these protocols: always by standard; also by
-    activegamer, activesplat, naruto, offline."""
+    """Measure finished maps by standard, and by these protocols: activegamer, activesplat, naruto, offline."""
     metrics: Annotated[Words, option("NAME [NAME ...]", "")] = None
     """Measure finished maps by these metrics as well: registered names or package.module:Name."""
     lpips_weights: PathName = None
@@ -98,4 +97,4 @@ class RunOptions:
     workers: int = 0
     """Run this number of jobs at a time; 0 is one per core."""
     trust_code: Switch = False
-    """Import code that files name as package.module:Name: the record of --resume, a checkpoint, a run."""
+    """Allow the record of --resume, a checkpoint or a run to import code that it names as package.module:Name."""

@@ -19,7 +19,7 @@ _MAX_CHARACTERS = 20  # longest version that is printed in full; the checksum of
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check what works on this machine, or a dataset's folder.
+    """Check this machine, or a dataset's folder.
 
     Print every backend with its state, and the package that is missing.
     """

@@ -19,7 +19,7 @@ from activestructure_gym.worlds.registry import PREFIX
 
 @dataclass(frozen=True)
 class Explore:
-    """Explore a simulator, a recording or a robot.
+    """Explore with a simulator, a robot or a recording.
 
     The result is a run with map, path and report, as of `asg compare`. Every captured frame is stored, so --resume
     continues an episode that was stopped. `asg watch --world` shows an episode in a browser.

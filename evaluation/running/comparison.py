@@ -242,7 +242,7 @@ class Comparison:
                 given.resolve(known, every)
             if given.place == PASSIVE and self.conditions.protocol.view_source == "recorded":
                 raise InputError(
-                    f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "
+                    f"'{policy}' maps the views recorded with '{spec}', so they cannot also measure it: leave "
                     "--view-source at free_space"
                 )
         warn_if_hardly_seen(known)

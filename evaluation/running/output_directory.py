@@ -20,7 +20,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
     if directory.is_symlink() and not directory.exists():
         raise InputError(f"the output '{directory}' is a link that leads nowhere: mend it, or choose another --out")
     if directory.exists() and not directory.is_dir():
-        raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
+        raise InputError(f"the output '{directory}' is a file; give a new or empty directory, or a comparison's")
     if directory.is_dir():
         temporary.refuse_links(directory, LOCK, LOGS, store.TABLES)
         if (directory / completion.JOBS).is_symlink() and not (directory / completion.JOBS).is_dir():

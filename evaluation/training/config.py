@@ -120,7 +120,7 @@ class TrainingConfig:
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
-            raise InputError(f"ppo_batch {self.ppo_batch} leaves a batch of one step over: choose another")
+            raise InputError(f"ppo_batch {self.ppo_batch} leaves one step for the last batch: choose another number")
         self._network(self.world.features)
 
     def network(self) -> NetworkConfig:

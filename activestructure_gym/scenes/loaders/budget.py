@@ -78,7 +78,6 @@ class SceneBudget:
         limit = LIMITS[what]
         if total > (most := limit.at(self.bytes_read)):
             raise LimitError(
-                f"it comes to more than {most:,} {what}, the most for files of {self.bytes_read:,} bytes; "
-                f"{limit.remedy}"
+                f"it has more than {most:,} {what}, the limit for files of {self.bytes_read:,} bytes; {limit.remedy}"
             )
         self.taken[what] = total

@@ -33,8 +33,8 @@ _FURTHER = {  # texts on further protocols, by name
         "sample. Samples that no place 0.8 to 2 m above the ground sees are left out."
     ),
     "naruto": (
-        "Protocol `naruto` follows the evaluation code of NARUTO. The surface fused from the depth of the map is "
-        "culled to what the frames see of it, and compared with the same samples as in `activesplat`."
+        "Protocol `naruto` follows the evaluation code of NARUTO. The surface is fused from the depth of the map. The "
+        "part that the frames see is compared with the same samples as in `activesplat`."
     ),
     "offline": (
         "Protocol `offline` ignores the map of a run. It draws the keyframes without noise at their exact poses, "

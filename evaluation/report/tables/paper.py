@@ -86,7 +86,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
     else:
         caption = (
             f"Means over {pluralised(len(results.scenes), 'scene')} of the means over runs, with 95 % stratified "
-            "bootstrap intervals; none if a scene has a single run"
+            "bootstrap intervals; no interval if a scene has a single run"
         )
     if len(results.scenes) > 1:
         caption += ". Only policies with a run on every scene have values"

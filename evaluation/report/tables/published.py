@@ -225,8 +225,8 @@ def averages_table(published: Published, results: Results) -> Table:
     headings = [Heading(text, numeric=False) for text in ("System", "Kind", "Values", "Scenes")]
     headings += [Heading.of(column) for column in columns.values()]
     caption = (
-        f"Published: averages of the paper's Table {published.number}, 2000 frames per scene, C.R. at 5 cm, images "
-        f"of the novel views of ActiveGAMER; \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
+        f"Published: averages of the paper's Table {published.number} with 2000 frames per scene, C.R. at 5 cm and "
+        f"the novel views of ActiveGAMER. \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
         f"Here: {_conditions(results, aspect)}; means over scenes "
         "of means over runs, with 95 % stratified bootstrap intervals if every scene has several runs"
     )

@@ -242,8 +242,8 @@ def area_table(results: Results) -> Table:
     rows = [[Cell(policy), *(cells[k] for _, cells in columns)] for k, policy in enumerate(results.policies)]
     headings = [Heading("Policy", numeric=False), *(heading for heading, _ in columns)]
     caption = (
-        "Area under the curve up to the budget, divided by the budget. It is the frame budget, and for metres and "
-        "seconds the lowest total of any run on the scene"
+        "Area under the curve up to the budget, divided by the budget. For metres and seconds the budget is the lowest "
+        "total of any run on the scene"
     )
     return Table("areas", "Area under the curves", headings, rows, caption)
 

@@ -46,7 +46,7 @@ def test_a_report_says_that_the_runs_are_whole(
     monkeypatch.setattr(summary, "runs_csv", fails)
     assert main(["report", str(runs), "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert "out' cannot be written" in said and "The runs are whole" in said and said.count("\n") == 1
+    assert "out' cannot be written" in said and "The runs are complete" in said and said.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -221,7 +221,7 @@ def test_the_sequence_that_was_recorded_with_a_scene_is_the_passive_one(shared: 
     assert run.trajectory["world_from_camera"].tobytes() == recorded.tobytes()
     assert run.metrics["metrics"]["frames"] == 12 and run.metrics["metrics"]["steps_too_long"] > 0
     known = replace(PROTOCOL, view_source="recorded")
-    with pytest.raises(InputError, match="would be measured by the views that it maps"):
+    with pytest.raises(InputError, match="maps the views recorded with"):
         Comparison([scene], ["trajectory:passive"], conditions=Conditions(preset="fast", protocol=known)).prepare()
     Comparison([scene], ["trajectory:sweep"], conditions=Conditions(preset="fast", protocol=known)).prepare()
 

@@ -35,8 +35,8 @@ class NativeSettings:
             raise InputError(f"give goal_keyframes or keyframe_every, not both (keyframe_every={self.keyframe_every})")
         if staying := [name for stage in self.stages or () for name in stage if Spec(name).name == "stay"]:
             raise InputError(
-                f"a round of '{staying[0]}' costs the frames between two keyframes, and with goal_keyframes this number "
-                "is not defined: set keyframe_every instead"
+                f"a round of '{staying[0]}' costs the frames between two keyframes, and with goal_keyframes this "
+                "number is not defined: set keyframe_every instead"
             )
 
     def describe(self) -> str:

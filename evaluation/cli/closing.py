@@ -56,7 +56,9 @@ def print_end(
                 files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         except FullDisk as error:
             again = f"asg report {shlex.quote(str(directory))}"
-            raise FullDisk(f"{error}. The runs are complete: free some disk space, then `{again}` writes the report") from error
+            raise FullDisk(
+                f"{error}. The runs are complete: free some disk space, then `{again}` writes the report"
+            ) from error
         console.print()
         left_out = print_result(console, result.runs, wide=wide)
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:

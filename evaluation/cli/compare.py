@@ -56,15 +56,15 @@ class GridOptions:
     )
     mappers: NoNames = ()
     (
-        "Map every given trajectory (policy trajectory:FILE, trajectory:sweep or trajectory:passive) with each of these "
-        "mappers: default, splatam, monogs, gaussian_slam, co_slam."
+        "Map every given trajectory (policy trajectory:FILE, trajectory:sweep or trajectory:passive) with each of "
+        "these mappers: default, splatam, monogs, gaussian_slam, co_slam."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
     """Use these whole numbers as seeds; equal seeds start at the same pose, so that policies are compared in pairs."""
     references: NoNames = ()
     (
-        "Add references that see the ground truth: oracle takes the view with the most new surface; oracle-quality does "
-        "so in the first half, then takes the view that raises image quality most."
+        "Add references with ground truth: oracle takes the view with the most new surface; oracle-quality does so in "
+        "the first half, then takes the view that raises image quality most."
     )
     sweep: Annotated[tuple[str, ...], option("FIELD=A,B [FIELD=A,B ...]", "")] = ()
     (

@@ -73,7 +73,9 @@ class Report:
             with console.status("drawing"):
                 files = write_results(out, results, published=self.paper_tables, more=chosen)
         except FullDisk as error:
-            raise FullDisk(f"{error}. The runs are complete: free some disk space, then give the same command again") from error
+            raise FullDisk(
+                f"{error}. The runs are complete: free some disk space, then give the same command again"
+            ) from error
         console.print(pluralised(len(results.runs), "run"))
         left_out = print_result(console, results.runs, wide=self.wide)
         if self.paper_tables:

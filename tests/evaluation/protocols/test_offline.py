@@ -101,7 +101,7 @@ def test_its_constants_are_recorded_and_it_measures_no_run_alone() -> None:
     assert protocol_from(json.loads(json.dumps(SMALL.parameters()))) == SMALL
     # A map that `standard` would measure differently gets other numbers here too.
     assert (StandardProtocol.version, OfflineProtocol.version) == (5, 1)
-    with pytest.raises(InputError, match="measured by protocol 'standard' first, got 'offline'"):
+    with pytest.raises(InputError, match="first protocol of a run must be 'standard', got 'offline'"):
         Conditions(protocol=SMALL)
 
 

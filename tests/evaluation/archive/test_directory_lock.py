@@ -62,7 +62,9 @@ def test_the_hold_of_a_killed_supervisor_ends_with_its_last_worker(holder, tmp_p
     process.kill()
     process.wait()
     monkeypatch.setattr(directory_lock, "_PATIENCE", 0.3)
-    with pytest.raises(InputError, match=f"process {process.pid} was killed, but runs that it started are still active"):
+    with pytest.raises(
+        InputError, match=f"process {process.pid} was killed, but runs that it started are still active"
+    ):
         check_free(tmp_path / "out")
     monkeypatch.setattr(directory_lock, "_PATIENCE", 30.0)
     began = time.monotonic()

@@ -250,25 +250,17 @@ def test_the_native_table_is_that_of_its_runs() -> None:
         assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
 
 
-_LADDERS = ("ladder_300.csv", "ladder_pixels_300.csv", "ladder_2000.csv", "ladder_pixels_2000.csv")
-
-
-@pytest.mark.parametrize("runs", ["benchmark.csv", "procthor.csv", *_LADDERS])
+@pytest.mark.parametrize("runs", ["benchmark.csv", "procthor.csv"])
 def test_the_tables_of_results_are_those_of_their_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
-    table = script["read"](script["PLACE"].with_name(runs))
-    rungs = script["ladder"](table)
-    assert bool(rungs) == (runs in _LADDERS)
-    page = "ablation.md" if rungs else "benchmark.md"
-    expected = script["pairs"](table, rungs) if rungs else script["markdown"](table)
-    assert expected in (ROOT / "docs" / "notebook" / page).read_text(), (
-        f"docs/notebook/{page} is out of date: paste what benchmark_table.py prints of {runs}"
+    expected = script["markdown"](script["read"](script["PLACE"].with_name(runs)))
+    assert expected in (ROOT / "docs" / "notebook" / "benchmark.md").read_text(), (
+        f"docs/notebook/benchmark.md is out of date: paste what benchmark_table.py prints of {runs}"
     )
 
 
 def test_the_ablation_has_the_ladders_side_by_side() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
-    assert set(script["LADDERS"]) == set(_LADDERS)
     told = script["ladders"](script["PLACE"].parent)
     assert told in (ROOT / "docs" / "notebook" / "ablation.md").read_text(), "paste what --ladders prints"
 

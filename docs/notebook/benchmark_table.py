@@ -45,7 +45,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
 # Files of single runs on many scenes, which are the sample: intervals are over the scenes.
-POOLED = ("procthor.csv", "phases_300.csv", "phases_rooms.csv")
+POOLED = ("procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv")
 DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
     "observed_area": ("exploration (points)", 1),
@@ -78,6 +78,11 @@ PHASES = {  # tables of the phases by file: pairs of policies
         (f"{_UNSEEN}&{_REVISITS}", "unknown_volume"),
         (_UNSEEN, "unknown_volume"),
         (_FULL, f"{_FULL}?{_REVISITS}"),
+    ),
+    "phases_2000.csv": (
+        (_FULL, f"{_FULL}?{_REVISITS}"),
+        (_FULL, "unknown_volume"),
+        (_UNSEEN, _FULL),
     ),
 }
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")

@@ -207,11 +207,13 @@ def test_every_policy_says_in_its_folder_what_lists_show(name: str) -> None:
     assert kind.__doc__ and kind.criterion and kind.source and kind.travel_term
 
 
-def test_pictures_of_the_benchmark_s_curves_are_those_of_their_numbers() -> None:
+def test_pictures_of_curves_are_those_of_their_numbers() -> None:
     images = ROOT / "docs" / "images"
     script = runpy.run_path(str(images / "benchmark_curves.py"))
-    for name, drawn in (("benchmark_curves.svg", script["drawn"]()), ("policies.svg", script["panels"]())):
-        assert drawn == (images / name).read_text(encoding="utf-8"), f"run docs/images/benchmark_curves.py: {name}"
+    paper = runpy.run_path(str(images / "paper_curves.py"))
+    pictures = {"benchmark_curves.svg": script["drawn"](), "policies.svg": script["panels"]()}
+    for name, drawn in (pictures | {"paper_curves.svg": paper["drawn"]()}).items():
+        assert drawn == (images / name).read_text(encoding="utf-8"), f"run docs/images/*_curves.py: {name}"
 
 
 def test_a_native_table_by_hand() -> None:
@@ -242,12 +244,14 @@ def test_every_threshold_that_is_a_guess_is_there() -> None:
 def test_the_native_table_is_that_of_its_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     told = (ROOT / "docs" / "notebook" / "native.md").read_text()
-    tables = script["tables"]()
-    assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
     assert script["native_settings"]() in told, "paste what native_table.py prints"
-    for row in script["rows"]():  # or what is said of it would be of another schedule
-        mapper = configure("full", POLICIES.get(row["policy"]).native_settings.overrides()).mapper
-        assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
+    for place in (script["PLACE"], script["PLACE"].with_name("paper.csv")):
+        tables = script["tables"](place)
+        assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
+        for row in script["rows"](place):  # or what is said of it would be of another schedule
+            settings = POLICIES.get(row["policy"].partition("?")[0]).native_settings
+            mapper = configure("full", settings.overrides()).mapper
+            assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
 
 
 @pytest.mark.parametrize("runs", ["benchmark.csv", "procthor.csv"])
@@ -273,7 +277,7 @@ def test_the_ablation_has_the_runs_of_the_phases() -> None:
 
 def test_readme_has_the_benchmark_s_numbers() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
-    told = script["readme"](script["read"](script["PLACE"]))
+    told = script["readme"](script["read"](script["PLACE"].with_name("headline.csv")))
     assert told in (ROOT / "README.md").read_text(), "README.md is out of date: paste what --readme prints"
 
 
@@ -354,10 +358,10 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
         kept = {name: {c: run for c, run in runs.items() if without not in c[0]} for name, runs in table.items()}
         return script["_difference"](kept, ours, theirs, key, script["OF_PAIRS"][key][1])
 
-    planes = ("benchmark.csv", "activestructure", "unknown_volume")
+    planes = ("headline.csv", "activestructure", "unknown_volume")
     assert f"by {difference(*planes, 'observed_area')} points" in text
     assert f"PSNR changes by {difference(*planes, 'psnr')} dB" in text
-    lead = ("benchmark.csv", "unknown_volume", "hole_area", "psnr")
+    lead = ("headline.csv", "unknown_volume", "hole_area", "psnr")
     assert f"it is {difference(*lead)} dB over five seeds" in text
     assert f"Without hotel_room it is {difference(*lead, 'hotel_room')}" in text
     rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"

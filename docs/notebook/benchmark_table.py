@@ -6,7 +6,7 @@
     python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
     python docs/notebook/benchmark_table.py --phases                 # the tables of the phases.
-    python docs/notebook/benchmark_table.py --readme                 # README's table, from benchmark.csv.
+    python docs/notebook/benchmark_table.py --readme                 # README's table, from headline.csv.
 
 A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
 rung. References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of
@@ -220,7 +220,7 @@ def ladders(folder: Path) -> str:
 
 
 def readme(table: Table) -> str:
-    """Return README's table as Markdown: means of benchmark.csv for the policies in `README_ROWS`."""
+    """Return README's table as Markdown: means over the runs of the policies in `README_ROWS`."""
     keys = {"observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑"}
     keys |= {"psnr": "PSNR (dB) ↑"}
     lines = ["| planner | " + " | ".join([*keys.values(), "PSNR minus `hole_area`"]) + " |", "|---|" + "---:|" * 5]
@@ -293,7 +293,7 @@ def main() -> None:
         print("\n".join(map(phases, PHASES)), end="")
         return
     if options.readme:
-        print(readme(read(PLACE)), end="")
+        print(readme(read(PLACE.with_name("headline.csv"))), end="")
         return
     table = read(place)
     if not table:

@@ -5,7 +5,8 @@
     python docs/notebook/native_table.py --file paper.csv      # read another file of this folder
 
 There is one table per scene, with a row per policy by decreasing observed share. Numbers are means over the seeds that
-all policies have played. Differences are to ``BASELINE``, in pairs of the same seed, with 95 % bootstrap intervals; for
+all policies have played. Differences are to the first of ``BASELINES`` with
+runs, in pairs of the same seed, with 95 % bootstrap intervals; for
 two seeds, the interval is from one difference to the other. "–" means that no run reached a level. If only some runs
 reached it, their number is given. A second table has the phases of the policies with phases. The native settings of
 the policies are printed below the tables.
@@ -29,7 +30,7 @@ from activestructure_gym.evaluation.statistics.paired import paired_difference
 from activestructure_gym.policies import POLICIES
 
 PLACE = Path(__file__).with_name("native.csv")
-BASELINE = "hole_area"
+BASELINES = ("hole_area", "activestructure-d")
 SHOWN = {  # columns by metric: heading, decimals
     "observed": ("observed (%) ↑", 1),
     "observed_area": ("exploration (%) ↑", 1),
@@ -51,7 +52,7 @@ PHASES = {  # columns of the second table: heading, decimals
     "phase_3": ("phase III at frame", 0),
     "settled": ("settled at frame", 0),
     "revisits": ("revisits", 0),
-    "iterations_3": ("iterations in phase III", 0),
+    "extra_iterations": ("their extra iterations", 0),
     "deficient_2": ("deficient area (m²) at phase II", 1),
     "deficient_3": ("at phase III", 1),
     "deficient": ("at the end", 1),
@@ -89,12 +90,11 @@ def phases_of(run: Run) -> dict[str, float | None]:
     for key, phase in {"2": "II", "3": "III"}.items():
         found[f"phase_{key}"] = begun.get(phase)
         found[f"deficient_{key}"] = areas.get(begun[phase]) if phase in begun else None
-    third = begun.get("III", begun.get("settled", float("inf")))
-    rounds = run.trajectory["keyframe_rounds"][run.trajectory["keyframes"] >= third]
+    extra = float((run.trajectory["keyframe_rounds"] - 1).sum()) * run.config["configuration"]["mapper"]["iterations"]
     return found | {
         "settled": begun.get("settled"),
-        "revisits": sum(bool(step["view"]["revisit"]) for step in run.steps if step["frames"] > third),
-        "iterations_3": float(rounds.sum()) * run.config["configuration"]["mapper"]["iterations"],
+        "revisits": sum(bool(step["view"]["revisit"]) for step in run.steps),
+        "extra_iterations": extra,
         "deficient": areas[run.steps[-1]["frames"]],
     }
 
@@ -124,11 +124,12 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
     runs = by_policy(lines)
     shown = {key: column for key, column in SHOWN.items() if any(row[key] for row in lines)}
     heads = [heading for heading, _ in shown.values()]
-    heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
+    baseline = next((name for name in BASELINES if name in runs), "")
+    heads += [f"{name} minus `{baseline}`" for name, _ in DIFFERENCES.values() if baseline]
     text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
-        cells += [_difference(runs, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
+        cells += [_difference(runs, policy, baseline, key, n) for key, (_, n) in DIFFERENCES.items() if baseline]
         mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
@@ -192,11 +193,11 @@ def _shown(by_seed: dict[str, dict[str, str]], key: str, digits: int) -> str:
     return text if reached == len(by_seed) else f"{text} ({reached} of {len(by_seed)})"
 
 
-def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, key: str, digits: int) -> str:
-    if policy == BASELINE or BASELINE not in runs:
+def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, baseline: str, key: str, digits: int) -> str:
+    if policy == baseline:
         return ""
     ours, theirs = (
-        {(row["scene"], int(seed)): float(row[key]) for seed, row in runs[name].items()} for name in (policy, BASELINE)
+        {(row["scene"], int(seed)): float(row[key]) for seed, row in runs[name].items()} for name in (policy, baseline)
     )
     found = paired_difference(ours, theirs)
     if found is None:

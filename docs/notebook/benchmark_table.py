@@ -85,6 +85,7 @@ PHASES = {  # tables of the phases by file: pairs of policies
         (_UNSEEN, _FULL),
     ),
 }
+HEADLINE = ((_FULL, "unknown_volume"), ("unknown_volume", "hole_area"))  # differences below README's table
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
 LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
     "ladder_300.csv": ("on `hole_area`, 300 frames: exploration (points)", "observed_area"),
@@ -223,14 +224,16 @@ def readme(table: Table) -> str:
     """Return README's table as Markdown: means over the runs of the policies in `README_ROWS`."""
     keys = {"observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑"}
     keys |= {"psnr": "PSNR (dB) ↑"}
-    lines = ["| planner | " + " | ".join([*keys.values(), "PSNR minus `hole_area`"]) + " |", "|---|" + "---:|" * 5]
+    heads = [*keys.values(), *(f"{name} minus `hole_area`" for name, _ in DIFFERENCES.values())]
+    lines = ["| planner | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     cells = set.intersection(*map(set, table.values()))
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     for policy, words in README_ROWS.items():
         shown = [f"`{policy.removeprefix(REFERENCE)}`" + (f", {words}" if words else "")]
         for key in keys:
             shown.append(f"{_mean({cell: run[key] for cell, run in table[policy].items()}):.{SHOWN[key][1]}f}")
-        shown.append(_difference(table, policy, "hole_area", "psnr", 2).replace("-", "−"))
+        differences = (_difference(table, policy, "hole_area", key, digits) for key, (_, digits) in DIFFERENCES.items())
+        shown += [difference.replace("-", "−") for difference in differences]
         lines.append("| " + " | ".join(shown) + " |")
     return "\n".join(lines) + "\n"
 

@@ -194,7 +194,7 @@ class ActiveStructure(StructurePolicy):
         The gain of unknown space, as in `StructurePolicy`.
     revisits
         Whether phase III revisits the keyframes with the lowest PSNR, as in the paper. By default it continues to
-        explore instead, because revisits cost observed surface and do not raise the PSNR (docs/notebook/ablation.md).
+        explore instead, because revisits cost observed surface and do not raise the PSNR.
     """
 
     criterion = "unknown space and deficient planes, in three phases"

@@ -18,7 +18,7 @@ _MOST_S = 45  # seconds to wait on a busy machine; less than the 60 s of a call,
 
 # Calls that are long, or fail; `spread` never returns before the workers have ended.
 PROGRAM = """
-    import os, sys, time
+    import os, signal, sys, time
     from pathlib import Path
     from activestructure_gym.evaluation.training.process_pool import spread
 
@@ -31,6 +31,7 @@ PROGRAM = """
         time.sleep(seconds)
 
     if __name__ == "__main__":
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs inherit that it is ignored
         for _ in spread(work, [(sys.argv[1], float(seconds)) for seconds in sys.argv[2:]], 2):
             pass
 """

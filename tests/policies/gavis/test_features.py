@@ -10,11 +10,10 @@ from activestructure_gym.features import evaluate_features
 from activestructure_gym.geometry import look_along
 from activestructure_gym.policies.gavis.features import (
     KAPPA,
-    KNOWN_VARIANCE,
-    UNSEEN_VARIANCE,
     ViewMoments,
     degree_factors,
     excess_entropy,
+    near_factor,
     virtual_gaussians,
     visibility,
     with_virtual,
@@ -73,12 +72,28 @@ def test_one_side_of_a_wall_tells_little_of_the_other() -> None:
 
 
 def test_entropy_of_pixels_by_hand() -> None:
-    # Seen, all one colour; never seen; half of each, of colour .5; nothing there.
-    moments = np.array([[[1.0, 0.3, 0.09], [0.0, 0.0, 0.0], [0.5, 0.25, 0.125], [0.0, 0.0, 0.0]]])
-    alpha = np.array([[1.0, 1.0, 1.0, 0.0]])
-    most = 0.5 * np.log(UNSEEN_VARIANCE / KNOWN_VARIANCE)
-    between = 0.5 * np.log(0.5 * (UNSEEN_VARIANCE + KNOWN_VARIANCE) / KNOWN_VARIANCE)
-    assert excess_entropy(moments, alpha)[0] == pytest.approx([0.0, most, between, 0.0], abs=1e-9)
+    seen, never, half, nothing = [1.0, 0.3, 0.09], [0.0, 0.0, 0.0], [0.5, 0.25, 0.125], [0.0, 0.0, 0.0]
+    two_colours, thin = [1.0, 0.5, 0.34], [0.5, 0.15, 0.045]  # half .2 and half .8; half known and half background
+    moments = np.array([[seen, never, half, nothing, two_colours, thin]])
+    alpha = np.array([[1.0, 1.0, 1.0, 0.0, 1.0, 0.5]])
+    channel, choice = 0.5 * np.log(1.0 / 0.01**2), np.log(2.0)  # a channel never seen; which of two parts a pixel shows
+    mixed = 1.5 * np.log((0.09 + 0.01**2) / 0.01**2)
+    expected = [0.0, 3.0 * channel, choice + 1.5 * channel, 0.0, mixed, choice]
+    assert excess_entropy(moments, alpha)[0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_near_pixel_counts_by_the_square_of_its_distance_and_a_far_one_as_it_is() -> None:
+    distance, alpha = np.array([0.25, 1.0, 2.0, 4.0, 0.0]), np.array([0.5, 1.0, 1.0, 0.8, 0.0])
+    assert near_factor(distance, alpha, 2.0) == pytest.approx([0.0625, 0.25, 1.0, 1.0, 0.0])
+
+
+def test_an_unseen_wall_is_more_uncertain_from_far_than_from_near(two_walls) -> None:
+    two_walls.know(FREE)
+    behind = np.array([-1.0, 0.0, 0.0])  # the east wall is at x = 2 m, and 0.29 of the diagonal is 3 m
+    far, near = (look_along(np.array([x, 0.0, 0.0]), behind) for x in (5.0, 3.0))
+    gains = evaluate_features(("gavis",), two_walls.context(far, near))[:, 0]
+    slant = 1.17  # mean square of a pixel's distance from the camera, divided by that of its depth
+    assert gains[1] / gains[0] == pytest.approx(slant / 9.0, rel=0.4)
 
 
 def test_virtual_gaussians_fill_what_nobody_has_looked_into_and_nothing_else(two_walls) -> None:
@@ -95,10 +110,11 @@ def test_virtual_gaussians_fill_what_nobody_has_looked_into_and_nothing_else(two
 
 
 def test_what_was_seen_is_certain_a_void_is_not_and_free_space_is(two_walls, looks) -> None:
-    east, west, north = evaluate_features(("gavis",), two_walls.context(*looks))[:, 0]
+    small = {"bounds": np.array([[-0.2] * 3, [0.2] * 3])}  # so that nothing is near: the void begins at the camera
+    east, west, north = evaluate_features(("gavis",), two_walls.context(*looks, **small))[:, 0]
     assert 0.0 < east < west < north  # three looks, one look, none
     two_walls.know(FREE)  # the void in the north was looked through
-    freed = evaluate_features(("gavis",), two_walls.context(*looks))[:, 0]
+    freed = evaluate_features(("gavis",), two_walls.context(*looks, **small))[:, 0]
     assert freed[2] == 0.0 and freed[1] > freed[0] > 0.0
 
 

@@ -18,7 +18,7 @@ class Gavis(Planner):
 
     criterion = "entropy of the view's colours, known only from sides seen so far"
     travel_term = "none; ties by path length"
-    source = "by a digest of Xue et al., GAVIS, CVPR 2026"
+    source = "by a digest of Xue et al., GAVIS, CVPR 2026, and the code of NVF, CVPR 2024"
     required_features = ("gavis",)
     native_settings = replace(SELECTED_VIEWS, budget="10 (objects), 40 (Gibson) or 80 (HM3D) views")
 

@@ -189,6 +189,8 @@ def test_the_notebook_plays_and_shows_a_replay(
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "activestructure-gym").mkdir()
+    (tmp_path / "activestructure-gym" / "setup.cfg").touch()
     cells = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
     assert not any(cell.get("outputs") for cell in cells)
     text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")

@@ -10,6 +10,7 @@ from activestructure_gym.evaluation.archive.decisions import Row
 from activestructure_gym.policies.scored import FACTOR, neutral
 
 _MOST_FEATURES = 4  # features shown of each row
+_TRAVEL = "lower travel cost, a factor"  # the factor falls with the cost of the path
 _CLOSE = 1e-5  # relative difference up to which the terms reproduce a score: rounding of 32-bit features
 
 
@@ -22,15 +23,16 @@ def reason(policy: str, rows: Sequence[Row]) -> str:
         return f"{policy} compared this view with no other."
     if chosen.score <= runner_up.score:
         return f"Two views have the best score, {short(chosen.score)}. The path or the order of the rows decided."
-    scores = f"{short(chosen.score)}, runner-up {short(runner_up.score)}"
+    scores = f"the best score, {short(chosen.score)}; the runner-up has {short(runner_up.score)}"
     leads = _leads(chosen, runner_up)
     name = max(leads, key=leads.__getitem__, default="")
     if leads.get(name, 0.0) <= 0.0:
-        return f"Chosen for the best score: {scores}."
-    values = f"{name.removeprefix(FACTOR)}: {short(chosen.terms[name])}, runner-up {short(runner_up.terms[name])}"
+        return f"Chosen for {scores}."
+    values = f"{_TRAVEL if name == f'{FACTOR}travel' else name.removeprefix(FACTOR)} of {short(chosen.terms[name])}"
+    other = short(runner_up.terms[name])
     if leads[name] >= chosen.score - runner_up.score:
-        return f"Chosen for {values}."
-    return f"Chosen for the best score: {scores}. The largest lead is in {values}."
+        return f"Chosen for its {values}; the runner-up has {other}."
+    return f"Chosen for {scores}. It leads most by its {values} against {other}."
 
 
 def compared(rows: Sequence[Row]) -> list[list[str]]:

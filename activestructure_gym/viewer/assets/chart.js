@@ -42,7 +42,7 @@ class Chart {
     const draw = (kind, options, inside = "") => `<${kind} ${Object.entries(options).map(([name, value]) => `${name}="${value}"`).join(" ")}>${inside}</${kind}>`;
     const parts = ticks(this.low, this.high).flatMap((value) => [draw("line", { class: "grid", x1: LEFT, x2: this.right, y1: this.y(value), y2: this.y(value) }),
       draw("text", { x: LEFT - 5, y: this.y(value) + 4, "text-anchor": "end" }, value)]);
-    ticks(1, this.end).forEach((value, i, all) => parts.push(draw("text", { x: this.x(value), y: BOTTOM + 14, "text-anchor": "middle" },
+    ticks(1, this.end).filter(Number.isInteger).forEach((value, i, all) => parts.push(draw("text", { x: this.x(value), y: BOTTOM + 14, "text-anchor": "middle" },
       i + 1 < all.length ? value : `${value} frames`)));
     parts.push(draw("line", { class: "cursor", y1: TOP, y2: BOTTOM }));
     this.points.forEach((line, i) => parts.push(draw("polyline", { class: RUN_CLASSES[i], points: line.map(([x, y]) => `${this.x(x)},${this.y(y)}`).join(" ") })));

@@ -43,8 +43,8 @@ class Player {
       this.listen(run);
       run.why.open = runs.length === 1; // two tables would take the maps' room
     }
-    const feature = runs[0].film.feature;
-    find("scores").textContent = feature ? `other candidates, low to high ${feature}` : "other candidates";
+    const features = [...new Set(runs.map((run) => run.film.feature).filter(Boolean))]; // runs may differ
+    find("scores").textContent = ["other candidates", features.join(" or ")].filter(Boolean).join(", low to high ");
     this.to(1);
   }
 

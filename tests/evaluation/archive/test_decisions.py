@@ -133,8 +133,8 @@ def test_the_terms_of_two_forms_of_decisions_are_told_apart() -> None:
 
     three = rows_by_decision(logged(bound(Switching()), *[observation(0.25, 0.75)] * 3), FEATURES)
     assert [rows[0].terms for rows in three] == [{"pixel": 0.75}, {"× factor": 0.75}, {}]
-    assert ["Chosen for pixel: " in reason("mine", rows) for rows in three] == [True, False, False]
-    assert ["Chosen for factor: " in reason("mine", rows) for rows in three] == [False, True, False]
+    assert ["Chosen for its pixel of " in reason("mine", rows) for rows in three] == [True, False, False]
+    assert ["Chosen for its factor of " in reason("mine", rows) for rows in three] == [False, True, False]
 
 
 def test_a_damaged_file_is_refused() -> None:

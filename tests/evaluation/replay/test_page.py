@@ -243,6 +243,12 @@ def test_the_page_begins_with_the_map_path_and_choice_and_says_who_leads(
     assert labels[:5] == ["0", "50", "100", "20", "40 frames"]
     ends = [f"{one.run.policy} {one.run.metrics['metrics']['observed']:.1f}" for one in recordings]
     assert labels[-2:] == ends
+    begun = "Array.from(new Chart(MEASURES[0], player.runs, 2).svg.querySelectorAll('text'), (one) => one.textContent)"
+    assert pair.value(begun)[3:5] == ["1", "2 frames"]  # no half frames
+    legend = "document.getElementById('scores').textContent"
+    assert pair.value(legend) == "other candidates, low to high hole_area"
+    pair.value("player.runs[1].film.feature = 'pixel', player.open(player.runs), 1")
+    assert pair.value(legend) == "other candidates, low to high hole_area or pixel"
 
 
 @needs_browser

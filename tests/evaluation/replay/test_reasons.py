@@ -20,24 +20,26 @@ def scored(number: int, **terms: float) -> Row:
 def test_the_term_without_whose_lead_the_choice_would_change_decided() -> None:
     """Not the term with the largest ratio: `planes` is ten times the runner-up's, and too small to matter."""
     rows = [scored(5, area=0.8, planes=0.01, times_travel=0.5), scored(8, area=0.6, planes=0.001, times_travel=0.6)]
-    assert reason("mine", rows) == ("Chosen for area: 0.8, runner-up 0.6.")
+    assert reason("mine", rows) == "Chosen for its area of 0.8; the runner-up has 0.6."
+    rows = [scored(8, area=0.6, times_travel=0.6), scored(5, area=0.8, times_travel=0.4)]
+    assert reason("mine", rows) == "Chosen for its lower travel cost, a factor of 0.6; the runner-up has 0.4."
 
 
 def test_no_term_decides_if_the_choice_stays_without_each() -> None:
     rows = [scored(5, area=0.8, planes=0.4, times_travel=1.0), scored(8, area=0.6, planes=0.3, times_travel=1.0)]
     assert reason("mine", rows) == (
-        "Chosen for the best score: 1.2, runner-up 0.9. The largest lead is in area: 0.8, runner-up 0.6."
+        "Chosen for the best score, 1.2; the runner-up has 0.9. It leads most by its area of 0.8 against 0.6."
     )
 
 
 def test_terms_that_do_not_make_up_the_score_decide_nothing() -> None:
     rows = [row(5, 0.9, {"area": 0.8}), row(8, 0.7, {"area": 0.6})]
-    assert reason("mine", rows) == "Chosen for the best score: 0.9, runner-up 0.7."
+    assert reason("mine", rows) == "Chosen for the best score, 0.9; the runner-up has 0.7."
 
 
 def test_scores_without_terms_equal_scores_and_no_scores() -> None:
-    assert reason("mine", [row(5, -0.0), row(8, -0.7)]) == "Chosen for the best score: 0, runner-up −0.7."
-    assert reason("mine", [row(5, 0.9), row(8, -0.7)]) == "Chosen for the best score: 0.9, runner-up −0.7."
+    assert reason("mine", [row(5, -0.0), row(8, -0.7)]) == "Chosen for the best score, 0; the runner-up has −0.7."
+    assert reason("mine", [row(5, 0.9), row(8, -0.7)]) == "Chosen for the best score, 0.9; the runner-up has −0.7."
     assert reason("mine", [row(5, 0.9), row(8, 0.9)]).startswith("Two views have the best score, 0.9.")
     assert reason("mine", [row(5, 0.9)]) == "mine compared this view with no other."
     assert reason("random", [row(5, None)]) == "random chose this view without comparing scores."

@@ -355,6 +355,16 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     percents = re.findall(r"(?:C.R. of|three rooms) ([\d.]+) %", text)
     assert len(percents) == 2 and all(f"| {percent} / " in longer for percent in percents)
 
+    table = script["read"](script["PLACE"])
+    # Planners of information alone: those that have a variant with coverage, and activeinr.
+    seen = [
+        script["_mean"]({cell: run["observed"] for cell, run in table[name].items()})
+        for name in ("activeinr", *(name for name in table if f"{name}_cov" in table))
+    ]
+    assert len(seen) > 8 and f"only information in the map observe {min(seen):.0f} to {max(seen):.0f} %" in text
+    houses = script["read"](script["PLACE"].with_name("procthor.csv"))
+    assert f"In {len(houses['hole_area'])} published [ProcTHOR houses]" in text
+
     def difference(file: str, ours: str, theirs: str, key: str) -> str:
         table = script["read"](script["PLACE"].with_name(file))
         return script["_difference"](table, ours, theirs, key, script["OF_PAIRS"][key][1])

@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.report.tables import verdicts
 from activestructure_gym.evaluation.report.tables.layout import with_interval
 
 _NAMED = 3  # largest number of policies that the sentence names
+_SPELLED = {"C.R.": "completion ratio (C.R.)", "Depth": "Depth error"}  # of headings, where there is room for it
 
 
 def answer(results: Results) -> Markup:
@@ -28,13 +29,7 @@ def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     if not any(lead.runner_up for lead in leads):
         return ""
     wins = Counter(lead.policy for lead in leads if not lead.tied).most_common()
-    count, more = pluralised(len(leads), "metric"), sum(number for _, number in wins[_NAMED:])
-    parts = [f"{policy} in {number}" for policy, number in wins[1:_NAMED]] + [f"others in {more}"] * bool(more)
-    text = "The best policies are equal in all metrics."
-    if wins:
-        policy, number = wins[0]
-        share = f"all {count}" if number == len(leads) else f"{number} of {count}"
-        text = f"{', '.join([f'{policy} is best in {share}', *parts])}."
+    text = _winners(wins, len(leads))
     if not verdicts.has_intervals(results):
         seeds = "One seed gives" if len(results.seeds) == 1 else "A single pair on a scene gives"
         return f"{text} {seeds} no intervals, so no lead is certain."
@@ -44,9 +39,27 @@ def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     sure = sum(verdicts.verdict(margin, column)[0].startswith("better") for margin, column in margins)
     pairs = min(margin.pairs for margin, _ in margins)
     few = f", from {pairs} pairs only" if pairs < verdicts.FEW else ""
-    return (
-        f"{text} {sure} of {pluralised(len(margins), 'lead')} {'is' if sure == 1 else 'are'} significant (95 %){few}."
-    )
+    if not sure:
+        return f"No policy is clearly best: no lead is significant (95 %){few}. {text}"
+    if len(margins) == 1:
+        return f"{text} The lead is significant (95 %){few}."
+    if sure == len(margins):
+        return f"{text} All {sure} leads are significant (95 %){few}."
+    return f"{text} Of {len(margins)} leads, {sure} {'is' if sure == 1 else 'are'} significant (95 %){few}."
+
+
+def _winners(wins: Sequence[tuple[str, int]], metrics: int) -> str:
+    """Return a sentence on the policies and the numbers of metrics that each is best in, highest number first."""
+    if not wins:
+        return "The best policies are equal in all metrics."
+    count, (policy, number) = pluralised(metrics, "metric"), wins[0]
+    if len(wins) > 1 and wins[-1][1] == number:
+        names = [policy for policy, _ in wins] if len(wins) <= _NAMED else [pluralised(len(wins), "policy", "policies")]
+        return f"{' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))} are each best in {number} of {count}."
+    more = sum(number for _, number in wins[_NAMED:])
+    parts = [f"{policy} in {number}" for policy, number in wins[1:_NAMED]] + [f"others in {more}"] * bool(more)
+    share = f"all {count}" if number == metrics else f"{number} of {count}"
+    return f"{', '.join([f'{policy} is best in {share}', *parts])}."
 
 
 def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
@@ -55,7 +68,7 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
         ahead = f"{with_interval(lead.margin.difference, column.digits, signed=True).text} against {lead.runner_up}"
         words, tone = verdicts.verdict(lead.margin, column)
     return {
-        "metric": column.header,
+        "metric": _SPELLED.get(column.header, column.header),
         "meaning": column.meaning,
         "value": f"{lead.mean.value:.{column.digits}f}",
         "unit": column.unit,

@@ -14,11 +14,11 @@ def made(make_run, seeds, **psnr):
 @pytest.mark.parametrize(
     ("seeds", "psnr", "text"),
     [
-        (6, {"a": 20.0, "b": 22.0}, "b is best in 1 of 2 metrics. 1 of 1 lead is significant (95 %)."),
+        (6, {"a": 20.0, "b": 22.0}, "b is best in 1 of 2 metrics. The lead is significant (95 %)."),
         (
             2,
             {"a": 20.0, "b": 22.0},
-            "b is best in 1 of 2 metrics. 1 of 1 lead is significant (95 %), from 2 pairs only.",
+            "b is best in 1 of 2 metrics. The lead is significant (95 %), from 2 pairs only.",
         ),
         (2, {"a": 20.0, "b": 20.0}, "The best policies are equal in all metrics."),
         (
@@ -42,7 +42,34 @@ def test_of_several_winners_the_most_frequent_is_first(make_run):
         for seed in (0, 1)
     ]
     results = Results(runs, [])
-    assert answer_text(results, leads(results)).startswith("b is best in 2 of 3 metrics, a in 1. 3 of 3 leads are")
+    text = "b is best in 2 of 3 metrics, a in 1. All 3 leads are significant (95 %), from 2 pairs only."
+    assert answer_text(results, leads(results)) == text
+
+
+@pytest.mark.parametrize(
+    ("lead", "text"),
+    [
+        # One seed is 3 dB for b and the other 1 dB for a: the interval of the mean contains 0.
+        ((3.0, -1.0), "No policy is clearly best: no lead is significant (95 %), from 2 pairs only. {}"),
+        ((3.0, 3.0), "{} Of 2 leads, 1 is significant (95 %), from 2 pairs only."),
+    ],
+)
+def test_policies_with_as_many_metrics_are_named_together(make_run, lead, text):
+    runs = [
+        make_run("room", policy, seed, psnr=20.0 + lead[seed] * (policy == "b"), observed=60.0 + mine[seed])
+        for policy, mine in (("a", (9.0, -5.0)), ("b", (0.0, 0.0)))
+        for seed in (0, 1)
+    ]
+    results = Results(runs, [])
+    assert answer_text(results, leads(results)) == text.format("a and b are each best in 1 of 3 metrics.")
+
+
+def test_many_policies_with_as_many_metrics_are_counted(make_run):
+    best = {"a": "psnr", "b": "observed", "c": "completion_ratio", "d": "observed_area"}
+    usual = {"psnr": 20.0, "observed": 60.0, "completion_ratio": 70.0, "observed_area": 50.0}
+    runs = [make_run("room", policy, 0, **usual | {key: usual[key] + 5.0}) for policy, key in best.items()]
+    results = Results(runs, [])
+    assert answer_text(results, leads(results)).startswith("4 policies are each best in 1 of 4 metrics. One seed gives")
 
 
 def test_a_card_has_value_winner_lead_and_verdict(make_run):

@@ -22,7 +22,7 @@ PLAYED_S, STILL_S = 4.5, 1.5  # seconds during which the maps grow, and during w
 
 WIDTH = 600  # of a run's column, pixels
 NAME_HEIGHT, MAP_HEIGHT, CURVE_HEIGHT, MARGIN = 66, 430, 190, 14  # pixels
-LARGE, SMALL = 42, 24  # font sizes in pixels
+LARGE, SMALL = 42, 30  # font sizes in pixels
 PATH = (224, 33, 138)  # colour of the camera and its path, as on the replay page
 _CUT = 0.86  # share of the workspace's height above which nothing is drawn, so that the ceiling is open
 _YAW, _PITCH, _DISTANCE, _FOCAL = 0.94, 0.95, 1.25, 1.1  # of the replay page's initial view; yaw plus quarter turns
@@ -152,9 +152,10 @@ def _curves(recordings: Sequence[Recording]) -> list[_Curve]:
 def _chart(own: _Curve, curves: Sequence[_Curve], frame: int, end: int, tint: tuple[int, int, int]) -> Image.Image:
     """Draw the curve of one run up to a frame, with ticks and its present value. All runs have the same axes."""
     top = 100.0 if own.unit == "%" else float(np.ceil(max(curve.values.max() for curve in curves) / 10) * 10)
-    left, right, upper, lower = 84, WIDTH - 170, 44, CURVE_HEIGHT - 42
+    room = text_width(f"{top:.1f} {own.unit}", LARGE, bold=True) + 3 * MARGIN  # of the value to the right of the axis
+    left, right, upper, lower = 84, WIDTH - room, 60, CURVE_HEIGHT - 46
     page = Image.new("RGB", (WIDTH, CURVE_HEIGHT), PAPER)
-    write(page, (MARGIN, 2), own.name, size=SMALL, fill=INK)
+    write(page, (MARGIN, 0), own.name, size=SMALL, fill=INK)
     image = np.asarray(page).copy()
     for share in (0.0, 0.5, 1.0):
         y = round(lower - share * (lower - upper))

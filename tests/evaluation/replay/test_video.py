@@ -46,6 +46,17 @@ def test_a_run_without_a_curve_is_shown_without_one(recordings: list[Recording])
     assert image.shape == (film.NAME_HEIGHT + film.MAP_HEIGHT, film.WIDTH, 3)
 
 
+@pytest.mark.parametrize("unit, value", [("%", 100.0), ("m³", 50.0), ("m³", 2050.0)])
+def test_the_value_of_a_curve_does_not_cover_the_curve(unit: str, value: float) -> None:
+    """The curve ends at the top of its axis, so the rows of its value have only its left part."""
+    curve = film._Curve("known space", unit, np.array([1.0, 150.0]), np.array([0.0, value]))
+    shown = np.asarray(film._chart(curve, [curve], 150, 150, (213, 94, 0))).astype(int)
+    tinted = np.abs(shown - (213, 94, 0)).sum(axis=2) < 12
+    end = np.nonzero(tinted[:72].any(axis=0))[0][-1]  # of the dot
+    text = np.nonzero(tinted[88:118, end - 40 :].any(axis=0))[0] + end - 40
+    assert text[0] - end >= 10 and text[-1] < film.WIDTH
+
+
 def test_the_pose_at_a_frame_is_that_of_the_run(recordings: list[Recording]) -> None:
     for recording in recordings:
         numbers = [film.pose_number(recording, frame) for frame in range(1, 41)]

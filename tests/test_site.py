@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 from packaging.utils import canonicalize_name
+from PIL import Image
 
 from activestructure_gym.config import ReconstructionConfig
 from activestructure_gym.errors import InputError
@@ -214,11 +215,11 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
     environments = importlib.import_module("_site.environments")
     made: list[str] = []
 
-    def film(task: str, path: Path) -> None:
+    def play(task: str, path: Path) -> None:
         made.append(task)
         path.touch()
 
-    monkeypatch.setattr(environments, "_film", film)
+    monkeypatch.setattr(environments, "_play", play)
     pages = environments.pages(tmp_path)
     assert set(pages) == {"environments/index.md", *(f"environments/{task.lower()}.md" for task in environments.TASKS)}
     for task in environments.TASKS:
@@ -232,16 +233,15 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
         (tmp_path / "environments" / name).is_file() for name in pictures
     )
     # A dataset's page has the film of a mesh from a file, and says so.
-    for task, others in (
-        ("Replica-v0", "Scenes of Replica"),
-        ("Matterport3D-v0", "Buildings of Matterport3D"),
-    ):
-        assert (
-            "{figure} mesh-v0-" in pages[f"environments/{task.lower()}.md"]
-            and others in pages[f"environments/{task.lower()}.md"]
-        )
+    for name in ("Replica", "Matterport3D"):
+        page = pages[f"environments/{name.lower()}-v0.md"]
+        assert "{figure} mesh-v0-" in page and f"Scenes of {name} may not be published here" in page
+    # A world has no ground truth, so its film has another curve.
+    for task, curve in (("Room-v0", "observed surface"), ("World-v0", "known space")):
+        caption = f"with preset `fast`: their maps grow along the camera's path, with the {curve} below."
+        assert caption in pages[f"environments/{task.lower()}.md"]
     assert environments.pages(tmp_path) == pages and made == list(environments.SHOWN_IN)
-    monkeypatch.setattr(environments, "_code", lambda: "other code")
+    monkeypatch.setattr(environments, "_code", lambda: "other")
     films = {path.name for path in tmp_path.rglob("*.webp")}
     assert environments.pages(tmp_path) != pages and made == 2 * list(environments.SHOWN_IN)
     assert len(films) == len(made) // 2 and films.isdisjoint(path.name for path in tmp_path.rglob("*.webp"))
@@ -457,6 +457,8 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         assert (tmp_path / "site" / f"{name}.html").stat().st_size > 5000
     page = (tmp_path / "site" / "_made" / "environments" / "room-v0.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="([^"]+\.webp)"', page)
-    assert (tmp_path / "site" / "_made" / "environments" / picture).resolve().is_file()
+    film = (tmp_path / "site" / "_made" / "environments" / picture).resolve()
+    with Image.open(film) as shown:
+        assert shown.size == (1200, 686) and film.stat().st_size < 1.5e6  # two maps side by side
     # Nothing is loaded from elsewhere.
     assert not re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page)

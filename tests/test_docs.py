@@ -211,26 +211,57 @@ def test_pictures_of_curves_are_those_of_their_numbers() -> None:
     images = ROOT / "docs" / "images"
     script = runpy.run_path(str(images / "benchmark_curves.py"))
     paper = runpy.run_path(str(images / "paper_curves.py"))
+    native = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     pictures = {"benchmark_curves.svg": script["drawn"](), "policies.svg": script["panels"]()}
-    for name, drawn in (pictures | {"paper_curves.svg": paper["drawn"]()}).items():
+    for name, drawn in (
+        pictures | {"paper_curves.svg": paper["drawn"](), "native_curves.svg": native["drawn"]()}
+    ).items():
         assert drawn == (images / name).read_text(encoding="utf-8"), f"run docs/images/*_curves.py: {name}"
 
 
 def test_a_native_table_by_hand() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
-    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "mapper": "default", "iterations": "10"}
+    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "mapper": "splatam", "iterations": "15"}
 
     def run(policy: str, seed: str, observed: str, reached: str = "") -> dict[str, str]:
         return usual | {"policy": policy, "seed": seed, "observed": observed, "frames_to_80": reached}
 
-    lines = [run("hole_area", "0", "90"), run("hole_area", "1", "92"), run("hole_area", "2", "10")]
-    table = script["markdown"]([*lines, run("random", "0", "93", "1500"), run("random", "1", "93")])
+    lines = [
+        run("activestructure-d", "0", "90"),
+        run("activestructure-d", "1", "92"),
+        run("activestructure-d", "2", "1"),
+    ]
+    table = script["markdown"]([*lines, run("activestructure", "0", "93", "1500"), run("activestructure", "1", "93")])
     heads, _, first, second = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
     # The third seed, which one alone played, does not count.
-    assert (first[1], second[1]) == ("`random`", "`hole_area`")
+    assert (first[1], second[1]) == ("`activestructure`", "`activestructure-d`")
     assert (first[heads.index("frames to 80 %")], second[heads.index("frames to 80 %")]) == ("1,500 (1 of 2)", "–")
-    column = heads.index("observed minus `hole_area`")
+    column = heads.index("observed minus `activestructure-d`")
     assert (first[column], second[column]) == ("+2.0 [1.0, 3.0]", "")
+
+
+def test_chance_of_a_planner_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "seed": "0", "mapper": "default", "iterations": "10"}
+    usual |= {"ended_frame": "", "budget": "400"}
+    lines = [
+        usual | {"policy": "naruto", "ended_frame": "200", "curve": "40 80 80 80"},
+        usual | {"policy": "random?views_of=naruto", "curve": "20 60 80 90"},
+        usual | {"policy": "hole_area", "curve": "50 70 80 90"},
+        usual | {"policy": "random", "curve": "50 60 60 60"},
+        usual | {"policy": "gavis", "curve": "1 2 3 4"},  # has own settings, and chance was not played with them
+    ]
+    table = script["markdown"](lines)
+    heads, _, *body = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
+    cells = {
+        row[1]: tuple(row[heads.index(f"{name} minus chance")] for name in ("observed", "exploration")) for row in body
+    }
+    # naruto ended at frame 200: 80 and 60 there. The means up to there are (20 + 60) / 2 and (10 + 40) / 2.
+    # hole_area: 90 and 60 at frame 400, and means of 61.25 and 50.
+    assert cells["`naruto`"] == ("+20.0", "+15.0")
+    assert cells["`hole_area`"] == ("+30.0", "+11.2")
+    assert cells["`random`"] == cells["`gavis`"] == ("", "")
+    assert len(cells) == 4, "chance with the settings of a planner has no row"
 
 
 def test_every_threshold_that_is_a_guess_is_there() -> None:
@@ -246,10 +277,10 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     told = (ROOT / "docs" / "notebook" / "native.md").read_text()
     assert script["native_settings"]() in told, "paste what native_table.py prints"
     for place in (script["PLACE"], script["PLACE"].with_name("paper.csv")):
-        tables = script["tables"](place)
-        assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
+        assert script["tables"](place) in told, "paste what native_table.py prints"
         for row in script["rows"](place):  # or what is said of it would be of another schedule
-            settings = POLICIES.get(row["policy"].partition("?")[0]).native_settings
+            policy = row["policy"].removeprefix(script["FLOOR"]).partition("?")[0]
+            settings = POLICIES.get(policy).native_settings
             mapper = configure("full", settings.overrides()).mapper
             assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
 

@@ -1,15 +1,15 @@
 """Print the tables of native.md from native.csv, which has a line per run.
 
-    python docs/notebook/native_table.py                       # the tables
+    python docs/notebook/native_table.py                       # print the tables, draw docs/images/native_curves.svg
     python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
     python docs/notebook/native_table.py --file paper.csv      # read another file of this folder
 
-There is one table per scene, with a row per policy by decreasing observed share. Numbers are means over the seeds that
-all policies have played. Differences are to the first of ``BASELINES`` with
-runs, in pairs of the same seed, with 95 % bootstrap intervals; for
-two seeds, the interval is from one difference to the other. "–" means that no run reached a level. If only some runs
-reached it, their number is given. A second table has the phases of the policies with phases. The native settings of
-the policies are printed below the tables.
+The table has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and seed) that
+all policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes, the
+interval is from one difference to the other. *Minus chance* compares with random choice under the same native settings
+(`chance_of`), at the frame at which the planner ended. Without such runs, differences are to the first of ``BASELINES``
+with runs. "–" means that no run reached a level. If only some runs reached it, their number is given. A second table
+has the phases of the policies with phases. The native settings of the policies are printed below the tables.
 """
 
 from __future__ import annotations
@@ -17,20 +17,29 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from statistics import mean
 
+import numpy as np
+
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.charts.convergence import curve_of
 from activestructure_gym.evaluation.report.charts.episode_series import bands
+from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, standalone
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import PLANNING, value_of
 from activestructure_gym.evaluation.statistics.paired import paired_difference
 from activestructure_gym.policies import POLICIES
+from activestructure_gym.specs import Spec
 
+Episode = tuple[str, int]  # scene and seed
 PLACE = Path(__file__).with_name("native.csv")
 BASELINES = ("hole_area", "activestructure-d")
+PICTURE = Path(__file__).parents[1] / "images" / "native_curves.svg"
+FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
+POINTS = 40  # points of a stored curve, at equal distances up to the last frame of the budget
 SHOWN = {  # columns by metric: heading, decimals
     "observed": ("observed (%) ↑", 1),
     "observed_area": ("exploration (%) ↑", 1),
@@ -58,9 +67,10 @@ PHASES = {  # columns of the second table: heading, decimals
     "deficient": ("at the end", 1),
 }
 DIFFERENCES = {"observed": ("observed", 1), "psnr": ("PSNR", 2)}
+CHANCE = {"observed": "observed minus chance", "exploration": "exploration minus chance"}
 _COUNTED = ("keyframes", "decision_s", "run_s")  # not metrics of the run
 NAMES = ("policy", "scene", "seed", "mapper", "iterations")
-COLUMNS = (*SHOWN, *STORED, *PHASES)
+COLUMNS = (*SHOWN, *STORED, *PHASES, "budget", "curve")
 
 
 def line_of(run: Run) -> dict[str, str]:
@@ -73,11 +83,13 @@ def line_of(run: Run) -> dict[str, str]:
         "decision_s": sum(seconds.get(name, 0.0) for name in PLANNING) / decisions,
         "run_s": run.timing["total"] + seconds.get("loading", 0.0) + seconds.get("evaluation", 0.0),
     }
-    mapper = run.config["configuration"]["mapper"]
+    mapper, budget = run.config["configuration"]["mapper"], run.config["configuration"]["frame_budget"]
+    values["budget"] = budget
+    frames, observed = curve_of(run, "frames", "observed")
+    curve = np.interp(np.linspace(0, budget, POINTS + 1)[1:], frames, observed)
     names = (run.policy, run.scene, str(run.job.seed), mapper["name"], str(mapper["iterations"]))
-    return dict(zip(NAMES, names)) | {
-        key: "" if value is None else f"{value:.6g}" for key, value in ((key, values[key]) for key in COLUMNS)
-    }
+    line = {key: "" if value is None else f"{value:.6g}" for key, value in values.items()}
+    return dict(zip(NAMES, names)) | line | {"curve": " ".join(f"{value:.1f}" for value in curve)}
 
 
 def phases_of(run: Run) -> dict[str, float | None]:
@@ -120,32 +132,103 @@ def added(place: Path, directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """Return the table of one scene as Markdown, given its lines of a CSV file, without empty columns."""
+    """Return the table of all lines of a CSV file as Markdown, without empty columns and without rows of chance."""
     runs = by_policy(lines)
     shown = {key: column for key, column in SHOWN.items() if any(row[key] for row in lines)}
     heads = [heading for heading, _ in shown.values()]
-    baseline = next((name for name in BASELINES if name in runs), "")
+    floors = {policy: chance_of(policy, runs) for policy in runs}
+    baseline = "" if any(floors.values()) else next((name for name in BASELINES if name in runs), "")
+    heads += list(CHANCE.values()) if any(floors.values()) else []
     heads += [f"{name} minus `{baseline}`" for name, _ in DIFFERENCES.values() if baseline]
     text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
+        if policy.startswith(FLOOR):
+            continue
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
+        if any(floors.values()):
+            cells += minus_chance(runs[policy], runs.get(floors[policy]))
         cells += [_difference(runs, policy, baseline, key, n) for key, (_, n) in DIFFERENCES.items() if baseline]
         mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
 
 
-def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, dict[str, dict[str, str]]]:
-    """Return the lines of one scene by policy and seed, for the seeds that all policies have played."""
-    runs: dict[str, dict[str, dict[str, str]]] = {}
+def chance_of(policy: str, runs: Collection[str]) -> str:
+    """Return which of the ``runs`` has chance with the native settings of a policy; "" if there is none."""
+    settings = settings_of(policy)
+    named = [name for name in runs if name.startswith(FLOOR) and settings_of(name) == settings]
+    plain = ["random"] if "random" in runs and settings == settings_of("random") else []
+    return "" if policy.startswith("random") else next(iter(named + plain), "")
+
+
+def settings_of(policy: str) -> str:
+    """Return the native settings of a policy as text, without its paper's budget."""
+    spec = Spec(policy.removeprefix(FLOOR))
+    return POLICIES.get(spec.name).native_settings.describe().partition("; budget")[0]
+
+
+def minus_chance(runs: dict[Episode, dict[str, str]], floors: dict[Episode, dict[str, str]] | None) -> tuple[str, str]:
+    """Return the differences of observed share and exploration to chance, up to the frame at which a planner ended."""
+    if floors is None:
+        return "", ""
+    found: list[dict[Episode, tuple[float, float]]] = []
+    for measure in ("observed", "exploration"):
+        pairs = {}
+        for episode, row in runs.items():
+            end = float(row["ended_frame"] or row["budget"])
+            pairs[episode] = tuple(_until(one, end, measure) for one in (row, floors[episode]))
+        found.append(pairs)
+    return tuple(
+        _paired({e: p[0] for e, p in pairs.items()}, {e: p[1] for e, p in pairs.items()}, 1) for pairs in found
+    )
+
+
+def _curve(row: dict[str, str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frames and the observed shares in percent of a stored curve."""
+    curve = [0.0, *map(float, row["curve"].split())]
+    return np.linspace(0, float(row["budget"]), len(curve)), np.array(curve)
+
+
+def _until(row: dict[str, str], end: float, measure: str) -> float:
+    """Return the observed share of a run at the frame ``end``, or its mean over the frames up to there, in percent."""
+    frames, curve = _curve(row)
+    last = float(np.interp(end, frames, curve))
+    if measure == "observed":
+        return last
+    before = frames < end
+    return float(np.trapezoid([*curve[before], last], [*frames[before], end])) / end
+
+
+def drawn() -> str:
+    """Return a chart per planner with its own views as SVG text: observed share over frames, with that of chance."""
+    runs, charts = by_policy(rows()), []
+    for policy in sorted(runs):
+        floor = chance_of(policy, runs)
+        if not floor.startswith(FLOOR) or POLICIES.get(policy).native_settings.stages is None:
+            continue
+        lines = [
+            Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0))
+            for index, name in enumerate((policy, floor))
+        ]
+        label = f"{policy}: observed [%]"
+        charts.append(line_chart(lines, title=label, x_label="frames", y_label=label, y_includes=(0.0, 100.0)))
+    rows_of_charts = [charts[i : i + 3] for i in range(0, len(charts), 3)]
+    return standalone(
+        rows_of_charts, ("planner", "chance on the same views"), title="Planners and chance, native setup"
+    )
+
+
+def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, dict[Episode, dict[str, str]]]:
+    """Return the lines of a CSV file by policy and episode, for the episodes that all policies have played."""
+    runs: dict[str, dict[Episode, dict[str, str]]] = {}
     for row in lines:
-        runs.setdefault(row["policy"], {})[row["seed"]] = row
+        runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
     common = set.intersection(*map(set, runs.values()))
-    return {policy: {seed: row for seed, row in by_seed.items() if seed in common} for policy, by_seed in runs.items()}
+    return {policy: {one: row for one, row in own.items() if one in common} for policy, own in runs.items()}
 
 
 def phases(lines: Sequence[dict[str, str]]) -> str:
-    """Return the table of the phases in one scene as Markdown; "" if no policy has phases."""
+    """Return the table of the phases as Markdown; "" if no policy has phases."""
     runs = {policy: runs for policy, runs in by_policy(lines).items() if any(row["deficient"] for row in runs.values())}
     if not runs:
         return ""
@@ -158,12 +241,10 @@ def phases(lines: Sequence[dict[str, str]]) -> str:
     return "\n".join(text) + "\n"
 
 
-def tables(place: Path = PLACE) -> dict[str, str]:
-    """Return the tables of every scene as Markdown, by scene."""
-    found: dict[str, list[dict[str, str]]] = {}
-    for row in rows(place):
-        found.setdefault(row["scene"], []).append(row)
-    return {scene: "\n".join(filter(None, (markdown(lines), phases(lines)))) for scene, lines in found.items()}
+def tables(place: Path = PLACE) -> str:
+    """Return the tables of a CSV file as Markdown."""
+    lines = rows(place)
+    return "\n".join(filter(None, (markdown(lines), phases(lines))))
 
 
 def native_settings() -> str:
@@ -181,24 +262,28 @@ def native_settings() -> str:
     return text
 
 
-def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:
-    return mean([float(row[key]) for row in by_seed.values() if row[key]])
+def _mean(own: dict[Episode, dict[str, str]], key: str) -> float:
+    return mean([float(row[key]) for row in own.values() if row[key]])
 
 
-def _shown(by_seed: dict[str, dict[str, str]], key: str, digits: int) -> str:
-    reached = sum(bool(row[key]) for row in by_seed.values())
+def _shown(own: dict[Episode, dict[str, str]], key: str, digits: int) -> str:
+    reached = sum(bool(row[key]) for row in own.values())
     if not reached:
         return "–"
-    text = f"{_mean(by_seed, key):,.{digits}f}"
-    return text if reached == len(by_seed) else f"{text} ({reached} of {len(by_seed)})"
+    text = f"{_mean(own, key):,.{digits}f}"
+    return text if reached == len(own) else f"{text} ({reached} of {len(own)})"
 
 
-def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, baseline: str, key: str, digits: int) -> str:
+def _difference(
+    runs: dict[str, dict[Episode, dict[str, str]]], policy: str, baseline: str, key: str, digits: int
+) -> str:
     if policy == baseline:
         return ""
-    ours, theirs = (
-        {(row["scene"], int(seed)): float(row[key]) for seed, row in runs[name].items()} for name in (policy, baseline)
-    )
+    ours, theirs = ({one: float(row[key]) for one, row in runs[name].items()} for name in (policy, baseline))
+    return _paired(ours, theirs, digits)
+
+
+def _paired(ours: dict[Episode, float], theirs: dict[Episode, float], digits: int) -> str:
     found = paired_difference(ours, theirs)
     if found is None:
         return ""
@@ -216,11 +301,10 @@ def main(words: Sequence[str]) -> None:
     place = PLACE.with_name(asked.file)
     if asked.runs:
         added(place, asked.runs)
-    for scene, table in tables(place).items():
-        seeds = sorted({row["seed"] for row in rows(place) if row["scene"] == scene}, key=int)
-        print(f"{scene}, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}:\n\n{table}")
+    print(tables(place))
     if place == PLACE:
         print(native_settings(), end="")
+        PICTURE.write_text(drawn(), encoding="utf-8")
 
 
 if __name__ == "__main__":

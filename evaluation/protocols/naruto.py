@@ -128,8 +128,7 @@ class NarutoProtocol:
             return triangles
         from activestructure_gym.scenes.raycaster import RayCaster
 
-        corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-        faces = index.reshape(-1, 3)
+        corners, faces = _merged(triangles)
         caster = RayCaster(corners, faces)
         size = (self.image_width, max(1, round(self.image_width * path.camera.height / path.camera.width)))
         camera = path.camera.resized(*size)
@@ -141,6 +140,17 @@ class NarutoProtocol:
             depth = np.where(depth <= self.farthest_m, depth, np.float32(0.0)).reshape(size[::-1])
             _mark_seen(corners, invert_rigid(pose), intrinsics, depth, self.behind_m, seen)
         return triangles[seen[faces].any(axis=1)]
+
+
+def _merged(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [T, 3, 3] -> [V, 3], [T, 3] int64
+    """Return the distinct corners of triangles, and the corners of each triangle as their rows."""
+    corners = triangles.reshape(-1, 3)
+    order = np.lexsort(corners.T)  # a third of the time of np.unique with an axis
+    corners = corners[order]
+    new = np.concatenate([[True], (corners[1:] != corners[:-1]).any(axis=1)])
+    rows = np.empty(len(order), np.int64)
+    rows[order] = np.cumsum(new) - 1
+    return corners[new], rows.reshape(-1, 3)
 
 
 @kernel

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import NarutoProtocol
 from activestructure_gym.evaluation.protocols.activesplat import SampledTruth
+from activestructure_gym.evaluation.protocols.naruto import _merged
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.mapping import GaussianMap
@@ -94,3 +95,10 @@ def test_a_map_without_a_surface_is_measured_too() -> None:
     assert found["completion_ratio"] == 0.0 and found["accuracy_cm"] is None and found["notes"]["naruto"]
     with pytest.raises(InputError, match="give --poses"):
         SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(1.0))))
+
+
+def test_equal_corners_of_triangles_are_one() -> None:
+    triangles = np.random.default_rng(0).integers(0, 4, (200, 3, 3)) * 0.02
+    corners, faces = _merged(triangles)
+    assert len(corners) == len(np.unique(triangles.reshape(-1, 3), axis=0))
+    assert np.array_equal(corners[faces], triangles)

@@ -51,11 +51,11 @@ def ended_frame(legs: np.ndarray, frame_budget: int) -> int | None:
     """Return the frame at which the policy ended its exploration; None if the camera moved until the budget.
 
     ``legs`` [D, 3] holds, after each decision, the number of poses of the path and of the frames used, and 1 if the
-    agent stayed (file ``trajectory.npz``). The result is the number of frames after the last decision that added
-    poses. All later decisions optimised the map in place or ended the episode. If no candidate was left before the
-    budget, the result is the last frame of the episode.
+    agent stayed, which repeats its pose (file ``trajectory.npz``). The result is the number of frames after the last
+    decision that moved the camera. All later decisions optimised the map in place or ended the episode. If no candidate
+    was left before the budget, the result is the last frame of the episode.
     """
-    moved = np.flatnonzero(np.diff(legs[:, 0], prepend=1) > 0)
+    moved = np.flatnonzero((np.diff(legs[:, 0], prepend=1) > 0) & (legs[:, 2] == 0))
     if not len(moved) or (moved[-1] == len(legs) - 1 and legs[-1, 1] >= frame_budget):
         return None
     return int(legs[moved[-1], 1])

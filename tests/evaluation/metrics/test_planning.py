@@ -63,8 +63,8 @@ MOVED = [[11, 11, 0], [21, 21, 0]]  # two decisions of ten frames; the path begi
     [
         ([], 21),  # no candidate left before the budget
         ([[101, 100, 0]], None),  # the budget ends a movement
-        ([[21, 26, 1], [21, 31, 1], [21, 100, 1]], 21),  # optimisation in place until the budget
-        ([[21, 26, 1], [31, 36, 0], [31, 41, 1]], 36),  # a movement after a stay
+        ([[26, 26, 1], [31, 31, 1], [100, 100, 1]], 21),  # optimisation in place until the budget repeats the pose
+        ([[26, 26, 1], [36, 36, 0], [41, 41, 1]], 36),  # a movement after a stay
         ([[21, 21, 0], [21, 21, 0]], 21),  # a switch of stages, then the row that ends the episode
     ],
 )
@@ -73,5 +73,5 @@ def test_a_policy_has_ended_at_its_last_movement_if_it_only_stays_afterwards(aft
 
 
 def test_a_policy_without_any_movement_has_no_last_one():
-    assert ended_frame(np.array([[1, 6, 1], [1, 11, 1]]), 100) is None
+    assert ended_frame(np.array([[6, 6, 1], [11, 11, 1]]), 100) is None
     assert ended_frame(np.zeros((0, 3), int), 100) is None

@@ -130,15 +130,21 @@ class NarutoProtocol:
 
         corners, faces = _merged(triangles)
         caster = RayCaster(corners, faces)
-        size = (self.image_width, max(1, round(self.image_width * path.camera.height / path.camera.width)))
-        camera = path.camera.resized(*size)
+        height = max(1, round(self.image_width * path.camera.height / path.camera.width))
+        camera = path.camera.resized(self.image_width, height)
         rays = camera.rays().reshape(-1, 3)
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        seen = np.zeros(len(corners), bool)
+        unseen = np.arange(len(corners))
         for pose in path.all_poses[:: self.every]:
-            depth = caster.cast(pose[:3, 3], rays @ pose[:3, :3].T).distance
-            depth = np.where(depth <= self.farthest_m, depth, np.float32(0.0)).reshape(size[::-1])
-            _mark_seen(corners, invert_rigid(pose), intrinsics, depth, self.behind_m, seen)
+            pixels, ahead = np.empty(len(unseen), np.int64), np.empty(len(unseen))
+            _project(corners, unseen, invert_rigid(pose), intrinsics, height, self.image_width, pixels, ahead)
+            needed, depth = np.zeros(len(rays), bool), np.zeros(len(rays))
+            needed[pixels[pixels >= 0]] = True
+            depth[needed] = caster.cast(pose[:3, 3], rays[needed] @ pose[:3, :3].T).distance
+            depth[depth > self.farthest_m] = 0.0
+            unseen = unseen[(pixels < 0) | (ahead >= depth[pixels] + self.behind_m)]
+        seen = np.ones(len(corners), bool)
+        seen[unseen] = False
         return triangles[seen[faces].any(axis=1)]
 
 
@@ -154,28 +160,25 @@ def _merged(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [T, 3, 3
 
 
 @kernel
-def _mark_seen(
+def _project(
     points: np.ndarray,  # [V, 3] metres
+    rows: np.ndarray,  # [n] int64, the points to project
     camera_from_world: np.ndarray,  # [4, 4]
     intrinsics: np.ndarray,  # [4] fx, fy, cx, cy in pixels
-    depth: np.ndarray,  # [H, W] float32 metres, 0 = nothing
-    behind: float,  # metres
-    seen: np.ndarray,  # [V] bool, set to True
+    height: int,
+    width: int,
+    pixels: np.ndarray,  # [n] int64 out: row * width + column, -1 outside of the image
+    depths: np.ndarray,  # [n] metres out
 ) -> None:
-    """Mark the points in the image that are less than ``behind`` metres behind its depth, as [naruto, code] does."""
-    height, width = depth.shape
-    for n in range(len(points)):
-        if seen[n]:
-            continue
-        x, y, z = points[n]
-        ahead = camera_from_world[2, 0] * x + camera_from_world[2, 1] * y + camera_from_world[2, 2] * z
-        ahead += camera_from_world[2, 3]
+    """Write the pixel of each point and its depth."""
+    m = camera_from_world
+    for n in range(len(rows)):
+        x, y, z = points[rows[n]]
+        ahead = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        depths[n], pixels[n] = ahead, -1
         if ahead <= 0.0:
             continue
-        right = camera_from_world[0, 0] * x + camera_from_world[0, 1] * y + camera_from_world[0, 2] * z
-        down = camera_from_world[1, 0] * x + camera_from_world[1, 1] * y + camera_from_world[1, 2] * z
-        u = intrinsics[0] * (right + camera_from_world[0, 3]) / ahead + intrinsics[2]
-        v = intrinsics[1] * (down + camera_from_world[1, 3]) / ahead + intrinsics[3]
-        if u < 0.0 or v < 0.0 or u >= width or v >= height:
-            continue
-        seen[n] = ahead < depth[int(v), int(u)] + behind
+        u = intrinsics[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / ahead + intrinsics[2]
+        v = intrinsics[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / ahead + intrinsics[3]
+        if u >= 0.0 and v >= 0.0 and u < width and v < height:
+            pixels[n] = int(v) * width + int(u)

@@ -5,7 +5,7 @@
     python docs/images/benchmark_curves.py                              # draw only
 
 A curve is the mean over scenes of means over seeds. If a run is in several comparisons, the first one is used. The
-gallery of the site (docs/_site/gallery.py) draws the same curves.
+site's table of policies (docs/_site/policies.py) draws the same curves.
 """
 
 from __future__ import annotations

@@ -40,7 +40,8 @@ def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     pairs = min(margin.pairs for margin, _ in margins)
     few = f", from {pairs} pairs only" if pairs < verdicts.FEW else ""
     if not sure:
-        return f"No policy is clearly best: no lead is significant (95 %){few}. {text}"
+        nothing = f"No policy is clearly best: no lead is significant (95 %){few}."
+        return nothing if len(wins) > _NAMED and wins[0][1] == wins[-1][1] else f"{nothing} {text}"
     if len(margins) == 1:
         return f"{text} The lead is significant (95 %){few}."
     if sure == len(margins):

@@ -27,6 +27,8 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 from activestructure_gym.evaluation.report.tables.layout import Table
 
 _ASSETS = Path(__file__).parents[1] / "assets"
+_LINKED_SCENES = 4  # up to so many scenes have links in the page's navigation; more have one link to the first
+
 # Content security policy: the page can load and send nothing, even if the name of a scene or policy contains a script.
 CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
@@ -59,7 +61,7 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         "convergence": "Convergence",
         "costs": "Costs",
         "published": "Published values",
-        **dict(zip(anchors, results.scenes)),
+        **(dict(zip(anchors, results.scenes)) if len(anchors) <= _LINKED_SCENES else {anchors[0]: "Scenes"}),
         "how": "Method",
     }
     body = Markup().join(section for section in sections if section is not None)

@@ -70,6 +70,11 @@ def test_many_policies_with_as_many_metrics_are_counted(make_run):
     runs = [make_run("room", policy, 0, **usual | {key: usual[key] + 5.0}) for policy, key in best.items()]
     results = Results(runs, [])
     assert answer_text(results, leads(results)).startswith("4 policies are each best in 1 of 4 metrics. One seed gives")
+    # With two seeds, each lead is +5 and -4: none is significant, and the cards name the policies.
+    runs += [make_run("room", policy, 1, **usual | {key: usual[key] - 4.0}) for policy, key in best.items()]
+    results = Results(runs, [])
+    text = "No policy is clearly best: no lead is significant (95 %), from 2 pairs only."
+    assert answer_text(results, leads(results)) == text
 
 
 def test_a_card_has_value_winner_lead_and_verdict(make_run):

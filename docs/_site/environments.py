@@ -54,7 +54,7 @@ def _page(task: str, kind: type, films: Mapping[str, str]) -> str:
     shown = task if task in SHOWN_IN else "Mesh-v0"
     curve = "known space" if task == "World-v0" else "observed surface"  # a world has no ground truth
     notes = {"Mesh-v0": f" `flat.glb` is `{FLAT}`, written to a glTF file and read from there."} | {
-        f"{name}-v0": f" Scenes of {name} may not be published here, so the film is that of [Mesh-v0](mesh-v0.md)."
+        f"{name}-v0": f" Scenes of {name} may not be published here, so the film is that of Mesh-v0."
         for name in ("Replica", "Matterport3D")
     }
     planners = " and ".join(f"`{name}`" for name in POLICIES)

@@ -4,12 +4,12 @@
     python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
     python docs/notebook/native_table.py --file paper.csv      # read another file of this folder
 
-The table has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and seed) that
-all policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes, the
-interval is from one difference to the other. *Minus chance* compares with random choice under the same native settings
+A table has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and seed) that all
+policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes, this interval
+is from one difference to the other. *Minus chance* compares with random choice under the same native settings
 (`chance_of`), at the frame at which the planner ended. Without such runs, differences are to the first of ``BASELINES``
-with runs. "–" means that no run reached a level. If only some runs reached it, their number is given. A second table
-has the phases of the policies with phases. The native settings of the policies are printed below the tables.
+with runs. "–" means that no run reached a level, or that no run ended early; if only some did, their number is given. A
+second table has the phases of the policies with phases. The native settings of the policies are printed below.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from statistics import mean
@@ -39,6 +40,7 @@ PLACE = Path(__file__).with_name("native.csv")
 BASELINES = ("hole_area", "activestructure-d")
 PICTURE = Path(__file__).parents[1] / "images" / "native_curves.svg"
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
+_FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves
 POINTS = 40  # points of a stored curve, at equal distances up to the last frame of the budget
 SHOWN = {  # columns by metric: heading, decimals
     "observed": ("observed (%) ↑", 1),
@@ -68,6 +70,7 @@ PHASES = {  # columns of the second table: heading, decimals
 }
 DIFFERENCES = {"observed": ("observed", 1), "psnr": ("PSNR", 2)}
 CHANCE = {"observed": "observed minus chance", "exploration": "exploration minus chance"}
+_LEVELS = ("frames_to_80", "ended_frame")  # a run without a value did not get there; other values were not measured
 _COUNTED = ("keyframes", "decision_s", "run_s")  # not metrics of the run
 NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 COLUMNS = (*SHOWN, *STORED, *PHASES, "budget", "curve")
@@ -169,7 +172,7 @@ def settings_of(policy: str) -> str:
 
 def minus_chance(runs: dict[Episode, dict[str, str]], floors: dict[Episode, dict[str, str]] | None) -> tuple[str, str]:
     """Return the differences of observed share and exploration to chance, up to the frame at which a planner ended."""
-    if floors is None:
+    if floors is None or not all(row["curve"] for row in runs.values()):
         return "", ""
     found: list[dict[Episode, tuple[float, float]]] = []
     for measure in ("observed", "exploration"):
@@ -200,18 +203,20 @@ def _until(row: dict[str, str], end: float, measure: str) -> float:
 
 
 def drawn() -> str:
-    """Return a chart per planner with its own views as SVG text: observed share over frames, with that of chance."""
-    runs, charts = by_policy(rows()), []
+    """Return a chart per planner with its own views in the scene with most runs as SVG text: it and chance."""
+    lines = rows()
+    ((most, _),) = Counter(row["scene"] for row in lines).most_common(1)
+    runs, charts = by_policy([row for row in lines if row["scene"] == most]), []
     for policy in sorted(runs):
-        floor = chance_of(policy, runs)
-        if not floor.startswith(FLOOR) or POLICIES.get(policy).native_settings.stages is None:
+        floor = FLOOR + policy
+        if floor not in runs:
             continue
         lines = [
-            Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0))
+            Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0)[:, _FIRST:])
             for index, name in enumerate((policy, floor))
         ]
         label = f"{policy}: observed [%]"
-        charts.append(line_chart(lines, title=label, x_label="frames", y_label=label, y_includes=(0.0, 100.0)))
+        charts.append(line_chart(lines, title=label, x_label="frames", y_label=label, y_includes=(60.0, 100.0)))
     rows_of_charts = [charts[i : i + 3] for i in range(0, len(charts), 3)]
     return standalone(
         rows_of_charts, ("planner", "chance on the same views"), title="Planners and chance, native setup"
@@ -241,10 +246,17 @@ def phases(lines: Sequence[dict[str, str]]) -> str:
     return "\n".join(text) + "\n"
 
 
-def tables(place: Path = PLACE) -> str:
-    """Return the tables of a CSV file as Markdown."""
-    lines = rows(place)
-    return "\n".join(filter(None, (markdown(lines), phases(lines))))
+def tables(place: Path = PLACE) -> dict[str, str]:
+    """Return the tables of a CSV file as Markdown by name of their scenes.
+
+    There is one table if the same policies have played all scenes, else one per scene.
+    """
+    lines, groups = rows(place), dict[str, list[dict[str, str]]]()
+    for row in lines:
+        groups.setdefault(row["scene"], []).append(row)
+    if len({frozenset(row["policy"] for row in group) for group in groups.values()}) == 1:
+        groups = {", ".join(groups): lines}
+    return {scenes: "\n".join(filter(None, (markdown(group), phases(group)))) for scenes, group in groups.items()}
 
 
 def native_settings() -> str:
@@ -269,7 +281,7 @@ def _mean(own: dict[Episode, dict[str, str]], key: str) -> float:
 def _shown(own: dict[Episode, dict[str, str]], key: str, digits: int) -> str:
     reached = sum(bool(row[key]) for row in own.values())
     if not reached:
-        return "–"
+        return "–" if key in _LEVELS else ""
     text = f"{_mean(own, key):,.{digits}f}"
     return text if reached == len(own) else f"{text} ({reached} of {len(own)})"
 
@@ -301,7 +313,8 @@ def main(words: Sequence[str]) -> None:
     place = PLACE.with_name(asked.file)
     if asked.runs:
         added(place, asked.runs)
-    print(tables(place))
+    for scenes, table in tables(place).items():
+        print(f"{scenes}:\n\n{table}")
     if place == PLACE:
         print(native_settings(), end="")
         PICTURE.write_text(drawn(), encoding="utf-8")

@@ -17,6 +17,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import lpips
 from activestructure_gym.evaluation.metrics.image import channel_psnr, similarities
 from activestructure_gym.evaluation.metrics.voxels import matched_distances, nearest_per_voxel
+from activestructure_gym.evaluation.protocols.activesplat import SCANNER, scanned_points
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.parallel_views import mean_of_defined, measure_views
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
-    from activestructure_gym.scenes import Scene
 
 # Centre and radius in metres of the circle of novel views: `src/data/generate_{Replica,MP3D}_NVS_data.py` of
 # [activegamer, code].
@@ -74,7 +74,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ActiveGamerProtocol:
-    """Match the Gaussians' means with the voxels of the whole surface, and compare masked images on a circle of views.
+    """Match the Gaussians' means with the voxels of the surface, and compare masked images on a circle of views.
 
     Parameters
     ----------
@@ -83,7 +83,10 @@ class ActiveGamerProtocol:
     threshold_m
         Metres. The completion ratio counts distances strictly below it.
     surface_samples
-        Evenly spaced samples on the whole mesh, visible or not.
+        Evenly spaced samples on the whole mesh.
+    scanned
+        Count only samples that a scanner would see (`activesplat.scanned_points`). Published scenes are scans. False
+        counts all samples, as on a scan.
     image_divisor
         1 = the original 1200 x 680 pixels, 2 or 4 = smaller images. Only the original size is comparable with papers.
     view_supersample
@@ -94,11 +97,12 @@ class ActiveGamerProtocol:
     """
 
     name: ClassVar[str] = "activegamer"
-    version: ClassVar[int] = 1  # increase it when the same map would get other numbers
+    version: ClassVar[int] = 2  # increase it when the same map would get other numbers
 
     voxel_m: float = 0.01
     threshold_m: float = 0.05
     surface_samples: int = 200_000
+    scanned: bool = True
     image_divisor: int = 1
     view_supersample: int = 1
     center: tuple[float, float, float] | None = None
@@ -141,7 +145,7 @@ class ActiveGamerProtocol:
         from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
         scene = known.scene
-        samples = even_samples(scene, self.surface_samples)
+        samples = even_samples(known, self.surface_samples, scanned=self.scanned)
         chosen, centres = nearest_per_voxel(samples, self.voxel_m)
         centre, radius = self.circle(known)
         poses = circle_poses(centre, radius)
@@ -247,12 +251,15 @@ def _mask(
     return count
 
 
-def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] metres
+def even_samples(known: GroundTruth, count: int, *, scanned: bool) -> np.ndarray:  # [at most count, 3] metres
     """Sample evenly spaced points on the whole surface of a scene with trimesh, as the original does.
 
-    The result is cached by the scene's content.
+    With ``scanned``, only those that a scanner would see are returned; raise `InputError` as `scanned_points` does. The
+    result is cached by the scene's content.
     """
     from activestructure_gym.scenes.cache import cached_arrays
+
+    scene = known.scene
 
     def compute() -> dict[str, np.ndarray]:
         import trimesh
@@ -267,9 +274,11 @@ def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] 
             points, _ = trimesh.sample.sample_surface_even(mesh, count, seed=seed)
         finally:
             log.setLevel(level)
+        if scanned:
+            points = scanned_points(known, points, np.random.default_rng(seed))
         return {"points": np.asarray(points, dtype=np.float32)}
 
-    key = f"even-samples-v1-{scene.content_hash[:32]}-{count}"
+    key = f"even-samples-v2-{SCANNER if scanned else 'whole'}-{scene.content_hash[:32]}-{count}"
     return cached_arrays(key, compute, {"points": ("f4", 2)})["points"].astype(np.float64)
 
 

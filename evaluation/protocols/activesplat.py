@@ -33,6 +33,7 @@ _RANGES = {
 
 SCANNER_HEIGHTS = (0.8, 2.0)  # metres above the ground
 SCANNER_CLEARANCE = 0.5  # metres to the nearest surface
+SCANNER = f"{SCANNER_HEIGHTS[0]}-{SCANNER_HEIGHTS[1]}-{SCANNER_CLEARANCE}"  # names the scanner in keys of the cache
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,8 @@ class SampledTruth:
 def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTruth:
     """Return ``count`` samples uniform by area on the whole mesh; with ``scanned`` only those that a scanner would see.
 
-    The papers use meshes that were scanned in rooms, so backs of furniture and inner faces are missing in them.
-    Modelled scenes have these faces. A scanner sees a sample if one of 400 free places does, 0.8 to 2 m above the
-    ground and at least 0.5 m from all surfaces. The samples are drawn from the content of the scene. Raise
-    `InputError` if a scene has no such place.
+    The samples are drawn from the content of the scene. Raise `InputError` as `scanned_points` does.
     """
-    from activestructure_gym.ground_truth.observable import first_viewpoint
     from activestructure_gym.ground_truth.surface_samples import uniform_samples
     from activestructure_gym.scenes.cache import cached_arrays
 
@@ -60,18 +57,29 @@ def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTr
     def compute() -> dict[str, np.ndarray]:
         rng = np.random.default_rng(int(scene.content_hash[40:48], 16))
         points = uniform_samples(scene.mesh.vertices, scene.mesh.faces, count, rng)[0]
-        if scanned:
-            space = known.free_space
-            clearance = min(SCANNER_CLEARANCE, 0.8 * float(space.clearance.max()))
-            eyes = space.sample_positions(400, rng, min_clearance=clearance, heights=SCANNER_HEIGHTS)
-            points = points[first_viewpoint(scene, points, eyes) >= 0]
-            if not len(points):
-                raise InputError(f"scene '{scene.name}' has no surface in sight of a scanner {SCANNER_HEIGHTS} m high")
-        return {"points": points.astype(np.float32)}
+        return {"points": (scanned_points(known, points, rng) if scanned else points).astype(np.float32)}
 
-    scanner = f"{SCANNER_HEIGHTS[0]}-{SCANNER_HEIGHTS[1]}-{SCANNER_CLEARANCE}" if scanned else "whole"
-    key = f"scanned-samples-v1-{scanner}-{scene.content_hash[:32]}-{count}"
+    key = f"scanned-samples-v1-{SCANNER if scanned else 'whole'}-{scene.content_hash[:32]}-{count}"
     return SampledTruth(cached_arrays(key, compute, {"points": ("f4", 2)})["points"].astype(np.float64), scene)
+
+
+def scanned_points(known: GroundTruth, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return those of the ``points`` [N, 3] on the surface of a scene that a scanner would see.
+
+    The papers use meshes that were scanned in rooms, so backs of furniture and inner faces are missing in them.
+    Modelled scenes have these faces. A scanner sees a sample if one of 400 free places does, 0.8 to 2 m above the
+    ground and at least 0.5 m from all surfaces. Raise `InputError` if a scene has no such place, or if no sample is
+    visible.
+    """
+    from activestructure_gym.ground_truth.observable import first_viewpoint
+
+    space = known.free_space
+    clearance = min(SCANNER_CLEARANCE, 0.8 * float(space.clearance.max()))
+    eyes = space.sample_positions(400, rng, min_clearance=clearance, heights=SCANNER_HEIGHTS)
+    points = points[first_viewpoint(known.scene, points, eyes) >= 0]
+    if not len(points):
+        raise InputError(f"scene '{known.scene.name}' has no surface in sight of a scanner {SCANNER_HEIGHTS} m high")
+    return points
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,16 @@ from activestructure_gym.evaluation.protocols.activegamer import (
     MatchedTruth,
     circle_indices,
     circle_poses,
+    even_samples,
     masked,
 )
+from activestructure_gym.evaluation.protocols.activesplat import SCANNER_CLEARANCE, SCANNER_HEIGHTS
 from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews, roomiest_circle
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
+from activestructure_gym.ground_truth.observable import first_viewpoint
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.scenes import load_scene
 
 SMALL = ActiveGamerProtocol(surface_samples=2000, image_divisor=4)
 
@@ -43,16 +47,12 @@ def test_the_camera_and_its_smaller_copies():
 def test_the_circle_of_a_known_scene_by_either_spelling(name):
     from dataclasses import replace
 
-    from activestructure_gym.scenes import load_scene
-
     scene = GroundTruth(replace(load_scene("box"), name=name))
     assert SMALL.circle(scene) == ((0.0, 0.0, 0.0), 1.0)
     assert ActiveGamerProtocol(center=(1.0, 2.0, 3.0), radius=0.5).circle(scene) == ((1.0, 2.0, 3.0), 0.5)
 
 
 def test_an_unknown_scene_is_looked_at_from_its_roomiest_place():
-    from activestructure_gym.scenes import load_scene
-
     scene = load_scene("box")
     center, radius = roomiest_circle(ground_truth_of(scene).free_space)
     assert 0.1 < radius <= 1.0
@@ -62,8 +62,6 @@ def test_an_unknown_scene_is_looked_at_from_its_roomiest_place():
 
 def test_a_circle_inside_a_wall_is_refused():
     from dataclasses import replace
-
-    from activestructure_gym.scenes import load_scene
 
     scene = load_scene("box")
     low = scene.bounds[0] + [0.15, 1.0, 1.0]
@@ -218,3 +216,16 @@ def test_pictures_are_black_and_depth_is_not_compared_where_there_is_no_surface(
     np.testing.assert_array_equal(shown, color * mask)
     np.testing.assert_array_equal(true, rgb / np.float32(255.0) * mask)  # as single precision rounds it
     np.testing.assert_array_equal(error, np.abs(depth - true_depth)[mask[..., 0]].astype(np.float64))
+
+
+def test_truth_that_a_scanner_cannot_see_does_not_count():
+    known = ground_truth_of(load_scene("room?seed=11"))
+    whole, scanned = (even_samples(known, 4000, scanned=on) for on in (False, True))
+    assert 0.3 < len(scanned) / len(whole) < 0.8  # backs and inner faces of furniture
+    kept = {tuple(point) for point in scanned}
+    assert kept < {tuple(point) for point in whole}
+    places = known.free_space.sample_positions(
+        50, np.random.default_rng(0), min_clearance=SCANNER_CLEARANCE, heights=SCANNER_HEIGHTS
+    )
+    seen = first_viewpoint(known.scene, whole, places) >= 0
+    assert np.mean([tuple(point) in kept for point in whole[seen]]) > 0.98

@@ -7,9 +7,9 @@
 A table has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and seed) that all
 policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes, this interval
 is from one difference to the other. *Minus chance* compares with random choice under the same native settings
-(`chance_of`), at the frame at which the planner ended. Without such runs, differences are to the first of ``BASELINES``
-with runs. "–" means that no run reached a level, or that no run ended early; if only some did, their number is given. A
-second table has the phases of the policies with phases. The native settings of the policies are printed below.
+(`chance_of`), at the frame at which the planner ended. A file without such runs has differences to ``BASELINE``. "–"
+means that no run reached a level, or that no run ended early; if only some did, their number is given. A second table
+has the phases of the policies with phases. The native settings of the policies are printed below.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ from activestructure_gym.policies import POLICIES
 from activestructure_gym.specs import Spec
 
 Episode = tuple[str, int]  # scene and seed
+Runs = dict[Episode, dict[str, str]]  # lines of one policy
 PLACE = Path(__file__).with_name("native.csv")
-BASELINES = ("hole_area", "activestructure-d")
+BASELINE = "activestructure-d"
 PICTURE = Path(__file__).parents[1] / "images" / "native_curves.svg"
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
 _FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves
@@ -69,7 +70,7 @@ PHASES = {  # columns of the second table: heading, decimals
     "deficient": ("at the end", 1),
 }
 DIFFERENCES = {"observed": ("observed", 1), "psnr": ("PSNR", 2)}
-CHANCE = {"observed": "observed minus chance", "exploration": "exploration minus chance"}
+CHANCE = ("observed minus chance", "exploration minus chance")
 _LEVELS = ("frames_to_80", "ended_frame")  # a run without a value did not get there; other values were not measured
 _COUNTED = ("keyframes", "decision_s", "run_s")  # not metrics of the run
 NAMES = ("policy", "scene", "seed", "mapper", "iterations")
@@ -140,17 +141,16 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
     shown = {key: column for key, column in SHOWN.items() if any(row[key] for row in lines)}
     heads = [heading for heading, _ in shown.values()]
     floors = {policy: chance_of(policy, runs) for policy in runs}
-    baseline = "" if any(floors.values()) else next((name for name in BASELINES if name in runs), "")
-    heads += list(CHANCE.values()) if any(floors.values()) else []
-    heads += [f"{name} minus `{baseline}`" for name, _ in DIFFERENCES.values() if baseline]
+    has_chance = any(floors.values())
+    differences = {} if has_chance or BASELINE not in runs else DIFFERENCES
+    heads += CHANCE if has_chance else [f"{name} minus `{BASELINE}`" for name, _ in differences.values()]
     text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
         if policy.startswith(FLOOR):
             continue
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
-        if any(floors.values()):
-            cells += minus_chance(runs[policy], runs.get(floors[policy]))
-        cells += [_difference(runs, policy, baseline, key, n) for key, (_, n) in DIFFERENCES.items() if baseline]
+        cells += minus_chance(runs[policy], runs.get(floors[policy])) if has_chance else []
+        cells += [_difference(runs, policy, key, digits) for key, (_, digits) in differences.items()]
         mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
@@ -166,24 +166,24 @@ def chance_of(policy: str, runs: Collection[str]) -> str:
 
 def settings_of(policy: str) -> str:
     """Return the native settings of a policy as text, without its paper's budget."""
-    spec = Spec(policy.removeprefix(FLOOR))
-    return POLICIES.get(spec.name).native_settings.describe().partition("; budget")[0]
+    name = Spec(policy.removeprefix(FLOOR)).name
+    return POLICIES.get(name).native_settings.describe().partition("; budget")[0]
 
 
-def minus_chance(runs: dict[Episode, dict[str, str]], floors: dict[Episode, dict[str, str]] | None) -> tuple[str, str]:
-    """Return the differences of observed share and exploration to chance, up to the frame at which a planner ended."""
+def minus_chance(runs: Runs, floors: Runs | None) -> tuple[str, str]:
+    """Return the differences of observed share and exploration to chance, up to the frame at which a planner ended.
+
+    They are empty without ``floors``, and for runs whose curves were not stored.
+    """
     if floors is None or not all(row["curve"] for row in runs.values()):
         return "", ""
-    found: list[dict[Episode, tuple[float, float]]] = []
-    for measure in ("observed", "exploration"):
-        pairs = {}
-        for episode, row in runs.items():
-            end = float(row["ended_frame"] or row["budget"])
-            pairs[episode] = tuple(_until(one, end, measure) for one in (row, floors[episode]))
-        found.append(pairs)
-    return tuple(
-        _paired({e: p[0] for e, p in pairs.items()}, {e: p[1] for e, p in pairs.items()}, 1) for pairs in found
+    ends = {episode: float(row["ended_frame"] or row["budget"]) for episode, row in runs.items()}
+    ours, theirs = ({one: _until(of[one], end) for one, end in ends.items()} for of in (runs, floors))
+    observed, exploration = (
+        _paired({one: both[i] for one, both in ours.items()}, {one: both[i] for one, both in theirs.items()}, 1)
+        for i in range(2)
     )
+    return observed, exploration
 
 
 def _curve(row: dict[str, str]) -> tuple[np.ndarray, np.ndarray]:
@@ -192,40 +192,31 @@ def _curve(row: dict[str, str]) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0, float(row["budget"]), len(curve)), np.array(curve)
 
 
-def _until(row: dict[str, str], end: float, measure: str) -> float:
-    """Return the observed share of a run at the frame ``end``, or its mean over the frames up to there, in percent."""
+def _until(row: dict[str, str], end: float) -> tuple[float, float]:
+    """Return the observed share of a run at the frame ``end``, and its mean over the frames up to there, in percent."""
     frames, curve = _curve(row)
-    last = float(np.interp(end, frames, curve))
-    if measure == "observed":
-        return last
-    before = frames < end
-    return float(np.trapezoid([*curve[before], last], [*frames[before], end])) / end
+    last, before = float(np.interp(end, frames, curve)), frames < end
+    return last, float(np.trapezoid([*curve[before], last], [*frames[before], end])) / end
 
 
 def drawn() -> str:
-    """Return a chart per planner with its own views in the scene with most runs as SVG text: it and chance."""
-    lines = rows()
-    ((most, _),) = Counter(row["scene"] for row in lines).most_common(1)
-    runs, charts = by_policy([row for row in lines if row["scene"] == most]), []
-    for policy in sorted(runs):
-        floor = FLOOR + policy
-        if floor not in runs:
-            continue
+    """Return charts of planners and their chance over the frames as SVG text, for the scene with most runs."""
+    ((most, _),) = Counter(row["scene"] for row in rows()).most_common(1)
+    runs, charts = by_policy([row for row in rows() if row["scene"] == most]), []
+    for policy in sorted(name.removeprefix(FLOOR) for name in runs if name.startswith(FLOOR)):
         lines = [
             Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0)[:, _FIRST:])
-            for index, name in enumerate((policy, floor))
+            for index, name in enumerate((policy, FLOOR + policy))
         ]
         label = f"{policy}: observed [%]"
         charts.append(line_chart(lines, title=label, x_label="frames", y_label=label, y_includes=(60.0, 100.0)))
-    rows_of_charts = [charts[i : i + 3] for i in range(0, len(charts), 3)]
-    return standalone(
-        rows_of_charts, ("planner", "chance on the same views"), title="Planners and chance, native setup"
-    )
+    table = [charts[i : i + 3] for i in range(0, len(charts), 3)]
+    return standalone(table, ("planner", "chance on the same views"), title="Planners and chance, native setup")
 
 
-def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, dict[Episode, dict[str, str]]]:
+def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, Runs]:
     """Return the lines of a CSV file by policy and episode, for the episodes that all policies have played."""
-    runs: dict[str, dict[Episode, dict[str, str]]] = {}
+    runs: dict[str, Runs] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
     common = set.intersection(*map(set, runs.values()))
@@ -274,11 +265,11 @@ def native_settings() -> str:
     return text
 
 
-def _mean(own: dict[Episode, dict[str, str]], key: str) -> float:
+def _mean(own: Runs, key: str) -> float:
     return mean([float(row[key]) for row in own.values() if row[key]])
 
 
-def _shown(own: dict[Episode, dict[str, str]], key: str, digits: int) -> str:
+def _shown(own: Runs, key: str, digits: int) -> str:
     reached = sum(bool(row[key]) for row in own.values())
     if not reached:
         return "–" if key in _LEVELS else ""
@@ -286,12 +277,10 @@ def _shown(own: dict[Episode, dict[str, str]], key: str, digits: int) -> str:
     return text if reached == len(own) else f"{text} ({reached} of {len(own)})"
 
 
-def _difference(
-    runs: dict[str, dict[Episode, dict[str, str]]], policy: str, baseline: str, key: str, digits: int
-) -> str:
-    if policy == baseline:
+def _difference(runs: dict[str, Runs], policy: str, key: str, digits: int) -> str:
+    if policy == BASELINE:
         return ""
-    ours, theirs = ({one: float(row[key]) for one, row in runs[name].items()} for name in (policy, baseline))
+    ours, theirs = ({one: float(row[key]) for one, row in runs[name].items()} for name in (policy, BASELINE))
     return _paired(ours, theirs, digits)
 
 
@@ -313,6 +302,8 @@ def main(words: Sequence[str]) -> None:
     place = PLACE.with_name(asked.file)
     if asked.runs:
         added(place, asked.runs)
+    if not rows(place):
+        raise InputError(f"'{place.name}' is not in {place.parent} or has no runs; add some: native_table.py DIRECTORY")
     for scenes, table in tables(place).items():
         print(f"{scenes}:\n\n{table}")
     if place == PLACE:

@@ -85,8 +85,8 @@ class ActiveGamerProtocol:
     surface_samples
         Evenly spaced samples on the whole mesh.
     scanned
-        Count only samples that a scanner would see (`activesplat.scanned_points`). Published scenes are scans. False
-        counts all samples, as on a scan.
+        Count only samples that a scanner would see (`activesplat.scanned_points`), as published scenes are scans. Set
+        it to False for a scene that is a scan itself.
     image_divisor
         1 = the original 1200 x 680 pixels, 2 or 4 = smaller images. Only the original size is comparable with papers.
     view_supersample

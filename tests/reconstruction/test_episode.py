@@ -169,6 +169,9 @@ def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
         played.move_to(int(choice[0]) if len(choice) else int(rng.integers(len(table))))
         kinds |= {kind} if len(choice) else {9}
     assert kinds == {0, 1, 2, 3, 9}
+    stayed = np.array([leg[2] for leg in played.legs], bool)
+    poses, frames = (np.diff([leg[i] for leg in played.legs], prepend=1) for i in (0, 1))
+    assert (poses[stayed] == frames[stayed]).all() and (poses[stayed] > 0).any()  # a stay repeats the pose
     arrays = {
         "world_from_camera": np.stack(played.trajectory),
         "keyframes": np.array(played.keyframe_indices),

@@ -229,3 +229,5 @@ def test_truth_that_a_scanner_cannot_see_does_not_count():
     )
     seen = first_viewpoint(known.scene, whole, places) >= 0
     assert np.mean([tuple(point) in kept for point in whole[seen]]) > 0.98
+    truth = ActiveGamerProtocol(surface_samples=4000, image_divisor=4).truth(known)
+    assert {tuple(point) for point in truth.points} <= kept

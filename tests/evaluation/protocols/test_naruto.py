@@ -10,9 +10,10 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import NarutoProtocol
 from activestructure_gym.evaluation.protocols.activesplat import SampledTruth
 from activestructure_gym.evaluation.protocols.naruto import _merged
-from activestructure_gym.geometry import look_along
+from activestructure_gym.geometry import invert_rigid, look_along, transform_points
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.scenes.raycaster import RayCaster
 from tests.evaluation.protocols.test_activesplat import AHEAD, path_of, walls
 
 SMALL = NarutoProtocol(samples=4000, scanned=False, image_width=64)
@@ -95,6 +96,29 @@ def test_a_map_without_a_surface_is_measured_too() -> None:
     assert found["completion_ratio"] == 0.0 and found["accuracy_cm"] is None and found["notes"]["naruto"]
     with pytest.raises(InputError, match="give --poses"):
         SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(1.0))))
+
+
+def test_the_corners_that_frames_see_are_those_of_whole_depth_images() -> None:
+    rng = np.random.default_rng(0)
+    centres = np.column_stack([rng.uniform(0.5, 3.0, 60), rng.uniform(-1.0, 1.0, (60, 2))])
+    triangles = centres[:, None] + rng.uniform(-0.4, 0.4, (60, 3, 3))
+    path = path_of(
+        *(look_along(rng.uniform(-0.3, 0.3, 3), np.array([1.0, side, 0.0])) for side in (-0.4, 0.0, 0.4, 0.8))
+    )
+    camera = path.camera.resized(64, round(64 * path.camera.height / path.camera.width))
+    caster = RayCaster(triangles.reshape(-1, 3), np.arange(180).reshape(-1, 3))
+    seen = np.zeros(180, bool)
+    for pose in path.all_poses[:: SMALL.every]:
+        depth = caster.cast(pose[:3, 3], camera.rays().reshape(-1, 3) @ pose[:3, :3].T).distance
+        depth = np.where(depth <= SMALL.farthest_m, depth, 0.0).reshape(camera.height, camera.width)
+        points = transform_points(invert_rigid(pose), triangles.reshape(-1, 3))
+        for number, (x, y, z) in enumerate(points):
+            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+            if z > 0 and 0 <= u < camera.width and 0 <= v < camera.height:
+                seen[number] |= z < depth[int(v), int(u)] + SMALL.behind_m
+    expected = triangles[seen.reshape(-1, 3).any(axis=1)]
+    assert 10 < len(expected) < 55
+    np.testing.assert_array_equal(SMALL.culled(triangles, path), expected)
 
 
 def test_equal_corners_of_triangles_are_one() -> None:

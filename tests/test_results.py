@@ -1,0 +1,247 @@
+"""The numbers, tables and pictures of README and of the results pages are those of their CSVs."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from activestructure_gym.config import configure
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.policies.activestructure import LADDER
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_pictures_of_curves_are_those_of_their_numbers() -> None:
+    images = ROOT / "docs" / "images"
+    script = runpy.run_path(str(images / "benchmark_curves.py"))
+    paper = runpy.run_path(str(images / "paper_curves.py"))
+    native = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    pictures = {"benchmark_curves.svg": script["drawn"](), "policies.svg": script["panels"]()}
+    for name, drawn in (
+        pictures | {"paper_curves.svg": paper["drawn"](), "native_curves.svg": native["drawn"]()}
+    ).items():
+        assert drawn == (images / name).read_text(encoding="utf-8"), f"run docs/images/*_curves.py: {name}"
+
+
+def test_a_native_table_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "mapper": "splatam", "iterations": "15"}
+
+    def run(policy: str, seed: str, observed: str, reached: str = "") -> dict[str, str]:
+        return usual | {"policy": policy, "seed": seed, "observed": observed, "frames_to_80": reached}
+
+    lines = [
+        run("activestructure-d", "0", "90"),
+        run("activestructure-d", "1", "92"),
+        run("activestructure-d", "2", "1"),
+    ]
+    table = script["markdown"]([*lines, run("activestructure", "0", "93", "1500"), run("activestructure", "1", "93")])
+    heads, _, first, second = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
+    # The third seed, which one alone played, does not count.
+    assert (first[1], second[1]) == ("`activestructure`", "`activestructure-d`")
+    assert (first[heads.index("frames to 80 %")], second[heads.index("frames to 80 %")]) == ("1,500 (1 of 2)", "–")
+    column = heads.index("observed minus `activestructure-d`")
+    assert (first[column], second[column]) == ("+2.0 [1.0, 3.0]", "")
+
+
+def test_chance_of_a_planner_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "seed": "0", "mapper": "default", "iterations": "10"}
+    usual |= {"ended_frame": "", "budget": "400"}
+    lines = [
+        usual | {"policy": "naruto", "ended_frame": "200", "curve": "40 80 80 80"},
+        usual | {"policy": "random?views_of=naruto", "curve": "20 60 80 90"},
+        usual | {"policy": "hole_area", "curve": "50 70 80 90"},
+        usual | {"policy": "random", "curve": "50 60 60 60"},
+        usual | {"policy": "gavis", "curve": "1 2 3 4"},  # has own settings, and chance was not played with them
+    ]
+    table = script["markdown"](lines)
+    heads, _, *body = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
+    cells = {
+        row[1]: tuple(row[heads.index(f"{name} minus chance")] for name in ("observed", "exploration")) for row in body
+    }
+    # naruto ended at frame 200: 80 and 60 there. The means up to there are (20 + 60) / 2 and (10 + 40) / 2.
+    # hole_area: 90 and 60 at frame 400, and means of 61.25 and 50.
+    assert cells["`naruto`"] == ("+20.0", "+15.0")
+    assert cells["`hole_area`"] == ("+30.0", "+11.2")
+    assert cells["`random`"] == cells["`gavis`"] == ("", "")
+    assert len(cells) == 4, "chance with the settings of a planner has no row"
+
+
+def test_every_threshold_that_is_a_guess_is_there() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "thresholds.py"))
+    told = (ROOT / "docs" / "notebook" / "native.md").read_text()
+    for guesses in script["GUESSES"].values():
+        for words, (module, constant) in guesses.items():
+            assert f"{words} | {getattr(module, constant):.3g} |" in told, words
+
+
+def test_the_native_table_is_that_of_its_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    told = (ROOT / "docs" / "notebook" / "native.md").read_text()
+    assert script["native_settings"]() in told, "paste what native_table.py prints"
+    for place in (script["PLACE"], script["PLACE"].with_name("paper.csv")):
+        assert all(table in told for table in script["tables"](place).values()), "paste what native_table.py prints"
+        for row in script["rows"](place):  # or what is said of it would be of another schedule
+            policy = row["policy"].removeprefix(script["FLOOR"]).partition("?")[0]
+            settings = POLICIES.get(policy).native_settings
+            mapper = configure("full", settings.overrides()).mapper
+            assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
+
+
+def test_completion_by_the_papers_protocols_is_that_of_the_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    told = (ROOT / "docs" / "notebook" / "native.md").read_text()
+    runs = {(row["scene"], row["policy"]): row for row in script["rows"]()}
+    asked = {"activegamer": "activegamer", "activesplat": "activesplat", "anm_s": "activesplat", "naruto": "naruto"}
+    for planner, protocol in asked.items():
+        cells = [
+            f"{float(runs[scene, name][f'{protocol}/completion_ratio']):.1f}"
+            for scene in ("room?seed=12", "houses_20_house_5") for name in (planner, script["FLOOR"] + planner)
+        ]  # fmt: skip
+        assert f"| `{planner}` | `{protocol}` | {' | '.join(cells)} |" in told, planner
+
+
+@pytest.mark.parametrize("runs", ["benchmark.csv", "headline.csv", "procthor.csv"])
+def test_the_tables_of_results_are_those_of_their_runs(runs: str) -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    table = script["read"](script["PLACE"].with_name(runs))
+    pairs = {"headline.csv": script["HEADLINE"], "procthor.csv": [("activestructure", "unknown_volume")]}.get(runs, [])
+    wanted = [(f"`{ours}` minus `{theirs}`", ours, theirs) for ours, theirs in pairs]
+    expected = [script["pairs"](table, wanted)] if wanted else []
+    expected += [script["markdown"](table)] if runs != "headline.csv" else []
+    page = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()
+    assert all(one in page for one in expected), (
+        f"benchmark.md is out of date: paste what benchmark_table.py prints of {runs}"
+    )
+
+
+def test_the_ablation_has_the_ladders_side_by_side() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    told = script["ladders"](script["PLACE"].parent)
+    assert told in (ROOT / "docs" / "notebook" / "ablation.md").read_text(), "paste what --ladders prints"
+
+
+def test_the_ablation_has_the_runs_of_the_phases() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    told = (ROOT / "docs" / "notebook" / "ablation.md").read_text()
+    assert all(script["phases"](file) in told for file in script["PHASES"]), "paste what --phases prints"
+
+
+def test_readme_has_the_benchmark_s_numbers() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    told = script["readme"](script["read"](script["PLACE"].with_name("headline.csv")))
+    assert told in (ROOT / "README.md").read_text(), "README.md is out of date: paste what --readme prints"
+
+
+@pytest.mark.parametrize("film", ["replay.webp", "kitchen.webp"])
+def test_the_films_of_the_docs_are_short_and_small(film: str) -> None:
+    path = ROOT / "docs" / "images" / film
+    assert path.stat().st_size < 3e6
+    with Image.open(path) as shown:
+        assert shown.size == (1200, 686)  # two maps side by side, as `asg replay RUN RUN --video` writes them
+        durations = []
+        for number in range(shown.n_frames):  # type: ignore[attr-defined]
+            shown.seek(number)
+            assert np.asarray(shown.convert("L")).std() > 10
+            durations.append(shown.info["duration"])  # known after the image has been read
+    assert sum(durations) == pytest.approx(6000, abs=100)
+
+
+@pytest.mark.parametrize("picture", ["replay.webp", "views.jpg"])
+def test_the_pictures_of_readme_are_of_the_median_cell_and_have_its_numbers(picture: str) -> None:
+    images = ROOT / "docs" / "images"
+    script = runpy.run_path(str(images / "cell.py"))
+    told = json.loads((images / picture).with_suffix(".json").read_text(encoding="utf-8"))
+    table = script["stored"]()
+    cell = script["median_cell"](table)
+    assert (told["scene"], told["seed"]) == cell
+    assert {"hole_area", "activestructure"} <= told["runs"].keys()
+    for policy, numbers in told["runs"].items():
+        assert numbers == {name: table[policy][cell][name] for name in script["NUMBERS"]}, policy
+
+
+def test_a_ladder_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+
+    def runs(*values: float, depth: float = 1.0) -> dict[tuple[str, int], dict[str, float]]:
+        usual = dict.fromkeys(script["OF_PAIRS"], 1.0)
+        return {("x", seed): usual | {"psnr": value, "depth_l1_cm": depth} for seed, value in enumerate(values)}
+
+    table = {
+        "pixel_only": runs(20, 22),
+        "activestructure-b": runs(21, 23, 99, depth=0.5),  # the third seed, which one alone played, does not count
+        "activestructure-c": runs(21, 21),
+        "activestructure-d": runs(21, 21),
+        LADDER[-1]: runs(20, 21),
+    }
+    rungs = script["ladder"](table)
+    steps = [(ours, theirs) for _, ours, theirs in rungs]
+    assert steps[:4] == list(zip(list(table)[1:], table)) and steps[4] == (list(table)[-1], "pixel_only")
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in script["pairs"](table, rungs).splitlines()]
+    columns = [lines[0].index(name) for name in ("pairs", "PSNR (dB)", "better in PSNR", "depth error, ratio")]
+    assert [[line[column] for column in columns] for line in lines[2:4]] == [
+        ["2", "+1.00 [1.00, 1.00]", "2", "0.50 [0.50, 0.50]"],
+        ["2", "-1.00 [-2.00, 0.00]", "0", "2.00 [2.00, 2.00]"],
+    ]
+    del table["activestructure-c"]
+    assert script["ladder"](table) == []
+
+
+def test_readme_and_results_are_short() -> None:
+    def words(path: Path) -> int:
+        return sum(any(letter.isalnum() for letter in word) for word in path.read_text(encoding="utf-8").split())
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 130 and words(ROOT / "README.md") <= 1_150
+    results = {path.name: words(path) for path in (ROOT / "docs" / "notebook").glob("*.md")}
+    assert max(results.values()) <= 2_500 and sum(results.values()) <= 12_000, results
+
+
+def test_readme_s_conclusions_are_those_of_the_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").replace("−", "-").split())
+    assert f"It has {len([*POLICIES])} planners" in text
+    longer = (ROOT / "docs" / "notebook" / "performance.md").read_text(encoding="utf-8")
+    percents = re.findall(r"(?:C.R. of|three rooms) ([\d.]+) %", text)
+    assert len(percents) == 2 and all(f"| {percent} / " in longer for percent in percents)
+
+    table = script["read"](script["PLACE"])
+    # Planners of information alone: those that have a variant with coverage, and activeinr.
+    seen = [
+        script["_mean"]({cell: run["observed"] for cell, run in table[name].items()})
+        for name in ("activeinr", *(name for name in table if f"{name}_cov" in table))
+    ]
+    assert len(seen) > 8 and f"only information in the map observe {min(seen):.0f} to {max(seen):.0f} %" in text
+    houses = script["read"](script["PLACE"].with_name("procthor.csv"))
+    assert f"In {len(houses['hole_area'])} published [ProcTHOR houses]" in text
+
+    def difference(file: str, ours: str, theirs: str, key: str) -> str:
+        table = script["read"](script["PLACE"].with_name(file))
+        return script["_difference"](table, ours, theirs, key, script["OF_PAIRS"][key][1])
+
+    planes = ("headline.csv", "activestructure", "unknown_volume")
+    assert f"by {difference(*planes, 'observed_area')} points" in text
+    assert f"PSNR changes by {difference(*planes, 'psnr')} dB" in text
+    lead = ("headline.csv", "unknown_volume", "hole_area")
+    assert f"`unknown_volume` minus `hole_area` is {difference(*lead, 'observed_area')} points of exploration" in text
+    assert f"PSNR differs by {difference(*lead, 'psnr')} dB" in text
+    rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"
+    assert f"without them:** {difference('ladder_2000.csv', full, rung, 'psnr')} dB" in text
+    rung, full = "activestructure-d", "activestructure?discovery=pixel&revisits=true"
+    assert f"and {difference('paper.csv', full, rung, 'psnr').removeprefix('+')} dB in one room" in text
+    assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
+    houses = difference("procthor.csv", "activestructure", "unknown_volume", "observed_area")
+    assert f"In the houses it changes by {houses}." in text
+    calm = difference("phases_rooms.csv", "activestructure", "activestructure?revisits=true", "psnr")
+    assert f"The revisits in phase III cost {calm.removeprefix('+')} dB" in text
+    for base, file in (("hole_area", "ladder_2000.csv"), ("pixel_only", "ladder_pixels_2000.csv")):
+        first = "activestructure-b" + ("?discovery=hole_area" if base == "hole_area" else "")
+        assert difference(file, first, base, "psnr").startswith(("-0.7", "-0.6"))  # "visible planes cost 0.7 dB"

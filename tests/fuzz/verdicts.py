@@ -96,7 +96,7 @@ def _check(folder: Path, run: str, true: Files, *, changed: bool) -> None:
     in_folder(folder)
     played = write({name: content for name, content in true.items() if name.startswith(f"{run}/")}, folder / "true")
 
-    def again(job: Any, directory: Path, tell: Any) -> Any:
+    def again(job: Any, directory: Path, tell: Any, *, world: Any) -> Any:
         (played / run).rename(directory)
         return read_run(directory)
 

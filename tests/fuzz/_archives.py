@@ -42,7 +42,8 @@ def asg(*arguments: str) -> int:
     nothing = mock.patch(warming_up, lambda *_: contextlib.nullcontext())
     with nothing, contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         code = main(list(arguments))
-    text = "".join(line for line in said.getvalue().splitlines(keepends=True) if not line.startswith("asg: note: "))
+    notes = ("asg: note: ", "compiling ", "compiled ")
+    text = "".join(line for line in said.getvalue().splitlines(keepends=True) if not line.startswith(notes))
     if code == 2:
         if not text.startswith("asg: "):
             raise AssertionError(f"refused without a sentence: {text[:300]!r}")

@@ -54,7 +54,6 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
         CHECKPOINT_SAMPLES,
         CHECKPOINTS,
         IMAGE_CHECKPOINTS,
-        SURFACE_CHECKPOINTS,
         run_job,
     )
     from activestructure_gym.mapping import GaussianMap
@@ -89,20 +88,11 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
     yield {**name, "stage": "finished map, all of it", **whole}
 
-    def checkpoint(*, images: bool = False, surface: bool = False) -> dict[str, float]:
-        return _timed(
-            lambda: protocol.checkpoint(
-                gaussians, truth, path, images=images, samples=CHECKPOINT_SAMPLES, surface=surface
-            )
-        )[1]
+    def checkpoint(*, images: bool) -> dict[str, float]:
+        return _timed(lambda: protocol.checkpoint(gaussians, truth, path, images=images, samples=CHECKPOINT_SAMPLES))[1]
 
-    point, looks, fused = checkpoint(), checkpoint(images=True), checkpoint(surface=True)
-    curve = {
-        key: (CHECKPOINTS + 1) * value
-        + IMAGE_CHECKPOINTS * (looks[key] - value)
-        + SURFACE_CHECKPOINTS * (fused[key] - value)
-        for key, value in point.items()
-    }
+    point, looks = checkpoint(images=False), checkpoint(images=True)
+    curve = {key: (CHECKPOINTS + 1) * value + IMAGE_CHECKPOINTS * (looks[key] - value) for key, value in point.items()}
     yield {**name, "stage": f"curve of {CHECKPOINTS + 1} points (at most)", **curve}
     yield {**name, "stage": "episode", **{key: whole[key] + curve[key] for key in whole}}
 

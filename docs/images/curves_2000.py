@@ -24,7 +24,6 @@ from activestructure_gym.evaluation.report.results import gather
 ROWS = (
     (
         ("completion_ratio", "C.R. of the means [%]"),
-        ("tsdf_completion_ratio", "C.R. of the TSDF surface [%]"),
         ("observed", "surface observed [%]"),
     ),
     (("precision", "precision of the means [%]"), ("psnr", "PSNR of 8 held-out views [dB]")),

@@ -9,9 +9,7 @@ import numpy as np
 from activestructure_gym.evaluation.statistics import area_under, on_axis
 
 # Measures in a point of a convergence curve. The last point holds the measures of the finished map.
-CURVE_MEASURES = (
-    "completion_ratio", "tsdf_completion_ratio", "observed", "psnr", "depth_l1_cm", "precision", "accuracy_cm"
-)  # fmt: skip
+CURVE_MEASURES = ("completion_ratio", "observed", "psnr", "depth_l1_cm", "precision", "accuracy_cm")
 LEVELS = (80, 85, 90, 95)  # % of the observable surface
 _HALF = 0.5  # the late part of an episode begins at this share of the frame budget
 LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # measure: score of its change in the late part

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -270,7 +269,6 @@ class StandardProtocol:
         *,
         images: bool,
         samples: int,
-        surface: bool = False,
     ) -> dict[str, float]:
         """Return the scores of an unfinished map for its convergence curve.
 
@@ -278,14 +276,14 @@ class StandardProtocol:
           ``path`` so far is given.
         - Precision and accuracy are computed on about ``samples`` means of Gaussians, if there are any.
         - ``images`` adds PSNR and depth error, averaged over all held-out views.
-        - ``surface`` adds the completion ratio of the TSDF surface, fused at the keyframes of the ``path``.
         """
         every = slice(None, None, max(1, len(truth.surface.points) // samples))
         part = dataclasses.replace(
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
         points = self.points(gaussians)
-        found = {"completion_ratio": self._ratio(part, [points])}
+        near = streamed_distances(part.points, [points]) < self.threshold_m
+        found = {"completion_ratio": 100.0 * float(np.mean(near))}
         if len(points):
             off = truth.surface.discs.query(points[:: max(1, len(points) // samples)])[0]
             found["precision"] = 100.0 * float(np.mean(off < self.threshold_m))
@@ -295,10 +293,6 @@ class StandardProtocol:
         observed = self.observed(dataclasses.replace(truth, surface=part), path)
         if observed is not None:
             found["observed"] = observed
-        if surface and path is not None:
-            with suppress(InputError):  # `evaluate` of the finished map records the reason
-                pieces = self.on_surface(self.surface(gaussians, path).pieces).pieces()
-                found["tsdf_completion_ratio"] = self._ratio(part, pieces)
         return found
 
     def _image_scores(self, gaussians: GaussianMap, truth: Truth) -> dict[str, float]:
@@ -312,9 +306,6 @@ class StandardProtocol:
         looks = measure_views(look, len(truth.views))
         means = {"psnr": mean_of_defined(p for p, _ in looks), "depth_l1_cm": mean_of_defined(d for _, d in looks)}
         return {name: value for name, value in means.items() if value is not None}
-
-    def _ratio(self, surface: SurfaceSamples, pieces: Iterable[np.ndarray]) -> float:
-        return 100.0 * float(np.mean(streamed_distances(surface.points, pieces) < self.threshold_m))
 
     def points(self, gaussians: GaussianMap) -> np.ndarray:  # [P, 3]
         """Return the reconstructed points: the means of the Gaussians with at least the threshold's opacity, metres."""

@@ -45,9 +45,6 @@ if TYPE_CHECKING:
 CHECKPOINTS = 20  # points of the convergence curve after the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
 CHECKPOINT_SAMPLES = 10_000  # surface samples for the completion ratio at a checkpoint: standard error below 0.5 %
-# Points at which the TSDF surface is fused from the depth of all keyframes so far. The cost of a point is proportional
-# to the number of keyframes. The last point is that of the finished map.
-SURFACE_CHECKPOINTS = 4
 
 
 Stage = Literal["loading", "exploring", "measuring", "done"]
@@ -196,7 +193,6 @@ class _Episode:
         self._policy_seconds = 0.0
         self._next_checkpoint = 0
         self._next_images = 0
-        self._next_surface = 0
 
     def run(self) -> None:
         """Play the episode from the first frame to its end."""
@@ -271,11 +267,9 @@ class _Episode:
         reconstruction = self.env.reconstruction
         frames, budget = reconstruction.frames, reconstruction.frame_budget
         # `measuring.measure` adds the numbers of the finished map to the last point.
-        images, surface = (frames >= following and not last for following in (self._next_images, self._next_surface))
+        images = frames >= self._next_images and not last
         if images:
             self._next_images = _following(frames, budget // IMAGE_CHECKPOINTS)
-        if surface:
-            self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
         scores: dict[str, float | None]
         if self.truth is None:
             scores = {"completion_ratio": None, **measured_without_truth(reconstruction)}
@@ -286,7 +280,6 @@ class _Episode:
                 CameraPath.from_arrays(_path_arrays(reconstruction)),
                 images=images,
                 samples=CHECKPOINT_SAMPLES,
-                surface=surface,
             )}  # fmt: skip
         point: dict[str, float | None]
         point = {"decision": reconstruction.decisions, "frames": frames, "metres": reconstruction.metres}

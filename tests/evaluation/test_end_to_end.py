@@ -96,7 +96,7 @@ def test_decisions_path_and_curve_agree(runs):
         curve = run.metrics["curve"]
         assert curve[0]["frames"] == 1 and curve[-1]["frames"] == metrics["frames"]
         measured = {name for name in CURVE_MEASURES if metrics[name] is not None}
-        assert {"completion_ratio", "tsdf_completion_ratio", "observed", "psnr", "depth_l1_cm"} <= measured
+        assert {"completion_ratio", "observed", "psnr", "depth_l1_cm"} <= measured
         assert all(curve[-1][name] == metrics[name] for name in measured)  # to the last digit
         assert curve[-1]["completion_ratio"] > curve[0]["completion_ratio"]
     (pixel_only,) = (run for run in runs if run.policy == "pixel_only")

@@ -45,7 +45,6 @@ class Cost:
 
 MEASURES = (
     Measure(standard.RATIO, "C.R. at 5 cm [%]"),
-    Measure(standard.TSDF_RATIO, "C.R. of the TSDF surface [%]"),
     Measure(standard.OBSERVED, "surface observed [%]"),
     Measure(standard.PSNR, "PSNR of held-out views [dB]"),
     Measure(KNOWN_VOLUME, "known volume [m³]"),

@@ -37,6 +37,7 @@ _LETTERS = 27  # largest number of characters of a policy's name in a chart
 _BETWEEN = (12, 30)  # horizontal and vertical gap between panels
 _PAD = 0.15  # space left and right of separate points, as a share of their range
 _EMPTY = 0.2  # largest share of the horizontal axis that may be empty before the first curve
+_ROUNDING = 1e-9  # relative difference below which two ends of an axis are one value
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")  # SVG dash pattern by policy index
 
 
@@ -329,10 +330,10 @@ def chart_style() -> str:
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
     """Return about ``about`` tick positions that enclose [``low``, ``high``].
 
-    Their step is 1, 2 or 5 times a power of ten.
+    Their step is 1, 2 or 5 times a power of ten. Ends that differ only by rounding count as one value.
     """
     span = high - low
-    if not span > 0:
+    if not span > _ROUNDING * max(abs(low), abs(high)):
         span = abs(low) or 1.0
         low, high = low - 0.5 * span, high + 0.5 * span
     power = 10.0 ** math.floor(math.log10(span / about))

@@ -71,14 +71,14 @@ def trace_table(run: Run) -> Table:
     steps, terms = run.steps, chosen_terms(run.steps)
     phased = any((step.get("trace") or {}).get("phase") for step in steps)
     second = any((step.get("trace") or {}).get("runner_up") for step in steps)
-    surface = any("observed" in (step.get("checkpoint") or {}) for step in steps)
+    observed = any("observed" in (step.get("checkpoint") or {}) for step in steps)
     headings = [Heading("#"), Heading("frames"), Heading("path (m)"), Heading("s")]
     headings += [Heading("phase", numeric=False)] if phased else []
     headings += [Heading("to x, y, z (m)", numeric=False), Heading("path to it (m)"), Heading("candidates")]
     headings += [Heading(name) for name in terms]
     headings += [Heading("runner-up")] if second else []
     headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)")]
-    headings += [Heading("C.R. surface (%)"), Heading("observed (%)")] if surface else []
+    headings += [Heading("observed (%)")] if observed else []
     headings.append(Heading("PSNR"))
     ended = run.timing.get("decisions", [])
     rows, shown = [], drawn_decisions(len(steps))
@@ -101,8 +101,8 @@ def trace_table(run: Run) -> Table:
             row.append(number(planes if key is None else graph.get(key), digits, ""))
         row.append(number(step.get("gaussians"), 0, ""))
         row.append(number(check.get("completion_ratio"), 1, ""))
-        if surface:
-            row += [number(check.get("tsdf_completion_ratio"), 1, ""), number(check.get("observed"), 1, "")]
+        if observed:
+            row.append(number(check.get("observed"), 1, ""))
         row.append(number(check.get("psnr"), 2, ""))
         rows.append(row)
     title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"

@@ -81,13 +81,13 @@ def test_a_measure_has_points_where_it_was_taken_and_charts_where_any_run_has_it
     run, old = make_run(policy="a"), make_run(policy="b")
     for point, observed in zip(run.metrics["curve"], (10.0, 40.0, 60.0, 70.0)):
         point["observed"] = observed
-    run.metrics["curve"][0]["tsdf_completion_ratio"] = 5.0
-    run.metrics["curve"][-1]["tsdf_completion_ratio"] = 65.0
+    run.metrics["curve"][0]["known_m3"] = 5.0
+    run.metrics["curve"][-1]["known_m3"] = 65.0
     np.testing.assert_array_equal(curve_of(run, "frames", "observed"), [[1, 34, 67, 100], [10, 40, 60, 70]])
-    np.testing.assert_array_equal(curve_of(run, "frames", "tsdf_completion_ratio"), [[1, 100], [5, 65]])
+    np.testing.assert_array_equal(curve_of(run, "frames", "known_m3"), [[1, 100], [5, 65]])
     assert len(curve_of(old, "frames", "observed")[0]) == 0
     both = Results([run, old], [])
-    assert [m.key for m in measures_of(both)] == ["completion_ratio", "tsdf_completion_ratio", "observed", "psnr"]
+    assert [m.key for m in measures_of(both)] == ["completion_ratio", "observed", "psnr", "known_m3"]
     assert [m.key for m in measures_of(Results([old], []))] == ["completion_ratio", "psnr"]
     assert [line.name for line in convergence(both, "frames", "observed")] == ["a"]
     assert len(chart_rows(both)) == 4

@@ -25,6 +25,13 @@ def test_ticks_are_round_and_span_the_range(low, high, expected):
     np.testing.assert_allclose(ticks(low, high), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("low", [14.1, -14.1, 1e-9, 3e12])
+def test_ticks_of_values_that_differ_by_rounding_alone_are_those_of_one_value(low):
+    found = ticks(low, np.nextafter(low, np.inf))
+    np.testing.assert_allclose(found, ticks(low, low))
+    assert len({tick_text(tick, found) for tick in found}) == len(found)
+
+
 def test_ticks_of_one_value():
     found = ticks(5.0, 5.0)
     assert min(found) < 5.0 < max(found)

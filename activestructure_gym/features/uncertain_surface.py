@@ -149,9 +149,10 @@ def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
 
 
 def clusters(surface: Surface, keep: float) -> Clusters:
-    """Return the connected regions (26 neighbours) of the most uncertain fraction ``keep`` of the surface.
+    """Return the connected regions (6 neighbours) of the most uncertain fraction ``keep`` of the surface.
 
-    Regions with less than `MIN_SHARE` of the uncertain voxels are left out.
+    The originals join triangles that share an edge. Triangles of two cells of marching cubes share one only if the
+    cells have a common face. Regions with less than `MIN_SHARE` of the uncertain voxels are left out.
     """
     total = len(surface.voxels)
     if not total:
@@ -161,7 +162,7 @@ def clusters(surface: Surface, keep: float) -> Clusters:
     lower = voxels.min(axis=0)
     grid = np.zeros(voxels.max(axis=0) - lower + 1, dtype=bool)
     grid[tuple((voxels - lower).T)] = True
-    label = ndimage.label(grid, structure=np.ones((3, 3, 3)))[0][tuple((voxels - lower).T)] - 1
+    label = ndimage.label(grid)[0][tuple((voxels - lower).T)] - 1
     size = np.bincount(label)
     order = np.argsort(-size, kind="stable")
     order = order[size[order] >= MIN_SHARE * len(kept)]

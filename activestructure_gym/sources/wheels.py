@@ -17,11 +17,12 @@ class OnWheels(Source):
     """Propose views at the start height, with the same ``yaws`` evenly spaced yaw angles at each position.
 
     If the rows do not suffice for all positions, every n-th by path length is taken. Visited views are left out unless
-    all views are visited.
+    all views are visited; with ``visited``, only the current pose is.
     """
 
     yaws: int = 12
     rows: int = 512
+    visited: bool = False
 
     def __post_init__(self) -> None:
         check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MAX_ROWS}]"})
@@ -31,8 +32,8 @@ class OnWheels(Source):
         raise NotImplementedError
 
     def spent(self, context: SourceContext) -> np.ndarray:  # [S, 4, 4]
-        """Return the visited poses; `propose` leaves out views within the pool's distance and angle of them."""
-        return context.agent.stops
+        """Return the poses for `propose`, which leaves out views within the pool's distance and angle of them."""
+        return context.agent.pose[None] if self.visited else context.agent.stops
 
     def propose(self, context: SourceContext) -> Proposals:
         """Return the views at reachable positions, nearest position first."""

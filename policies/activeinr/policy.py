@@ -32,7 +32,7 @@ class ActiveINR(Planner):
     criterion = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
     native_settings = NativeSettings(
-        stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
+        stages=(("floor?yaws=8&rows=504&visited=true", "turns?count=8"),),
         candidates=512,
         changes=SQUARE_CAMERA,
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",

@@ -161,12 +161,12 @@ def test_clusters_by_hand() -> None:
         "1111111188",
         "1111118111",
     ])  # fmt: skip
-    # The 9 most uncertain: the nines, joined over a corner; the eights, of which one stands alone.
+    # The 9 most uncertain: the eights and the nines, of which one each stands alone, as a corner joins nothing.
     found = clusters(surface, 9 / 50)
-    np.testing.assert_allclose(found.shares, [4 / 50, 4 / 50, 1 / 50])
-    np.testing.assert_allclose(found.centres[0], [0.05, 0.075, 0.0])
-    np.testing.assert_allclose(found.targets[0], [0.05, 0.075, STAND_OFF])
-    np.testing.assert_allclose(found.directions[0], [0, 0, -1])
+    np.testing.assert_allclose(found.shares, [4 / 50, 3 / 50, 1 / 50, 1 / 50])
+    np.testing.assert_allclose(found.centres[1], [0.1 / 3, 0.1 / 3, 0.0])
+    np.testing.assert_allclose(found.targets[1], [0.1 / 3, 0.1 / 3, STAND_OFF])
+    np.testing.assert_allclose(found.directions[1], [0, 0, -1])
 
 
 def test_small_pieces_are_no_clusters_and_the_largest_comes_first() -> None:

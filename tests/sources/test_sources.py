@@ -342,3 +342,17 @@ def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:
     np.testing.assert_allclose(run.pose, chosen, atol=1e-6)
     near = np.linalg.norm(views()[:, :3, 3] - chosen[:3, 3], axis=1) < 1e-6
     assert near.sum() == 3  # without the view where it has been
+
+
+@pytest.mark.parametrize(("option", "left"), [("", [3, 3]), ("&visited=true", [3, 4])])
+def test_a_visited_view_is_offered_again_on_request_once_the_robot_has_left_it(option: str, left: list[int]) -> None:
+    spec = f"floor?yaws=4&spacing_m=0.5&rows=80{option}"
+    run = begin((spec, TURNS), scene="room")
+    run.move_to(int(rows_of(run, spec)[-1]))
+    place, counts = run.pose[:3, 3].copy(), []
+    for _ in left:
+        views = run.candidates.world_from_camera[rows_of(run, spec)]
+        away = np.linalg.norm(views[:, :3, 3] - place, axis=1)
+        counts.append(int((away < 1e-6).sum()))
+        run.move_to(int(rows_of(run, spec)[away.argmax()]))
+    assert counts == left

@@ -132,7 +132,13 @@ def test_the_ablation_has_the_ladders_side_by_side() -> None:
 def test_the_ablation_has_the_runs_of_the_phases() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
     told = (ROOT / "docs" / "notebook" / "ablation.md").read_text()
-    assert all(script["phases"](file) in told for file in script["PHASES"]), "paste what --phases prints"
+    assert all(script["differences"](file) in told for file in script["PHASES"]), "paste what --phases prints"
+
+
+def test_learning_has_the_runs_of_the_learned_policies() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    told = (ROOT / "docs" / "notebook" / "learning.md").read_text()
+    assert script["learned"]() in told, "paste what --learned prints"
 
 
 def test_readme_has_the_benchmark_s_numbers() -> None:

@@ -1,6 +1,6 @@
 """Make curves_2000.svg: quality and coverage over long episodes, with one line per run of one or more comparisons.
 
-    asg compare --scenes "apartment?rooms=3&seed=14" --frames 2000 --policies hole_area,activestructure --out runs/long
+    asg compare --scenes SCENE [SCENE ...] --frames 2000 --policies unknown_volume --out runs/long
     python docs/images/curves_2000.py runs/long
 
 A table is printed too. It has the final value and the minimum of each curve, and its largest fall from a checkpoint to
@@ -34,7 +34,7 @@ FIRST = 100  # first frame of the figure; the first views show a fifth of the su
 def main(directories: Sequence[Path]) -> None:
     """Draw the curves of all runs in the given comparison directories, and print the table."""
     runs = gather(list(directories)).runs
-    names = [f"{run.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
+    names = [f"{run.policy}, {run.scene}, seed {run.job.seed}" for run in runs]
     charts = []
     for row in ROWS:
         drawn = []

@@ -6,6 +6,7 @@
     python docs/notebook/benchmark_table.py --file ladder.csv        # read another file of this folder.
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
     python docs/notebook/benchmark_table.py --phases                 # the tables of the phases.
+    python docs/notebook/benchmark_table.py --learned                # the table of the learned policies.
     python docs/notebook/benchmark_table.py --readme                 # README's table, from headline.csv.
 
 A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
@@ -45,7 +46,9 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
 # Files of single runs on many scenes, which are the sample: intervals are over the scenes.
-POOLED = ("procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv")
+POOLED = (
+    "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv", "learned_300.csv", "learned_2000.csv"
+)  # fmt: skip
 DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
     "observed_area": ("exploration (points)", 1),
@@ -84,6 +87,12 @@ PHASES = {  # tables of the phases by file: pairs of policies
         (_FULL, "unknown_volume"),
         (_UNSEEN, _FULL),
     ),
+}
+_DEFAULT, _LONG = "learned:d300@44f39cb9", "learned:long@66bb1ce7"  # trained on `default`, 300 and 2,000 frames
+SHORT = {_DEFAULT: "learned:default", _LONG: "learned:long"}
+LEARNED = {  # rows of the table of the learned policies by file: pairs of policies
+    "learned_300.csv": (("learned", "unknown_volume"), (_DEFAULT, "unknown_volume"), (_DEFAULT, "learned")),
+    "learned_2000.csv": ((_LONG, "unknown_volume"),),
 }
 HEADLINE = ((_FULL, "unknown_volume"), ("unknown_volume", "hole_area"))  # differences below README's table
 RUNGS = ("**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
@@ -183,10 +192,19 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def phases(file: str) -> str:
-    """Return the table of paired differences of a file in `PHASES` as Markdown."""
-    wanted = [(f"`{ours}` minus `{theirs}`", ours, theirs) for ours, theirs in PHASES[file]]
+def differences(file: str) -> str:
+    """Return the table of paired differences of a file in `PHASES` or `LEARNED` as Markdown."""
+    wanted = [
+        (f"`{SHORT.get(ours, ours)}` minus `{SHORT.get(theirs, theirs)}`", ours, theirs)
+        for ours, theirs in (PHASES | LEARNED)[file]
+    ]
     return pairs(read(PLACE.with_name(file)), wanted)
+
+
+def learned() -> str:
+    """Return one table with the paired differences of all files in `LEARNED` as Markdown."""
+    first, *more = (differences(file).splitlines(keepends=True) for file in LEARNED)
+    return "".join([*first, *(line for lines in more for line in lines[2:])])
 
 
 def ladder(table: Table) -> list[tuple[str, str, str]]:
@@ -285,6 +303,7 @@ def main() -> None:
     instead.add_argument("--ladders", action="store_true")
     instead.add_argument("--readme", action="store_true")
     instead.add_argument("--phases", action="store_true")
+    instead.add_argument("--learned", action="store_true")
     options = parser.parse_args()
     place = PLACE.with_name(options.file)
     if options.runs:
@@ -293,7 +312,10 @@ def main() -> None:
         print(ladders(PLACE.parent), end="")
         return
     if options.phases:
-        print("\n".join(map(phases, PHASES)), end="")
+        print("\n".join(map(differences, PHASES)), end="")
+        return
+    if options.learned:
+        print(learned(), end="")
         return
     if options.readme:
         print(readme(read(PLACE.with_name("headline.csv"))), end="")

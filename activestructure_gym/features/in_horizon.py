@@ -19,11 +19,20 @@ def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
 
     A view without a node is its own end point. The horizon is the bounding box, in the floor plane, of the camera and
     all depth returns of the keyframe `last_moved`. If no node with a free path is inside the horizon, all free paths
-    count. This is the rule of ActiveSplat and ANM-S: [activesplat, code], [anm_s, code].
+    count. This is the rule of ActiveSplat: [activesplat, code].
     """
-    frame, ends = last_moved(context.mapper.keyframes), places(context)
-    here, camera = context.mapper.keyframes[-1].world_from_camera[:3, 3], frame.world_from_camera
-    box = np.vstack([returns(frame), camera[:3, 3]])[:, :2]
+    frame = last_moved(context.mapper.keyframes)
+    return in_sight_within(context, np.vstack([returns(frame), frame.world_from_camera[:3, 3]]))
+
+
+def in_sight_within(context: FeatureContext, points: np.ndarray) -> np.ndarray:  # [K] 0 or 1
+    """Return 1 where the straight path to the view's node is free and ends in the bounding box of ``points``, else 0.
+
+    The box is in the floor plane; ``points`` [n, 3] are metres in the world, n >= 1. If no node with a free path is
+    inside the box, all free paths count.
+    """
+    ends, box = places(context), points[:, :2]
+    here = context.mapper.keyframes[-1].world_from_camera[:3, 3]
     inside = ((ends[:, :2] >= box.min(axis=0)) & (ends[:, :2] <= box.max(axis=0))).all(axis=1)
     free = context.volume.segments_free(here, ends, min_clearance=_CLEAR)
     at_node = context.once(voronoi_node) >= 0

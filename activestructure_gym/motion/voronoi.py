@@ -21,7 +21,9 @@ MERGED_M = 0.5  # metres: nodes closer than this along the graph are merged
 # factor.
 _DETOUR = 1.2
 _SPECK = 4  # cells: unknown islands of up to this size count as free
-FOOT_M, HEAD_M = 0.25, 2.0  # metres above the ground: occupied space in between blocks the agent ([activesplat, code])
+# Metres above the ground: occupied space in between blocks the agent (own choice). The agents of ActiveSplat and ANM-S
+# reach to 1.5 m.
+FOOT_M, HEAD_M = 0.25, 2.0
 
 
 @dataclass(frozen=True)

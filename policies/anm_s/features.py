@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.in_horizon import in_sight_within, last_moved, returns
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import (
     Clusters,
@@ -20,8 +21,10 @@ from activestructure_gym.features.uncertain_surface import (
     clusters,
 )
 from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
+from activestructure_gym.geometry import look_along
 
 KEPT = 0.2  # share of the surface that is clustered, the most uncertain part
+HEAD_M = 0.25  # metres above the camera's first height; higher surface has no clusters (agent 1.5 m, camera 1.25 m)
 SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; one view serves all directions within 45 degrees of it
 
 
@@ -33,14 +36,42 @@ _COLUMNS: dict[str, Any] = {
 }
 
 
+@FEATURES.register("anm_s_horizon", unit="0 or 1", low=0.0, high=1.0)
+def anm_s_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
+    """Return 1 where the view's node is in line of sight and inside the horizon of the last movement, else 0.
+
+    The horizon is the bounding box of `ahead` in the floor plane. If no node in line of sight is inside it, all nodes
+    in line of sight count. Source: [anm_s, code].
+    """
+    return in_sight_within(context, ahead(context))
+
+
+def ahead(context: FeatureContext) -> np.ndarray:  # [n, 3] metres, world
+    """Return the occupied voxels that a level camera sees from the keyframe `last_moved`, along the last movement.
+
+    The original's agent looks along its movement and turns only at the node. Here the camera of this keyframe may have
+    turned towards the goal. Without a movement or such voxels, the depth returns and the position of the keyframe are
+    returned.
+    """
+    keyframes, volume = context.mapper.keyframes, context.volume
+    frame, here = last_moved(keyframes), last_moved(keyframes).world_from_camera[:3, 3]
+    number = next(n for n, other in enumerate(keyframes) if other is frame)
+    movement = (here - keyframes[max(number - 1, 0)].world_from_camera[:3, 3]) * [1.0, 1.0, 0.0]
+    seen = np.zeros((0, 3), dtype=np.int64)
+    if movement.any():
+        seen = np.argwhere(volume.rays(context.camera, look_along(here, movement)).seen() & volume.occupied)
+    return volume.center_of(seen) if len(seen) else np.vstack([returns(frame), here])
+
+
 @FEATURES.register("anm_s", **_COLUMNS)
 def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
     """Compute, at the candidate's Voronoi node, the numbers of uncertain clusters and of views of them, and a cosine.
 
-    A cluster is a connected part of the most uncertain 20 % of the surface. The first column counts the clusters whose
-    nearest node is the candidate's. The second is the number of views that see these clusters and the ends of the cut
-    branches of the node. The third is the cosine between the candidate's view direction and the nearest direction to
-    one of them. The uncertainty comes from 20 renderings of the map with perturbed means. Source: [anm_s, code].
+    A cluster is a connected part of the most uncertain 20 % of the surface below the agent's head. The first column
+    counts the clusters whose nearest node is the candidate's. The second is the number of views that see these clusters
+    and, if there are any, the ends of the cut branches of the node. The third is the cosine between the candidate's
+    view direction and the nearest direction to one of them. The uncertainty comes from 20 renderings of the map with
+    perturbed means. Source: [anm_s, code].
     """
     return views_at_node(context, by_perturbing_means)
 
@@ -64,23 +95,26 @@ def views_at_node(
     are:
 
     - Number of clusters for which the candidate's node of `floor_graph` is the nearest one in the horizontal plane.
-    - Number of views needed to see these clusters and the ends of the cut branches of the node.
+    - Number of views needed to see these clusters and the ends of the cut branches of the node; 0 without clusters.
     - Cosine between the candidate's view direction and the nearest direction to one of these; -1 if there is none.
+
+    Directions are horizontal, since the original's agent only turns, and lead to the target of a cluster.
     """
-    found = clusters(context.once(uncertainty), KEPT)
+    head = context.mapper.keyframes[0].world_from_camera[2, 3] + HEAD_M
+    found = clusters(context.once(uncertainty).below(head), KEPT)
     graph = context.once(floor_graph)
     node, poses = context.once(voronoi_node).astype(np.int64), context.world_from_camera
     anchors = anchored(found, graph.nodes)
     table = np.tile([0.0, 0.0, -1.0], (len(poses), 1))
-    for n in np.unique(node[node >= 0]):
-        centres, ends = found.centres[anchors == n], graph.chain_ends[graph.chain_nodes == n]
+    for n in np.unique(anchors[anchors >= 0]):
+        targets = found.targets[anchors == n, :2]
+        shown = np.concatenate([targets, graph.chain_ends[graph.chain_nodes == n]])
         for row in np.flatnonzero(node == n):
-            here = poses[row, :3, 3]
-            level = np.concatenate([ends, np.full((len(ends), 1), here[2])], axis=1)
-            offsets = np.concatenate([centres, level]) - here
+            offsets = shown - poses[row, :2, 3]
             lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
-            directions = (offsets / np.maximum(lengths, 1e-9))[lengths[:, 0] > 1e-6]  # none at the candidate itself
-            table[row] = len(centres), count_views(directions), (directions @ poses[row, :3, 2]).max(initial=-1.0)
+            flat = (offsets / np.maximum(lengths, 1e-9))[lengths[:, 0] > 1e-6]  # none at the candidate itself
+            directions = np.column_stack([flat, np.zeros(len(flat))])
+            table[row] = len(targets), count_views(directions), (directions @ poses[row, :3, 2]).max(initial=-1.0)
     return table
 
 

@@ -36,8 +36,9 @@ class AnmS(Planner):
     Nodes are those of the floor plan's Voronoi graph:
 
     - Unarrived: farther than 0.975 m from the path travelled.
-    - In horizon: in line of sight, and in the bounding box of the newest keyframe after a movement (`in_horizon`).
-    - Has cluster: nearest node to a connected part of the most uncertain 20 % of the surface (at least 0.5 % of it).
+    - In horizon: in line of sight, and in the bounding box of the surface ahead of the last movement (`anm_s_horizon`).
+    - Has cluster: nearest node to a connected part of the most uncertain 20 % of the surface (at least 0.5 % of it),
+      below the agent's head.
     - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.
 
     Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. If the best
@@ -65,7 +66,7 @@ class AnmS(Planner):
             raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
         self._feature = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
-        self.required_features = ("voronoi_node", "visited_distance", "in_horizon", self._feature)
+        self.required_features = ("voronoi_node", "visited_distance", "anm_s_horizon", self._feature)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -110,7 +111,7 @@ class AnmS(Planner):
         """Return the integer score of the Voronoi node of each candidate; 0 without a node."""
         score = (
             UNARRIVED * (candidates["visited_distance"] > ARRIVED_M)
-            + IN_HORIZON * (candidates["in_horizon"] > 0)
+            + IN_HORIZON * (candidates["anm_s_horizon"] > 0)
             + CLUSTER * (candidates[f"{self._feature}_clusters"] > 0)
             + FAILED * self._has_failed(candidates)
         )

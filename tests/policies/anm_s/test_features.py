@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,14 +38,16 @@ def context(poses: list[tuple], surface: Surface, nodes: list | None = None, **g
         camera=PinholeCamera.from_size(40, 24), bounds=BOUNDS, coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(np.array(p, float), np.array(d, float)) for p, d in poses]),
     )  # fmt: skip
-    known = VoronoiGraph(
-        np.reshape(nodes or [], (-1, 2)).astype(float), np.ones(len(nodes or [])), np.zeros((0, 2), np.int64),
-        np.zeros(0), np.reshape(graph.get("ends", []), (-1, 2)).astype(float),
-        np.array(graph.get("of", []), np.int64),
-    )  # fmt: skip
-    made._results[floor_graph] = known
+    made._results[floor_graph] = graph_of(nodes or [], **graph)
     made._results[by_proxy] = surface
     return made
+
+
+def graph_of(nodes: list, **graph: list) -> VoronoiGraph:
+    return VoronoiGraph(
+        np.reshape(nodes, (-1, 2)).astype(float), np.ones(len(nodes)), np.zeros((0, 2), np.int64), np.zeros(0),
+        np.reshape(graph.get("ends", []), (-1, 2)).astype(float), np.array(graph.get("of", []), np.int64),
+    )  # fmt: skip
 
 
 def patches(*places: tuple[tuple, np.ndarray, int, float]) -> Surface:
@@ -66,28 +69,57 @@ SURE = ((0.0, 0.0, 0.0), X, 40, 0.0)  # of no cluster of ANM-S: four fifths of t
 
 
 def test_clusters_belong_to_the_node_nearest_to_their_target() -> None:
-    # Two patches on the walls at x = 9 (seen from x < 9) and y = 0 under node 0.
-    surface = patches(SURE, ((9.0, 1.8, 1.5), -X, 5, 1.0), ((2.0, 3.6, 1.5), -Y, 5, 1.0))
-    poses = [((2, 2, 1.5), Y), ((2, 2, 1.5), X), ((8, 2, 1.5), X), ((5, 2, 1.5), X)]
+    # Two patches, at x = 9 (seen from x < 9) and at y = 3.8 near node 0. Their targets are (8.5, 2) and (2, 3.3).
+    surface = patches(SURE, ((9.0, 1.8, 0.5), -X, 5, 1.0), ((2.0, 3.6, 0.5), -Y, 5, 1.0))
+    poses = [((2.3, 2, 1.5), Y), ((2.3, 2, 1.5), X), ((8, 2, 1.5), X), ((5, 2, 1.5), X)]
     ctx = context(poses, surface, nodes=[[2.0, 2.0], [8.0, 2.0]])
     table = columns(ctx, "anm_s_proxy_clusters", "anm_s_proxy_looks", "anm_s_proxy_facing")
     np.testing.assert_array_equal(table[:, 0], [1, 1, 1, 0])  # the last stands for no node
     np.testing.assert_array_equal(table[:, 1], [1, 1, 1, 0])
-    centre = np.array([2.0, 3.8, 1.5]) - [2, 2, 1.5]
-    np.testing.assert_allclose(
-        table[:, 2], [centre @ Y / np.linalg.norm(centre), centre @ X / np.linalg.norm(centre), 1.0, -1.0], atol=1e-6
-    )
+    # Directions are level, however low the patch, and lead to the target (-0.3, 1.3), not to the patch (-0.3, 1.8).
+    length = np.hypot(0.3, 1.3)
+    np.testing.assert_allclose(table[:, 2], [1.3 / length, -0.3 / length, 1.0, -1.0], atol=1e-6)
 
 
-def test_ends_of_cut_chains_are_looked_at_but_are_no_clusters() -> None:
+def test_surface_above_the_head_has_no_clusters() -> None:
+    # The camera starts at 1.5 m, so the head is at 1.75 m. The more uncertain patch at 1.8 m is left out.
+    low, high = ((2.0, 3.0, 1.7), -Y, 10, 1.0), ((9.0, 1.8, 1.8), -X, 10, 2.0)
+    poses = [((2, 2, 1.5), Y), ((8, 2, 1.5), X)]
+    ctx = context(poses, patches(SURE, low, high), nodes=[[2.0, 2.0], [8.0, 2.0]])
+    np.testing.assert_array_equal(columns(ctx, "anm_s_proxy_clusters")[:, 0], [1, 0])
+
+
+def test_ends_of_cut_chains_are_looked_at_if_the_node_has_a_cluster() -> None:
     nothing = patches(SURE)
     poses = [((2, 2, 0.7), X), ((2, 2, 0.7), -X), ((8, 2, 1.5), X)]
-    ctx = context(poses, nothing, nodes=[[2.0, 2.0], [8.0, 2.0]], ends=[[0.5, 2.0]], of=[0])
+    ctx = context(poses, nothing, nodes=[[2.0, 2.0], [8.0, 2.0]], ends=[[0.5, 2.0], [9.5, 2.0]], of=[0, 1])
     # All is equally sure, so the first fifth is one cluster, at the corner below node 0.
     table = columns(ctx, "anm_s_proxy_clusters", "anm_s_proxy_looks", "anm_s_proxy_facing")
     np.testing.assert_array_equal(table[2], [0, 0, -1])
     np.testing.assert_array_equal(table[:2, 0], [1, 1])
     assert table[1, 2] == 1.0  # level, whatever the height
+
+
+def test_the_horizon_is_ahead_of_the_last_movement_wherever_the_camera_turned() -> None:
+    """From (1.4, 2) along x, half of 24 rows over 20 pixels see the floor from 1.5 * 20 / 12 = 2.5 m to the wall."""
+    places = [(4.5, 2, 1.5), (0.5, 2, 1.5), (2.5, 2, 1.5), (8, 2, 1.5)]
+    ctx = context([(p, X) for p in places], patches(SURE), nodes=[p[:2] for p in places])
+    ctx.volume.state[:, :, 0] = ctx.volume.state[50:52] = OCCUPIED  # the floor, and a wall at x = 5
+    ctx.volume._changed()
+    moved, turned = (keyframe(look_along(np.array([1.4, 2.0, 1.5]), d), np.array([[0.0, 1, 0], [1.4, 3, 3]]))
+                     for d in (-X, Y))  # fmt: skip
+    ctx.mapper.keyframes += [moved, turned]
+    np.testing.assert_array_equal(columns(ctx, "anm_s_horizon")[:, 0], [1, 0, 0, 0])
+    ctx = replace(ctx, world_from_camera=ctx.world_from_camera[1:])
+    # Nothing ahead is a node any more: all in line of sight count.
+    ctx._results[floor_graph] = graph_of([p[:2] for p in places[1:]])
+    np.testing.assert_array_equal(columns(ctx, "anm_s_horizon")[:, 0], [1, 1, 0])
+
+
+def test_before_a_movement_the_horizon_is_that_of_the_depth_returns() -> None:
+    ctx = context([((2, 2, 1.5), X), ((8, 2, 1.5), X)], patches(SURE), nodes=[(2, 2), (8, 2)])
+    ctx.mapper.keyframes[0] = keyframe(look_along(np.array([1.0, 2.0, 1.5]), X), np.array([[2.0, 1, 0], [4, 3, 3]]))
+    np.testing.assert_array_equal(columns(ctx, "anm_s_horizon")[:, 0], [1, 0])
 
 
 def test_an_end_of_a_chain_at_the_candidate_itself_needs_no_look() -> None:

@@ -38,7 +38,8 @@ def observation(rows: list[dict], names: tuple[str, ...], *, pose: np.ndarray = 
 def node(number: int, at: np.ndarray, *, unarrived=False, horizon=False, clusters=0, looks=0, facing=-1.0, **more):
     return {
         "at": at, "voronoi_node": number, "visited_distance": ARRIVED_M + (0.01 if unarrived else -0.01),
-        "in_horizon": float(horizon), "anm_s_clusters": clusters, "anm_s_looks": looks, "anm_s_facing": facing, **more,
+        "anm_s_horizon": float(horizon), "anm_s_clusters": clusters, "anm_s_looks": looks, "anm_s_facing": facing,
+        **more,
     }  # fmt: skip
 
 

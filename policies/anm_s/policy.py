@@ -165,5 +165,7 @@ class AnmS(Planner):
         if self.travel == "native" and length[best] > DEFERRED_M and (rows & (length <= DEFERRED_M)).any():
             apart = np.linalg.norm(places - places[best], axis=1)
             best = best_valid(np.where(rows & (length <= DEFERRED_M), -apart, -np.inf), observation)
-        facing = candidates[f"{self._feature}_facing"]
+        # A row that is no view, as one that finishes, has nothing to look at and the cosine 0.
+        looks = candidates[f"{self._feature}_looks"] > 0
+        facing = np.where(looks, candidates[f"{self._feature}_facing"], -1.0)
         return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * length, -np.inf), observation)

@@ -221,7 +221,7 @@ def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
 
 FORGED_NUMBERS: dict[str, float] = {
     "f_score": 99.0, "tsdf_f_score": 99.0, "tsdf_precision": 99.9, "ms_ssim": 0.999, "metres": 0.1, "frames_to_80": 5.0,
-    "gaussians": 10, "keyframes": 99, "collisions": 7, "observed_area": 99.0, "frames": 11, "decisions": 1,
+    "gaussians": 10, "keyframes": 99, "collisions": 7, "observed_area": 99.0, "frames": 11, "decisions": 77,
     "late_psnr_rate": 9.0, "true_area_m2": 1.0, "view_coverage": 0.99,
 }  # fmt: skip
 

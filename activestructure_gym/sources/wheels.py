@@ -17,7 +17,7 @@ class OnWheels(Source):
     """Propose views at the start height, with the same ``yaws`` evenly spaced yaw angles at each position.
 
     If the rows do not suffice for all positions, every n-th by path length is taken. Visited views are left out unless
-    all views are visited; with ``visited``, only the current pose is.
+    all views are visited. With ``visited`` they are proposed again, and only the current pose is left out.
     """
 
     yaws: int = 12

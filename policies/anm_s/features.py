@@ -24,7 +24,8 @@ from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
 from activestructure_gym.geometry import look_along
 
 KEPT = 0.2  # share of the surface that is clustered, the most uncertain part
-HEAD_M = 0.25  # metres above the camera's first height; higher surface has no clusters (agent 1.5 m, camera 1.25 m)
+# Metres from the camera's first height to the agent's head; higher surface has no clusters (1.25 m and 1.5 m).
+CAMERA_TO_HEAD = 0.25
 SAME_VIEW = float(np.cos(np.radians(45.0)))  # cosine; one view serves all directions within 45 degrees of it
 
 
@@ -100,7 +101,7 @@ def views_at_node(
 
     Directions are horizontal, since the original's agent only turns, and lead to the target of a cluster.
     """
-    head = context.mapper.keyframes[0].world_from_camera[2, 3] + HEAD_M
+    head = context.mapper.keyframes[0].world_from_camera[2, 3] + CAMERA_TO_HEAD
     found = clusters(context.once(uncertainty).below(head), KEPT)
     graph = context.once(floor_graph)
     node, poses = context.once(voronoi_node).astype(np.int64), context.world_from_camera

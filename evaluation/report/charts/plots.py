@@ -276,7 +276,7 @@ def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, titl
         right, y = max(right, x), y + max(height for _, height in sizes)
     x, y, legend = 16.0, y + 8, []
     for index, name in enumerate(names):
-        needed = 64 + 7.2 * len(name)
+        needed = 64 + 7.6 * len(name)
         if x > 16.0 and x + needed > right:
             x, y = 16.0, y + 22
         legend.append((_placed(legend_marker(index), x, y, 34, 14), label(name, x + 40, y + 11, "start")))

@@ -244,6 +244,6 @@ def seen_when_the_scaffold_ends(truth: GroundTruth, seed: int) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("rooms, starts", [(1, 1), (3, 3), (7, 1)])
 def test_the_scaffold_is_complete_when_its_phase_ends(rooms: int, starts: int) -> None:
-    # From some starts the phase ends too early, when the door of a finished room shows little of the next one.
+    # From some starts the phase ends too early, when no offered view shows much of what is unknown.
     truth = ground_truth_of(load_scene(f"apartment?rooms={rooms}&seed=3&lit=false"))
     assert 0.75 < np.median([seen_when_the_scaffold_ends(truth, seed) for seed in range(starts)]) < 0.97

@@ -5,6 +5,7 @@ No transition between phases depends on the number of frames.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,9 @@ PHASES = (
     # The keyframes with the lowest PSNR are revisited and get more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
 )
-PATIENCE = 3  # successive decisions with an empty pool that end a phase; tables are random parts of all views
+# A table is a random part of all views. A phase ends after successive tables without a view in the pool: at least 3,
+# and as many as offer 768 rows together (3 of the default size, 12 of the 64 rows of preset `fast`).
+PATIENCE, ROWS = 3, 768
 GOOD_PSNR = 34.0  # dB; phase III ends when 90 % of the keyframes reach it (ActiveGAMER's threshold)
 LOT = 4  # number of revisits between two tests of progress; a table offers at most as many
 MIN_RISE_DB = 0.25  # dB by which LOT revisits must raise the 10 % quantile of the keyframes' PSNR
@@ -67,8 +70,13 @@ def in_pool(
     return valid & (enough | (terms.deficiency >= phase.deficit_share))
 
 
+def patience(rows: int) -> int:
+    """Return the number of successive tables with this number of rows that must be without a view in the pool."""
+    return max(PATIENCE, math.ceil(ROWS / rows))
+
+
 class PhaseMachine:
-    """Hold the current phase; switch to the next one after three successive decisions with an empty pool."""
+    """Hold the current phase; switch to the next one after successive decisions with an empty pool (`patience`)."""
 
     def __init__(self) -> None:
         self.index = 0
@@ -82,10 +90,11 @@ class PhaseMachine:
     def update(self, pool: np.ndarray) -> str | None:
         """Count a decision with the views ``pool`` [K] bool; return the reason if the phase changed, else None."""
         self._empty = 0 if pool.any() else self._empty + 1
-        if self._empty < PATIENCE or self.phase.refines:
+        needed = patience(len(pool))
+        if self._empty < needed or self.phase.refines:
             return None
         self.index, self._empty = self.index + 1, 0
-        return f"no view in the pool for {PATIENCE} decisions"
+        return f"no view in the pool for {needed} decisions"
 
 
 _SAME_VIEW = 0.01  # metres, and components of a unit vector; revisit rows repeat a keyframe's pose up to rounding

@@ -25,20 +25,25 @@ from activestructure_gym.policies.activestructure.phases import (
     GOOD_PSNR,
     LOT,
     MIN_RISE_DB,
-    PATIENCE,
     RevisitedViews,
     in_pool,
+    patience,
 )
 from activestructure_gym.scenes import load_scene
 from tests.policies.activestructure.test_policy import observation, planes
 from tests.policies.binding import bound
 
 NOTHING = [[0.0, 0.0]] * 3
+PATIENCE = patience(len(NOTHING) + 1)  # `observation` adds a masked row
+
+
+def test_small_tables_take_more_decisions_until_as_many_views_were_offered() -> None:
+    assert [patience(rows) for rows in (1027, 256, 255, 64, 3)] == [3, 3, 4, 12, 256]
 
 
 def test_a_phase_ends_only_after_empty_pools_in_a_row() -> None:
     machine, empty, full = PhaseMachine(), np.zeros(4, bool), np.array([False, True, False, False])
-    for _ in range(500):
+    for _ in range(2 * PATIENCE):
         assert machine.update(full) is None
     for _ in range(20):  # an interrupted row begins again
         for _ in range(PATIENCE - 1):
@@ -51,7 +56,7 @@ def test_a_phase_ends_only_after_empty_pools_in_a_row() -> None:
             assert machine.index == expected - 1
         assert str(PATIENCE) in machine.update(empty)
         assert machine.index == expected
-    for _ in range(5 * PATIENCE):
+    for _ in range(2 * PATIENCE):
         assert machine.update(empty) is None
     assert machine.phase is PHASES[2]
 
@@ -89,7 +94,7 @@ def test_the_pool_counts_what_a_view_shows_itself_and_not_what_its_path_shows() 
     near, far = 1.0, 20.0  # frames; g = 1 / (1 + frames / 5)
     for way, view, frames, phase in ((9.0, 0.0, near, 1), (0.5, 0.5, near, 0), (9.0, 0.3, far, 1), (9.0, 1.0, far, 0)):
         policy.reset(0)
-        for _ in range(PATIENCE):
+        for _ in range(patience(2)):
             policy.act(observation([[way, 0.0, view]], frames=[frames]))
         assert policy._machine.index == phase, (way, view, frames)
 
@@ -192,7 +197,10 @@ def test_the_full_model_ends_where_that_is_offered_and_nothing_moves_any_more() 
         preset="fast",
         frame_budget=600,
         coverage_target=None,
-        config={"sensor": {"width": 48, "height": 27}, "views.stages": [["pool", "finish"]]},
+        config={
+            "sensor": {"width": 48, "height": 27},
+            "views": {"stages": [["pool", "finish"]], "max_candidates": 256},
+        },
     )
     for seed in range(8):  # a start may have no other free place; which one depends on the processor's rounding
         policy.reset(seed)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.policies import make_policy
-from activestructure_gym.policies.activestructure.phases import PATIENCE
+from activestructure_gym.policies.activestructure.phases import patience
 from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 from tests.policies.activestructure.test_policy import observation
 from tests.policies.binding import bound
@@ -40,10 +40,10 @@ def test_the_full_model_looks_at_far_sides_once_the_scaffold_stands() -> None:
     policy = bound(make_policy("activestructure?discovery=unseen"))
     policy.reset(0)
     rows = [[0.05, 0.0, 0.0, 0.05], [0.0, 0.8, 0.0, 0.0]]  # space of the way, sides, deficiency, space of the view
-    choices, phases = [], []
-    for _ in range(2 * PATIENCE):
+    choices, phases, needed = [], [], patience(len(rows) + 1)
+    for _ in range(2 * needed):
         choices.append(policy.act(observation(rows)))
         phases.append(policy.trace()["phase"])
     # .05 m^3 is too little for the pool of phase I, and the sides, .28 m^3, count in phase II alone.
-    assert choices == [0] * (PATIENCE - 1) + [1] * (PATIENCE + 1)
-    assert phases == ["I scaffold"] * (PATIENCE - 1) + ["II objects"] * (PATIENCE + 1)
+    assert choices == [0] * (needed - 1) + [1] * (needed + 1)
+    assert phases == ["I scaffold"] * (needed - 1) + ["II objects"] * (needed + 1)

@@ -44,8 +44,8 @@ PHASES = (
     # The keyframes with the lowest PSNR are revisited and get more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
 )
-# A table is a random part of all views. A phase ends after successive tables without a view in the pool: at least 3,
-# and as many as offer 768 rows together (3 of the default size, 12 of the 64 rows of preset `fast`).
+# A table is a random part of all views. So a phase ends after at least 3 successive tables without a view in the pool,
+# with at least 768 rows together: 3 tables of the default size, 12 of preset `fast`.
 PATIENCE, ROWS = 3, 768
 GOOD_PSNR = 34.0  # dB; phase III ends when 90 % of the keyframes reach it (ActiveGAMER's threshold)
 LOT = 4  # number of revisits between two tests of progress; a table offers at most as many

@@ -208,7 +208,7 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
     if os.sep in target:
         raise InputError(f"there is no scene file or folder {short_repr(target)}")
     unknown = unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
-    raise InputError(f"{unknown}, and there is no file or folder of that name")
+    raise InputError(f"{unknown}. It is no file or folder either")
 
 
 def check_scene_name(spec: str) -> None:

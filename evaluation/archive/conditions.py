@@ -60,7 +60,7 @@ class Conditions:
 
     def __post_init__(self) -> None:
         if self.frame_budget is not None and self.frame_budget < 1:
-            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
+            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}")
         for kind, names in (("also", self.also), ("metrics", self.metrics)):
             if isinstance(names, str):
                 raise InputError(f"{kind} is a list of names, as ['{names}'], got the text {short_repr(names)}")

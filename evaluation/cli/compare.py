@@ -56,7 +56,7 @@ class GridOptions:
     )
     mappers: NoNames = ()
     (
-        "Map every given trajectory (policy trajectory:FILE, trajectory:sweep or trajectory:passive) with each of "
+        "Map each trajectory among --policies (trajectory:FILE, trajectory:sweep, trajectory:passive) with each of "
         "these mappers: default, splatam, monogs, gaussian_slam, co_slam."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None

@@ -97,4 +97,4 @@ class RunOptions:
     workers: int = 0
     """Run this number of jobs at a time; 0 is one per core."""
     trust_code: Switch = False
-    """Allow the record of --resume, a checkpoint or a run to import code that it names as package.module:Name."""
+    """Run code (package.module:Name) that a resumed comparison, a checkpoint or a run names."""

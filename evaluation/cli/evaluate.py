@@ -32,8 +32,8 @@ class Evaluate:
     runs: Runs = ()
     """Measure these: directories of runs or of comparisons."""
     protocols: NoNames = ()
-    """Measure by standard, activegamer, activesplat, naruto, offline, and
-    keep new numbers (default: the run's own)."""
+    """Measure by these protocols, and store new numbers: standard, activegamer,
+    activesplat, naruto, offline (default: the run's own)."""
     map: PathName = None
     """Measure a map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
     scene: Annotated[str | None, option("SCENE", "")] = None

@@ -161,7 +161,7 @@ def difference_table(results: Results) -> Table | None:
     headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: same printed value"))
     caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over scenes"
     if measured(PROGRESS, results.runs):
-        caption += "; runs that did not reach a share of the surface count with the frame budget"
+        caption += "; a run that did not reach a share of the surface counts with its frame budget"
         caption += f". {missing}" if (missing := unreached_levels_text(results.runs)) else ""
     if intervals:
         headings.insert(3, Heading("Verdict", numeric=False))
@@ -197,7 +197,8 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         f"Probability of improvement in {column.header}",
         [Heading("row better than column", numeric=False), *(Heading(policy) for policy in policies)],
         rows,
-        "P(X > Y) + P(X = Y) / 2 within a scene, averaged over scenes; coloured if the 95 % interval excludes 1/2",
+        "Chance that a run of the row is better than one of the column; equal runs count half. Mean over scenes; "
+        "coloured if the 95 % interval excludes 1/2",
     )
 
 

@@ -72,7 +72,7 @@ def verified_runs(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str
     for directory in directories:
         markers = completion.completion_markers(directory)
         if not markers and not (directory / completion.DONE).is_file():
-            raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
+            raise store.without_runs(directory)
         for place in [marker.parent for marker in markers] or [directory]:
             try:
                 run = store.read_run(place)

@@ -300,6 +300,11 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
     return Run(directory, scene or scene_label(job.scene), job, **found, checksums=checksums)
 
 
+def without_runs(directory: Path) -> InputError:
+    """Return the error for a directory that must be of a finished run or of a comparison."""
+    return InputError(f"'{directory}' is neither a finished run nor a comparison: {_why_not_a_run(directory)}")
+
+
 def _why_not_a_run(directory: Path) -> str:
     """Return the reason why a directory is not a finished run, for an error message."""
     if not directory.exists():

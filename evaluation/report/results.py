@@ -297,7 +297,7 @@ def gather(
                 damaged[str(directory)] = str(error)
             sources.append(Source(directory, missing=damaged))
         else:
-            raise InputError(f"'{directory}' is neither a comparison ({store.COMPARISON}) nor a finished run")
+            raise store.without_runs(directory)
         reasons += damaged.values()
         for run in found:
             runs.setdefault(run.job.hash, run)

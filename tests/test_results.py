@@ -240,14 +240,14 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     assert f"`unknown_volume` minus `hole_area` is {difference(*lead, 'observed_area')} points of exploration" in text
     assert f"PSNR differs by {difference(*lead, 'psnr')} dB" in text
     rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"
-    assert f"without them:** {difference('ladder_2000.csv', full, rung, 'psnr')} dB" in text
-    rung, full = "activestructure-d", "activestructure?discovery=pixel&revisits=true"
-    assert f"and {difference('paper.csv', full, rung, 'psnr').removeprefix('+')} dB in one room" in text
+    alone = difference("ladder_2000.csv", full, rung, "psnr").removeprefix("+")
+    assert f"visible planes cost 0.7 dB, and the phases then gain {alone} dB" in text
+    assert f"they cost PSNR:** {difference('phases_2000.csv', *planes[1:], 'psnr')} dB in four scenes" in text
     assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
     houses = difference("procthor.csv", "activestructure", "unknown_volume", "observed_area")
-    assert f"In the houses it changes by {houses}." in text
+    assert f"In the houses exploration changes by {houses} points." in text
     calm = difference("phases_rooms.csv", "activestructure", "activestructure?revisits=true", "psnr")
-    assert f"The revisits in phase III cost {calm.removeprefix('+')} dB" in text
+    assert f"as in the paper, costs {calm.removeprefix('+')} dB in six rooms" in text
     for base, file in (("hole_area", "ladder_2000.csv"), ("pixel_only", "ladder_pixels_2000.csv")):
         first = "activestructure-b" + ("?discovery=hole_area" if base == "hole_area" else "")
         assert difference(file, first, base, "psnr").startswith(("-0.7", "-0.6"))  # "visible planes cost 0.7 dB"

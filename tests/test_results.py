@@ -94,6 +94,9 @@ def test_the_native_table_is_that_of_its_runs() -> None:
             settings = POLICIES.get(policy).native_settings
             mapper = configure("full", settings.overrides()).mapper
             assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
+    first, second = script["rows"](script["PLACE"].with_name("paper_ab.csv"))
+    assert (first["policy"], second["policy"]) == ("activestructure-a", "activestructure-b")
+    assert f"B has {float(first['psnr']) - float(second['psnr']):.2f} dB less" in told
 
 
 def test_completion_by_the_papers_protocols_is_that_of_the_runs() -> None:

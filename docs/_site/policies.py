@@ -31,7 +31,6 @@ COLUMNS = {  # heading and explanation of each number in the table, by column of
 }
 FORMATS = {"observed": ".1f", "completion_ratio": ".1f", "psnr": ".2f", COST: ".2f"}
 HOME = ("unknown_volume", "activestructure", "learned", "hole_area", "gs_planner", "active_gs", "fisherrf", "random")
-SEEDS = ("0", "1", "2")  # seeds of RUNS that every policy has played
 SAME = {"activestructure-a": "pixel_only"}  # policy whose runs are byte by byte those of another policy, by name
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # size, left margin and lower margin of a chart in pixels
 _MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # metric and limits of the vertical axis in percent
@@ -149,16 +148,24 @@ def _page(name: str, curves: dict) -> str:
 def benchmark(name: str, key: str, runs: Path = RUNS) -> float | None:
     """Return the mean of the metric ``key`` of a policy in the CSV ``runs``, or its cost in decisions.csv.
 
-    A mean is over scenes of means over seeds (of RUNS: `SEEDS`), as in the tables of results. None: the policy has no
-    run there.
+    A mean is over scenes of means over the seeds that every policy in ``runs`` has played, as in the tables of results.
+    None: the policy has no run there.
     """
     if key == COST:
         return next((float(row[key]) for row in _rows(COSTS) if row["policy"] == name), None)
     by_scene = defaultdict(list)
     for run in _rows(runs):
-        if run["policy"] == SAME.get(name, name) and (runs != RUNS or run["seed"] in SEEDS):
+        if run["policy"] == SAME.get(name, name) and run["seed"] in _seeds(runs):
             by_scene[run["scene"]].append(float(run[key]))
     return fmean(map(fmean, by_scene.values())) if by_scene else None
+
+
+@cache
+def _seeds(place: Path) -> frozenset[str]:
+    by_policy = defaultdict(set)
+    for run in _rows(place):
+        by_policy[run["policy"]].add(run["seed"])
+    return frozenset.intersection(*map(frozenset, by_policy.values()))
 
 
 @cache

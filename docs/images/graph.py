@@ -19,8 +19,10 @@ PARTS = ((0.0, 0.542, 1.0, 0.945), (0.0, 0.955, 1.0, 1.0))  # left, top, right, 
 
 def main() -> None:
     """Cut the view and the legend out of the run's drawing and write them below each other."""
-    (drawing,) = Path(sys.argv[1]).glob(f"jobs/{RUN}/psg_3d.png")
-    whole = Image.open(drawing).convert("RGB")
+    drawings = [*Path(sys.argv[1]).glob(f"jobs/{RUN}/psg_3d.png")]
+    if len(drawings) != 1:
+        sys.exit(f"graph.py: {sys.argv[1]} must have one run jobs/{RUN}, and has {len(drawings)}")
+    whole = Image.open(drawings[0]).convert("RGB")
     pieces = [whole.crop(tuple(round(share * whole.size[n % 2]) for n, share in enumerate(part))) for part in PARTS]
     page = Image.new("RGB", (whole.width, sum(piece.height for piece in pieces)), "white")
     top = 0

@@ -301,8 +301,8 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
 
 
 def without_runs(directory: Path) -> InputError:
-    """Return the error for a directory that must be of a finished run or of a comparison."""
-    return InputError(f"'{directory}' is neither a finished run nor a comparison: {_why_not_a_run(directory)}")
+    """Return the error for a directory that must be of a finished run, or of a comparison with one."""
+    return InputError(f"'{directory}' has no finished run: {_why_not_a_run(directory)}")
 
 
 def _why_not_a_run(directory: Path) -> str:

@@ -124,10 +124,10 @@ def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]
 def _runs_of(directory: Path) -> list[Path]:
     """Return ``directory`` if it is of a finished run, or the directories of all finished runs of a comparison."""
     from activestructure_gym.evaluation.archive.completion import DONE, completion_markers
-    from activestructure_gym.evaluation.archive.store import COMPARISON, without_runs
+    from activestructure_gym.evaluation.archive.store import without_runs
 
     if (directory / DONE).is_file():
         return [directory]
-    if (directory / COMPARISON).is_file():
-        return [marker.parent for marker in completion_markers(directory)]
+    if markers := completion_markers(directory):
+        return [marker.parent for marker in markers]
     raise without_runs(directory)

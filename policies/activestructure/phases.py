@@ -71,7 +71,7 @@ def in_pool(
 
 
 def patience(rows: int) -> int:
-    """Return the number of successive tables with this number of rows that must be without a view in the pool."""
+    """Return how many successive tables of this number of rows end a phase if none has a view in the pool."""
     return max(PATIENCE, math.ceil(ROWS / rows))
 
 

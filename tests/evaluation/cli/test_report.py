@@ -54,7 +54,7 @@ def test_missing_runs_are_named_and_end_with_one(asked, monkeypatch, capsys):
 
 def test_wrong_input_is_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path / "nothing")]) == 2
-    assert "neither a finished run nor a comparison: it does not exist" in capsys.readouterr().err
+    assert "has no finished run: it does not exist" in capsys.readouterr().err
     file = tmp_path / "file"
     file.touch()
     assert main(["report", str(tmp_path), "--out", str(file)]) == 2

@@ -147,7 +147,10 @@ def test_the_command_writes_a_page_and_says_what_it_takes(
     assert main(["replay", one, other, one]) == 2
     assert "shows one run or two, got 3" in capsys.readouterr().err
     assert main(["replay", str(tmp_path)]) == 2
-    assert "neither a finished run nor a comparison" in capsys.readouterr().err
+    assert "has no finished run: it has no .done file" in capsys.readouterr().err
+    (tmp_path / "compare.json").touch()
+    assert main(["replay", str(tmp_path)]) == 2
+    assert "has no finished run: it is a comparison, none of whose runs has ended" in capsys.readouterr().err
     assert main(["replay", one, "--out", "nowhere/replay.html"]) == 2
 
 

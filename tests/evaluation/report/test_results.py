@@ -161,7 +161,7 @@ def test_a_run_that_stands_in_two_places_counts_once(make_run, tmp_path, monkeyp
     monkeypatch.setattr(store, "read_shown", lambda run: None)
     found = gather([tmp_path / "p", tmp_path / "q", tmp_path / "p"])
     assert [run.scene for run in found.runs] == ["x/a", "y/a"]  # told apart again
-    with pytest.raises(InputError, match="neither a finished run nor a comparison: it has no"):
+    with pytest.raises(InputError, match="has no finished run: it has no .done file"):
         gather([tmp_path])
 
 

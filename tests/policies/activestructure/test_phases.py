@@ -232,7 +232,7 @@ def seen_when_the_scaffold_ends(truth: GroundTruth, seed: int) -> float:
     """Return the share of the surface that is observed when phase I ends, from the start pose of ``seed``."""
     policy = make_policy("activestructure")
     features = policy.required_features
-    # Between lattice positions 0.5 m apart no view into a narrow passage may be offered, and the phase ends before it.
+    # With 0.5 m between lattice positions, none may be in a narrow passage, and the phase ends before it.
     env = ReconstructionEnv(
         scene=truth,
         preset="fast",

@@ -10,7 +10,6 @@ from activestructure_gym.features.voronoi_node import places, voronoi_node
 from activestructure_gym.sensors import Frame
 
 _MOVED = 0.05  # metres in the floor plane; a keyframe farther from its predecessor has moved (half a step of the agent)
-_CLEAR = 1e-3  # metres, required clearance of a straight path; any positive value requires free voxels only
 
 
 @FEATURES.register("in_horizon", unit="0 or 1", low=0.0, high=1.0)
@@ -34,7 +33,7 @@ def in_sight_within(context: FeatureContext, points: np.ndarray) -> np.ndarray: 
     ends, box = places(context), points[:, :2]
     here = context.mapper.keyframes[-1].world_from_camera[:3, 3]
     inside = ((ends[:, :2] >= box.min(axis=0)) & (ends[:, :2] <= box.max(axis=0))).all(axis=1)
-    free = context.volume.segments_free(here, ends, min_clearance=_CLEAR)
+    free = context.volume.straight_lines_free(here, ends)
     at_node = context.once(voronoi_node) >= 0
     return (free & inside if (free & inside & at_node).any() else free).astype(np.float64)
 

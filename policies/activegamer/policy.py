@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 
+from activestructure_gym.policies.activestructure.phases import patience
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
@@ -25,8 +26,7 @@ SOURCES = (
 )
 END = "finish"  # source of the row that ends the episode, offered with the last stage
 
-# Limits that the original does not have: a stage ends early, and a view is not chosen again and again.
-PATIENCE = 3  # successive decisions without a view above POOL_SHARE that end a stage; tables are random parts of a pool
+# Limits that the original does not have: a view is not chosen again and again, and a stage without progress ends.
 MAX_VISITS = 2  # maximum number of choices of one view in one stage
 STAGNATION = 30  # a stage ends if the pool's largest share of uncovered pixels has not decreased for so many decisions
 
@@ -115,7 +115,7 @@ class ActiveGAMER(Planner):
             self._start = observation["pose"][:3].astype(np.float64)
         gain = candidates["uncovered"].astype(np.float64)
         keys, pool = self._pool(candidates)
-        ended = self._ended(gain[pool]) if STAGES[self._stage] != STAGES[-1] else None
+        ended = self._ended(gain[pool], patience(len(valid))) if STAGES[self._stage] != STAGES[-1] else None
         if ended:
             self._stage += 1
             self._begin_stage()
@@ -127,7 +127,7 @@ class ActiveGAMER(Planner):
             nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
             return best_valid(revisits * nearness, observation)
         # The original ends a stage as soon as no view exceeds POOL_SHARE. This pool is a random part of a larger one,
-        # so the stage goes on for PATIENCE decisions.
+        # so the stage goes on for several decisions (`patience`).
         rich = pool & (gain >= POOL_SHARE)
         scored = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
         scores = np.where(scored, self._scores(observation, gain, scored), -np.inf)
@@ -204,12 +204,15 @@ class ActiveGAMER(Planner):
         kept = [key not in self._pruned and self._visits[key] < MAX_VISITS for key in keys]
         return keys, pool & np.array(kept, dtype=bool)
 
-    def _ended(self, gain: np.ndarray) -> str | None:  # [n] of the pool
-        """Return the reason for ending the stage, or None; ``gain`` is the share of uncovered pixels of pool views."""
+    def _ended(self, gain: np.ndarray, needed: int) -> str | None:  # [n] of the pool
+        """Return the reason for ending the stage, or None; ``gain`` is the share of uncovered pixels of pool views.
+
+        ``needed`` successive decisions without a view above POOL_SHARE end it.
+        """
         best = float(gain.max(initial=0.0))
         self._poor = 0 if best >= POOL_SHARE else self._poor + 1
         self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
         self._lowest = min(self._lowest, best)
-        if self._poor >= PATIENCE:
-            return f"the pool was empty for {PATIENCE} decisions"
+        if self._poor >= needed:
+            return f"the pool was empty for {needed} decisions"
         return f"no progress in {STAGNATION} decisions" if self._stagnant >= STAGNATION else None

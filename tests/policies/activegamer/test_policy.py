@@ -11,7 +11,6 @@ from activestructure_gym.policies.activegamer.policy import (
     END,
     GOOD_PSNR,
     MAX_VISITS,
-    PATIENCE,
     POOL_SHARE,
     SOURCES,
     STAGNATION,
@@ -19,10 +18,13 @@ from activestructure_gym.policies.activegamer.policy import (
     coarse_views,
     travel_factor,
 )
+from activestructure_gym.policies.activestructure.phases import patience
 from activestructure_gym.policies.scored import recorded_scores
 from tests.policies.binding import bound
 
 FORWARD = (1.0, 0.0, 0.0)
+ROWS = 256  # of a whole table, the rest of it masked; fewer rows need more decisions to end a stage
+PATIENCE = patience(ROWS)
 
 
 def observation(
@@ -47,6 +49,13 @@ def observation(
         "pose": np.array([*here, 1, 0, 0, 0], np.float32),
         "fidelity": np.array([fidelity, 30.0], np.float32),
     }
+
+
+def whole(table: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the observation with masked rows up to ROWS."""
+    more = ROWS - len(table["action_mask"])
+    rows = ("candidates", "candidate_features", "action_mask")
+    return table | {name: np.pad(table[name], ((0, more), (0, 0))[: table[name].ndim]) for name in rows}
 
 
 def policy(travel: str = "native", stage: int = 1) -> ActiveGAMER:
@@ -137,7 +146,7 @@ def test_a_poor_pool_gives_way_to_what_else_is_on_offer() -> None:
 
 def test_stages_change_when_the_pool_is_empty_and_refinement_takes_the_worst_keyframe() -> None:
     made = policy(stage=0)
-    barren = observation([0.0, 0.001, 0.9, 0.9], cells(4), revisit=(2, 3), frames=[1.0, 1.0, 9.0, 1.0])
+    barren = whole(observation([0.0, 0.001, 0.9, 0.9], cells(4), revisit=(2, 3), frames=[1.0, 1.0, 9.0, 1.0]))
     stages = []
     for _ in range(2 * PATIENCE):
         choice = made.act(barren)
@@ -152,11 +161,19 @@ def test_stages_change_when_the_pool_is_empty_and_refinement_takes_the_worst_key
     assert made.act(observation([0.0, 0.3], cells(2))) == 1  # nothing to revisit on offer
 
 
+def test_a_small_table_shows_less_of_the_pool_and_needs_more_decisions() -> None:
+    made, stages = policy(stage=0), []
+    for _ in range(patience(64) + 1):
+        made.act(observation([0.0] * 64, cells(64)))
+        stages.append(made.trace()["stage"])
+    assert stages == ["coarse"] * 11 + ["fine"] * 2
+
+
 def test_one_view_worth_going_to_keeps_the_stage() -> None:
     made = policy(stage=0)
     for decision in range(3 * PATIENCE):
         shown = 0.5 if decision % PATIENCE == 0 else 0.0
-        made.act(observation([shown, 0.0], [(10.0 + decision, 0, 0), (0, 0, 0)]))
+        made.act(whole(observation([shown, 0.0], [(10.0 + decision, 0, 0), (0, 0, 0)])))
         assert made.trace()["stage"] == "coarse"
 
 

@@ -12,7 +12,7 @@ from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.ground_truth.free_space import compute_free_space
 from activestructure_gym.ground_truth.regions import Regions
-from activestructure_gym.scenes.loaders.mesh_loader import ceiling_height
+from activestructure_gym.scenes.loaders.units import ceiling_height
 
 
 def outward(low, high):

@@ -24,7 +24,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.viewer import LiveView, live
+from activestructure_gym.viewer import LiveView, server
 from tests.browser import BROWSER, open_page
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 80, "mapper.iterations": 1}
@@ -217,7 +217,7 @@ def test_who_has_no_key_is_told_no_version_and_holds_few_threads(view: LiveView)
     answer = http.client.HTTPConnection(place.netloc, timeout=10)
     answer.request("GET", "/")
     assert answer.getresponse().getheader("Server") == "asg"
-    most, half = live._MAX_STRANGERS, []
+    most, half = server._MAX_STRANGERS, []
     for _ in range(2 * most):
         half.append(socket.create_connection(view._server.server_address[:2], timeout=10))  # type: ignore[arg-type]
         half[-1].sendall(b"GET / HTTP/1.1\r\n")
@@ -264,7 +264,7 @@ def test_at_the_port_that_browsers_leave_away_it_is_known_without_one(monkeypatc
         def serve_forever(self, poll_interval: float) -> None:
             pass
 
-    monkeypatch.setattr("activestructure_gym.viewer.live._Server", Server)
+    monkeypatch.setattr("activestructure_gym.viewer.live.Server", Server)
     assert LiveView("box", port=80).hosts == {"127.0.0.1", "127.0.0.1:80", "localhost", "localhost:80"}
     Server.server_address = ("127.0.0.1", 8080)
     assert LiveView("box", port=8080).hosts == {"127.0.0.1:8080", "localhost:8080"}

@@ -19,14 +19,15 @@ import numpy as np
 from activestructure_gym.errors import InputError, InputWarning, short_repr, unknown_name
 from activestructure_gym.scenes.loaders.damage import in_words
 from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS
-from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
+from activestructure_gym.scenes.loaders.units import metres_per_unit, scale_note, units_hint
+from activestructure_gym.scenes.loaders.upright import UP_AXES, DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes.loaders.mesh_parts import MeshPart, TextureStore
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
-METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
 
 # For each up axis: the axes of the file that become world x, y and z, and their signs. All are rotations, not
 # mirrorings.
@@ -41,7 +42,6 @@ _WORLD_FROM_FILE = {
 
 _MAX_OVERLAP = 300  # maximum mean number of triangle boxes that a line through the scene meets; scans have 4 to 20
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, longest side of a room or building
-_USUAL_HEIGHT = 2.6  # metres, height of a room
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; larger steps distort walls and depth
 _FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted to float64 at a time: 50 MB instead of gigabytes
 
@@ -87,7 +87,7 @@ def load_mesh_scene(
     if up not in (None, "auto", *UP_AXES):
         raise unknown_name("up axis", str(up), ("auto", *UP_AXES))
     parts, declared_scale, declared_up = _read(path, textures)
-    scale = declared_scale if units is None else _metres_per_unit(units)
+    scale = declared_scale if units is None else metres_per_unit(units)
     _check_parts(path, parts)
     told = len(textures.notes)
     solid = solid_parts(parts, textures, scale)
@@ -277,18 +277,6 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
         raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {in_words(error)}") from error
 
 
-def _metres_per_unit(units: str | float) -> float:
-    if isinstance(units, str) and units in METRES_PER_UNIT:
-        return METRES_PER_UNIT[units]
-    try:
-        scale = float(units)
-    except ValueError:
-        raise unknown_name("unit", str(units), METRES_PER_UNIT) from None
-    if not 1e-9 <= scale <= 1e9:
-        raise InputError(f"units as a number must be metres per file unit above 0, from 1e-9 to 1e9, got {units}")
-    return scale
-
-
 def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
     if not sum(len(part.faces) for part in parts):
         raise InputError(f"'{path}' holds no triangles; give a mesh with a surface, not points or lines")
@@ -353,7 +341,7 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
     if _PLAUSIBLE_EXTENT[0] <= longest <= _PLAUSIBLE_EXTENT[1]:
         return
     # A room or apartment is 2 to 60 m long; units that give such a length are suggested.
-    hint = _units_hint(extent / scale, longest / scale, 2.0, 60.0)
+    hint = units_hint(extent / scale, longest / scale, 2.0, 60.0)
     size = " x ".join(f"{side:.4g}" for side in extent)
     raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
 
@@ -376,60 +364,3 @@ def _check_overlap(path: Path, mesh: SceneMesh) -> None:
 def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the surface
     x, y, z = sides[..., 0], sides[..., 1], sides[..., 2]
     return x * y + y * z + x * z
-
-
-def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> str:
-    """Return a text that suggests the units in which a length is between ``low`` and ``high`` metres.
-
-    The most plausible unit comes first. The extent [3] and the length are in file units. A unit is plausible if the
-    shortest side, which is usually the height of a room, is near 2.6 m.
-    """
-    fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= length * metres <= high]
-    if not fitting:
-        return "pass units= as metres per file unit"
-    height = extent.min() if (extent > 0).all() else length
-    fitting.sort(key=lambda unit: abs(np.log(height * METRES_PER_UNIT[unit] / _USUAL_HEIGHT)))
-    sizes = [" x ".join(f"{side * METRES_PER_UNIT[unit]:.1f}" for side in extent) for unit in fitting]
-    return "try " + " or ".join(f"units={unit} ({size} m)" for unit, size in zip(fitting, sizes))
-
-
-def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
-    """Return a note on a scene's size and ceiling height, and whether the ceiling height is plausible.
-
-    ``scale`` is metres per file unit; the note suggests other units if the height is unusual.
-    """
-    low, high = scene.bounds
-    size = " x ".join(f"{side:.2f}" for side in high - low)
-    height = ceiling_height(scene)
-    if height is None:
-        return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)", False
-    if CEILING_HEIGHTS[0] <= height <= CEILING_HEIGHTS[1]:
-        return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible", True
-    hint = _units_hint((high - low) / scale, height / scale, 2.2, 4.0)
-    return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}", False
-
-
-def ceiling_height(scene: Scene) -> float | None:
-    """Return the height in metres between floor and ceiling, or None without a ceiling.
-
-    The scene has no ceiling if fewer than a tenth of the tested vertical lines meet a floor and a ceiling. It also has
-    none if fewer than half of the lines between walls and above a floor do. The second test excludes the tops of
-    furniture in rooms without ceiling.
-    """
-    low, high = scene.bounds
-    grid = (np.arange(24) + 0.5) / 24
-    x, y, z = np.meshgrid(grid, grid, (0.25, 0.5, 0.75), indexing="ij")
-    starts = low + np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) * (high - low)
-
-    def length(*way: float) -> np.ndarray:
-        return scene.raycaster.cast(starts, np.tile(way, (len(starts), 1))).distance
-
-    up, down = length(0.0, 0.0, 1.0), length(0.0, 0.0, -1.0)
-    total = (up + down)[np.isfinite(up + down)]
-    angles = np.arange(8) * np.pi / 4
-    walls = sum(np.isfinite(length(np.cos(angle), np.sin(angle), 0.0)).astype(int) for angle in angles)
-    indoors = np.isfinite(down) & (walls >= 6)
-    if len(total) <= 0.1 * len(starts) or np.isfinite(up[indoors]).sum() < 0.5 * indoors.sum():
-        return None
-    # Furniture shortens lines and nothing lengthens them, so the height of the room is among the longest lines.
-    return float(np.percentile(total, 75))

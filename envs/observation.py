@@ -99,8 +99,8 @@ def feature_names(source: Any) -> tuple[str, ...]:
         return table.names
     if isinstance(table, spaces.Space):
         raise InputError(
-            "this observation space does not name the columns of candidate_features, which a wrapper can cause; "
-            "give the names instead, as in info['features']"
+            "this observation space has no names for the columns of candidate_features, perhaps because of a wrapper; "
+            "give the list of names, info['features']"
         )
     raise InputError(
         "the names of the feature columns come from an env, from its observation space or from a list of names as in "

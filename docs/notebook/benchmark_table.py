@@ -59,7 +59,7 @@ OF_PAIRS = {
 README_ROWS = {  # rows of README's table: policy and its description
     f"{REFERENCE}oracle": "one-step choice with ground truth",
     "unknown_volume": "ours",
-    "activestructure": "the paper's full model on `unknown_volume`",
+    "activestructure": "the paper's planes and phases on `unknown_volume`",
     "learned": "ours, trained on procedural apartments",
     "hole_area": "ours",
     "gs_planner": "published",

@@ -56,15 +56,15 @@ class GridOptions:
     )
     mappers: NoNames = ()
     (
-        "Map each trajectory among --policies (trajectory:FILE, trajectory:sweep, trajectory:passive) with each of "
-        "these mappers: default, splatam, monogs, gaussian_slam, co_slam."
+        "Map recorded trajectories with each of these mappers: default, splatam, monogs, gaussian_slam, co_slam. A "
+        "recorded trajectory is one of the --policies: trajectory:FILE, trajectory:sweep or trajectory:passive."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
     """Use these whole numbers as seeds; equal seeds start at the same pose, so that policies are compared in pairs."""
     references: NoNames = ()
     (
-        "Add references with ground truth: oracle takes the view with the most new surface; oracle-quality does so in "
-        "the first half, then takes the view that raises image quality most."
+        "Add references with ground truth: oracle takes the path with the most new surface per frame; oracle-quality "
+        "does so in the first half, then takes the path that raises PSNR most per frame."
     )
     sweep: Annotated[tuple[str, ...], option("FIELD=A,B [FIELD=A,B ...]", "")] = ()
     (
@@ -83,8 +83,8 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
 
     setup: Annotated[Setup | None, option("{shared,native}", "(default: shared)")] = None
     (
-        "Give all policies equal candidates, keyframes and mapper (shared), or each policy its own (native, with "
-        "preset full)."
+        "Give all policies the same candidates, keyframe schedule and mapper (shared), or each policy its own with "
+        "preset full (native)."
     )
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
     (

@@ -42,9 +42,9 @@ class ConditionOptions:
     view_source: Annotated[ViewSource | None, option("{free_space,recorded}", "(default: free_space)")] = None
     """Draw held-out views in the scene's free space, or take those recorded with the scene."""
     samples: Annotated[int | None, option("N", "(default: 200000)")] = None
-    """Measure geometry on this number of points of the true surface, observed or not."""
+    """Sample this number of points on the whole mesh; those visible from free space are the true surface."""
     protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
-    """Measure finished maps by standard, and by these protocols: activegamer, activesplat, naruto, offline."""
+    """Measure finished maps by these protocols: activegamer, activesplat, naruto, offline; always by standard."""
     metrics: Annotated[Words, option("NAME [NAME ...]", "")] = None
     """Measure finished maps by these metrics as well: registered names or package.module:Name."""
     lpips_weights: PathName = None

@@ -30,7 +30,7 @@ _COLOURED_BY = "hole_area"  # policy whose feature colours the candidates if the
 
 @dataclass(frozen=True)
 class Watch:
-    """Play an episode in a browser while it runs.
+    """Show a running episode in a browser.
 
     The page shows the growing map, planes, candidates and the camera. You can pause, step, go back in time, and click a
     candidate to send the agent there. Without --host only this machine can open the page. Ctrl+C ends it.

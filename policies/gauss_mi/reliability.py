@@ -54,7 +54,9 @@ class DirectionalReliability:
         ``keyframes`` are all keyframes, those of the last call first.
         """
         if len(keyframes) < self._known:
-            raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
+            raise ValueError(
+                f"expected all keyframes, at least the {self._known} of the last call, got {len(keyframes)}"
+            )
         log_odds = self._log_odds.follow()
         for frame in keyframes[self._known :]:
             self._vote(frame, log_odds)

@@ -63,13 +63,13 @@ class CandidateExtractor(BaseFeaturesExtractor):
             config = NetworkConfig(features=names)
         else:
             raise InputError(
-                "this observation space does not name the columns of candidate_features: name them "
+                "this observation space has no names for the columns of candidate_features: give them "
                 'with policy_kwargs={"network": NetworkConfig(features=...).as_dict()}'
             )
         if len(config.features) != features or names not in (None, config.features):
             offered = f"{features} features" if names is None else ", ".join(names) or "none"
             raise InputError(
-                f"the network was made for the features {', '.join(config.features)}, the env offers {offered}: "
+                f"the network needs the features ({', '.join(config.features)}), but the env offers ({offered}): "
                 f"make the env with features={config.features}"
             )
         self.network = CandidateNetwork(config)

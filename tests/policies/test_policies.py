@@ -141,7 +141,7 @@ def test_features_are_found_by_name_whatever_their_order_and_whoever_tells_it(
         ("pixel", "the names of the feature columns come from an env, from its observation space or from a list"),
         (None, "the names of the feature columns come from an env"),
         (("pixel", 3), "the names of the feature columns come from an env"),
-        (Dull(said=False), "this observation space does not name the columns"),
+        (Dull(said=False), "this observation space has no names for the columns"),
         (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "the names of the feature columns come from an env"),
     ],
 )

@@ -27,7 +27,7 @@ def text_of(path: Path) -> str:
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' is not text; a trajectory of numbers is expected") from error
+        raise InputError(f"'{path}' is not text; expected lines of numbers") from error
 
 
 def lines_of(path: Path, *, most: int | None = None) -> list[tuple[int, list[str]]]:
@@ -53,7 +53,7 @@ def numbers_of(path: Path) -> np.ndarray:  # [T, width]
     try:
         rows = np.array([words for _, words in lines], dtype=np.float64)
     except ValueError as error:
-        raise InputError(f"'{path}' is not a trajectory of numbers: {' '.join(str(error).split())[:200]}") from error
+        raise InputError(f"'{path}' has a value that is not a number: {' '.join(str(error).split())[:200]}") from error
     return rows
 
 
@@ -70,7 +70,7 @@ def redwood_poses(path: Path) -> np.ndarray:  # [T, 4, 4]
     try:
         return np.array([words for n, words in enumerate(lines) if n % 5], dtype=np.float64).reshape(-1, 4, 4)
     except ValueError as error:
-        raise InputError(f"'{path}' is not a trajectory of numbers: {' '.join(str(error).split())[:200]}") from error
+        raise InputError(f"'{path}' has a value that is not a number: {' '.join(str(error).split())[:200]}") from error
 
 
 def tum_poses(

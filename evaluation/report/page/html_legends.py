@@ -24,5 +24,5 @@ TYPE_LEGEND = (
 )  # fmt: skip
 DEFICIT_LEGEND = (
     *((label, "box", _css(colour)) for label, colour in zip(style.DEFICIT_LABELS, style.DEFICIT_COLOURS)),
-    ("deficiency centre, by area", "ring", _css(style.PAPER)),
+    ("deficiency centre, size by area", "ring", _css(style.PAPER)),
 )

@@ -16,7 +16,7 @@ _SMOOTH = 3  # supersampling factor: images are drawn this many times larger and
 # Colours of pixels without a mapped surface, by their label in the legend.
 FILLS = {
     "not observed": style.UNKNOWN,
-    "free, no surface mapped below": style.FREE,
+    "observed free, without mapped surface": style.FREE,
     "occupied, not mapped": style.OCCUPIED,
 }
 _LEVEL, _FLOOR_M2 = 0.8, 0.5  # a plane is a floor from this z of its unit normal and this observed area (m^2) on

@@ -100,7 +100,11 @@ def deficit_legend(*, depth: bool = False) -> list[tuple[str, Painter]]:
     def dot(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         _disc(draw, x, y, 2, style.FAINT_INK, 0)
 
-    return [*classes, ("deficiency centre, by area", hole), *([("occluded deficiency centre", dot)] if depth else [])]
+    return [
+        *classes,
+        ("deficiency centre, size by area", hole),
+        *([("occluded deficiency centre", dot)] if depth else []),
+    ]
 
 
 def with_legend(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:

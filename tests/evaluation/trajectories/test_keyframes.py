@@ -35,7 +35,7 @@ def test_a_file_lists_indices_or_time_stamps(text: str, poses: list[int], tmp_pa
         ("0\n1\n4\n", STAMPS, "keyframe 0.000 of .* is neither an index from 0 to 3 nor within 0.02 s"),
         ("10.2\n", STAMPS, r"keyframe 10.200 of .* time stamp \(10.000 to 11.500 s\)"),
         ("nan\n", STAMPS, "not a finite number"),
-        ("first\n", STAMPS, "is not a trajectory of numbers"),
+        ("first\n", STAMPS, "has a value that is not a number"),
         ("", STAMPS, "holds no pose"),
     ],
 )

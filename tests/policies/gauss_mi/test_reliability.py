@@ -74,5 +74,5 @@ def test_every_keyframe_votes_once_and_gaussians_keep_their_votes():
     left = mapper.map.ids[: mapper.map.count - 5]
     assert np.array_equal(after[:-5], first[np.searchsorted(names, left)])
     assert (after[-5:] == 0.0).all()
-    with pytest.raises(ValueError, match="1 keyframes"):
+    with pytest.raises(ValueError, match="at least the 1 of the last call, got 0"):
         reliability.update([])

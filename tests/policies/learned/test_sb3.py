@@ -185,7 +185,8 @@ def test_a_mask_that_a_wrapper_has_scaled_is_refused() -> None:
 def test_a_network_for_other_features_is_refused_even_if_there_are_as_many(features: tuple[str, ...]) -> None:
     described = {"network": NetworkConfig(features=features).as_dict()}
     with pytest.raises(
-        InputError, match=f"made for the features {', '.join(features)}, the env offers pixel, hole_area: make"
+        InputError,
+        match=rf"needs the features \({', '.join(features)}\), but the env offers \(pixel, hole_area\): make",
     ):
         PPO(CandidatePolicy, RandomCandidates(), policy_kwargs=described)
 
@@ -193,11 +194,11 @@ def test_a_network_for_other_features_is_refused_even_if_there_are_as_many(featu
 def test_columns_without_names_are_no_gains() -> None:
     env = RandomCandidates()
     env.observation_space["candidate_features"] = gym.spaces.Box(-1e4, 1e7, (16, 2), np.float32)
-    with pytest.raises(InputError, match="does not name the columns of candidate_features"):
+    with pytest.raises(InputError, match="has no names for the columns of candidate_features"):
         PPO(CandidatePolicy, env)
     described = PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(features=FEATURES).as_dict()})
     assert described.policy.network.config.features == FEATURES
-    with pytest.raises(InputError, match="the env offers 2 features"):
+    with pytest.raises(InputError, match=r"the env offers \(2 features\)"):
         PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(features=("a", "b", "c")).as_dict()})
 
 

@@ -208,7 +208,7 @@ def test_pictures_say_what_there_is_to_see(path, small):
     for page in (path, small):
         text = page.read_text(encoding="utf-8")
         assert text.count("Black: the map has no Gaussian there") >= 2 and "Camera height: " in text
-        for sign in (*FILLS, "start", "end", "spanning tree", "deficiency centre, by area"):
+        for sign in (*FILLS, "start", "end", "spanning tree", "deficiency centre, size by area"):
             assert f"</i>{sign}</li>" in text
         assert "so all paths begin at the same pose" in text
         assert "Higher and further left is better" in text and "Darker planes have a larger deficit" in text

@@ -22,7 +22,7 @@ class Nodes:
     information: np.ndarray  # [N] rad^2 m deg^2: missing information I
     volume: np.ndarray  # [N] rad^2 m: missing volume V
     unarrived: np.ndarray  # [N] bool: more than 0.65 m from the path travelled
-    horizon: np.ndarray  # [N] bool: in the region that the newest keyframe observed, see `in_horizon`
+    horizon: np.ndarray  # [N] bool: in the region that the last keyframe after a movement observed, see `in_horizon`
     failed: np.ndarray  # [N] bool: an earlier attempt did not reach it
     region: np.ndarray  # [N] number of the subregion
     length: np.ndarray  # [N] path length in metres

@@ -39,7 +39,7 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s_horizon", unit="0 or 1", low=0.0, high=1.0)
 def anm_s_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
-    """Return 1 where the straight path to the view's node is free and ends inside the horizon of the last movement, else 0.
+    """Return 1 where the straight path to the view's node is free and ends inside the last movement's horizon, else 0.
 
     The horizon is the bounding box of `ahead` in the floor plane. If no node with a free path is inside it, all nodes
     with a free path count. Source: [anm_s, code].

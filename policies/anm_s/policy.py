@@ -36,7 +36,8 @@ class AnmS(Planner):
     Nodes are those of the floor plan's Voronoi graph:
 
     - Unarrived: farther than 0.975 m from the path travelled.
-    - In horizon: on a straight free path, and in the bounding box of the surface ahead of the last movement (`anm_s_horizon`).
+    - In horizon: on a straight free path, and in the bounding box of the surface ahead of the last movement
+      (`anm_s_horizon`).
     - Has cluster: nearest node to a connected part of the most uncertain 20 % of the surface (at least 0.5 % of it),
       below the agent's head.
     - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.

@@ -163,7 +163,7 @@ class Explorer:
         rgb
             [H, W, 3] uint8, or floating-point numbers in 0..1.
         depth
-            [H, W] metres along the optical axis; 0, NaN or infinite where nothing was measured.
+            [H, W] metres along the optical axis. 0 or NaN: not measured. Infinite: no surface.
         pose
             ``world_from_camera`` [4, 4] where the picture was really taken. If this is farther from the goal than one
             frame's step or turn, the path ends there and another view is chosen.

@@ -14,9 +14,12 @@ class Frame:
     """Hold a colour image, its depth image and the pose that the sensor reports, which may contain noise."""
 
     rgb: np.ndarray  # [H, W, 3] uint8
-    depth: np.ndarray  # [H, W] float32 metres along the optical axis, 0 = no return
+    depth: np.ndarray  # [H, W] float32 metres along the optical axis, 0 = no return or no measurement
     world_from_camera: np.ndarray  # [4, 4] float64 reported pose
     camera: PinholeCamera  # intrinsics of both images
+    # [H, W] bool: pixels that were not measured; their depth of 0 proves nothing. None: depth 0 means that there is no
+    # surface within the sensor's range.
+    unmeasured: np.ndarray | None = None
 
     def world_points(self) -> np.ndarray:  # [M, 3] float64
         """Return the world points in metres of all pixels with depth above 0, in row-major order of the pixels."""

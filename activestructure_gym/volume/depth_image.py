@@ -20,20 +20,22 @@ def fill_gaps(
     sensor_range: float | None,  # metres up to which the sensor returns every surface; None = unknown
     *,
     dropouts: bool,  # whether the sensor also loses single returns within that range
+    unmeasured: np.ndarray | None = None,  # [H, W] bool, as in `Frame`
 ) -> np.ndarray:  # [H, W] metres; 0 = unknown
     """Return the distance up to which the ray of each pixel is free.
 
-    Without dropouts, a pixel without return is free up to ``sensor_range``. With dropouts this holds only inside blocks
-    of 5 x 5 pixels without return; other lost pixels get the smallest depth of their neighbours.
+    Without dropouts, a measured pixel without return is free up to ``sensor_range``. With dropouts this holds only
+    inside blocks of 5 x 5 pixels without return; other lost pixels get the smallest depth of their neighbours.
     """
     gaps = depth <= 0
     if not gaps.any():
         return depth
+    measured = gaps if unmeasured is None else gaps & ~unmeasured
     if not dropouts:
-        return depth if sensor_range is None else np.where(gaps, np.float32(sensor_range), depth)
+        return depth if sensor_range is None else np.where(measured, np.float32(sensor_range), depth)
     known = depth
     if sensor_range is not None:
-        known = np.where(solid_gaps(depth), np.float32(sensor_range), depth)
+        known = np.where(solid_gaps(depth) & measured, np.float32(sensor_range), depth)
     height, width = depth.shape
     padded = np.pad(np.where(known > 0, known, np.float32(np.inf)), 1, constant_values=np.inf)
     around = np.stack([padded[r : r + height, c : c + width] for r in range(3) for c in range(3)])

@@ -12,7 +12,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, rotation_a
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.config import VolumeConfig, grid_shape
-from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
+from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid, solid_gaps
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 from activestructure_gym.volume.no_return import mark_crossed
 from activestructure_gym.volume.occupancy import occupancy
@@ -67,9 +67,9 @@ class VoxelVolume:
         """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image size).
 
         A pixel without return proves nothing, unless ``sensor_range`` is given. Then its ray is free up to that range,
-        which an agent needs in halls longer than the range. With ``dropouts`` this holds only for blocks of 5 x 5 such
-        pixels. Other lost pixels get the smallest depth of their neighbours, and thin structures need views from half
-        the distance.
+        which an agent needs in halls longer than the range. Pixels in `Frame.unmeasured` never prove anything. With
+        ``dropouts`` only blocks of 5 x 5 pixels without return are free. Other lost pixels get the smallest depth of
+        their neighbours, and thin structures need views from half the distance.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
@@ -92,8 +92,8 @@ class VoxelVolume:
         integration.mark_hits(
             depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
         )
-        free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
-        if sensor_range is not None and (empty := (depth <= 0) & (free_to >= np.float32(sensor_range))).any():
+        free_to = fill_gaps(depth, sensor_range, dropouts=dropouts, unmeasured=frame.unmeasured)
+        if sensor_range is not None and (empty := self._without_return(frame, depth, free_to, sensor_range)).any():
             # The last voxel of a ray is left out: it can contain an unseen surface just beyond the sensor's range.
             reach = min(max(0.0, float(sensor_range) - 3.0**0.5 * self.voxel_size), config.max_range)
             # Large images have more rays than needed: half a voxel between rays is enough.
@@ -117,6 +117,14 @@ class VoxelVolume:
         )  # fmt: skip
         self._images += 1
         self._changed()
+
+    def _without_return(self, frame: Frame, depth: np.ndarray, free_to: np.ndarray, sensor_range: float) -> np.ndarray:
+        """Return the pixels [H, W] whose rays show no surface, such as windows and dark objects.
+
+        Of pixels that were not measured, only blocks of 5 x 5 count.
+        """
+        empty = (depth <= 0) & (free_to >= np.float32(sensor_range))
+        return empty if frame.unmeasured is None else empty | (solid_gaps(depth) & frame.unmeasured)
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
         """Mark the voxels inside a sphere as free, because the agent's body occupies it.

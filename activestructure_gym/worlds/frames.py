@@ -1,4 +1,4 @@
-"""Bring the images of a world to the form that mapping needs: one size, depth in metres, 0 for no return."""
+"""Bring the images of a world to the form that mapping needs: one size, metres, and which pixels were measured."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def frame_from(
 ) -> Frame:
     """Return a frame of ``camera``; raise `InputError` for arrays that are no colour image, depth image or pose.
 
-    - Depth that is not finite, below 0 or beyond ``max_range`` becomes 0.
+    - Depth beyond ``max_range`` or infinite becomes 0: no surface is within the range.
+    - Depth of 0, below 0 or NaN becomes 0 and is marked in `Frame.unmeasured`: it proves nothing.
     - Images of another size are resized to the camera's: colour by area, depth by the nearest pixel. Their aspect ratio
       must be the camera's.
     """
@@ -48,15 +49,16 @@ def frame_from(
             f"depth is in metres as floating-point numbers, got {metres.dtype}; divide millimetres by 1000.0"
         )
     metres = metres.astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        metres = np.where((metres > 0.0) & (metres <= np.float32(max_range)), metres, np.float32(0.0))
-
     size = (camera.width, camera.height)
+    metres = _resized("depth", metres, size, cv2.INTER_NEAREST)
+    with np.errstate(invalid="ignore"):
+        unmeasured, within = ~(metres > 0.0), metres <= np.float32(max_range)
     return Frame(
         rgb=np.ascontiguousarray(_resized("colour", colour, size, cv2.INTER_AREA)),
-        depth=np.ascontiguousarray(_resized("depth", metres, size, cv2.INTER_NEAREST)),
+        depth=np.ascontiguousarray(np.where(unmeasured | ~within, np.float32(0.0), metres)),
         world_from_camera=checked_pose("the pose of a frame", world_from_camera),
         camera=camera,
+        unmeasured=unmeasured if unmeasured.any() else None,
     )
 
 

@@ -235,7 +235,7 @@ class _Drawing:
             self._leave()
         # Stored depth is 1 at the near and 0 at the far plane; OpenGL's rows begin at the bottom.
         depth = _NEAR * far / (_NEAR + stored[::-1].astype(np.float64) * (far - _NEAR))
-        return rgb[::-1], np.where(stored[::-1] > 0.0, depth, 0.0).astype(np.float32)
+        return rgb[::-1], np.where(stored[::-1] > 0.0, depth, np.inf).astype(np.float32)
 
 
 def _package() -> Any:

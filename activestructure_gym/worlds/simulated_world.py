@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
@@ -85,7 +87,8 @@ class SimulatedRobot:
     def capture(self, world_from_camera: np.ndarray) -> Frame:
         """Go to a pose [4, 4] and return the frame taken there."""
         self._pose = self.reached(np.array(world_from_camera, dtype=np.float64))
-        return self._sensor.capture(self._pose)
+        frame = self._sensor.capture(self._pose)
+        return replace(frame, depth=np.where(frame.depth > 0, frame.depth, np.float32(np.inf)))  # 0: nothing in range
 
     def reached(self, wanted: np.ndarray) -> np.ndarray:
         """Return the pose [4, 4] that the robot reaches when it is sent to ``wanted``; subclasses may miss it."""

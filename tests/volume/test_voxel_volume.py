@@ -131,6 +131,32 @@ def test_voxels_on_rays_without_return_are_recorded_up_to_the_range_of_the_volum
     assert not volume.unobserved[volume.no_return].any()
 
 
+@pytest.mark.parametrize("dropouts", [False, True])
+def test_pixels_that_were_not_measured_prove_nothing_to_be_free(dropouts):
+    # A hall of 8 m. The right half of the image sees no surface within 5 m; of these pixels a block and single ones
+    # were not measured.
+    camera, pose = PinholeCamera.from_size(160, 90), look_along(np.array([0.5, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    depth = np.full((90, 160), 3.0, np.float32)
+    depth[:, 80:] = 0.0
+    unmeasured = np.zeros(depth.shape, bool)
+    unmeasured[20:70, 100:150] = True
+    unmeasured[::7, :80:7] = True  # on the wall of the left half
+    depth[unmeasured] = 0.0
+    bounds = np.array([[0.0, -2.0, 0.0], [8.0, 2.0, 2.0]])
+    volumes = [VoxelVolume(bounds), VoxelVolume(bounds)]
+    for volume, marked in zip(volumes, (unmeasured, None)):
+        frame = Frame(np.zeros((90, 160, 3), np.uint8), depth, pose, camera, marked)
+        volume.integrate(frame, sensor_range=5.0, dropouts=dropouts)
+    x, y, z = volumes[0].center_of(np.stack(np.indices(volumes[0].shape), axis=-1)).transpose(3, 0, 1, 2)
+    column, row = 80 - 80 * y / np.maximum(x - 0.5, 0.1), 45 - 80 * (z - 1.0) / np.maximum(x - 0.5, 0.1)
+    inside = (column > 108) & (column < 142) & (row > 28) & (row < 62) & (x > 1.2) & (x < 2.2)
+    assert inside.sum() > 50
+    assert (volumes[0].state[inside] == UNKNOWN).all() and (volumes[1].state[inside] == FREE).mean() > 0.2
+    assert volumes[0].no_return[inside].mean() > 0.9  # a window or a dark object: no planner waits for it
+    behind = (x > 3.8) & (y > 0.3)  # beyond the wall, on rays of single lost pixels
+    assert not volumes[0].no_return[behind].any() and not (volumes[0].state[behind] == FREE).any()
+
+
 def test_a_wall_just_beyond_the_sensors_range_is_not_recorded_as_without_return(cast_boxes):
     caster, volume = cast_boxes(ROOM), VoxelVolume(ROOM)
     for x in (0.96, 1.5):  # the wall at x = 4 is 3.04 m away, then 2.5 m

@@ -22,6 +22,11 @@ def test_depth_that_is_no_measurement_becomes_zero() -> None:
     frame = frame_from(RGB, depth.astype(np.float64), np.eye(4), CAMERA, 10.0)
     assert frame.depth[0].tolist() == [0.0, 0.0, 0.0, 0.0, 10.0, 2.0, 2.0, 2.0]
     assert frame.depth.dtype == np.float32 and frame.rgb is not None
+    # NaN and negative depth were not measured; infinite depth and depth beyond the range show that nothing is near.
+    assert frame.unmeasured is not None
+    assert frame.unmeasured[0].tolist() == [True, False, True, False, False, False, False, False]
+    assert not frame.unmeasured[1:].any()
+    assert frame_from(RGB, DEPTH, np.eye(4), CAMERA, 10.0).unmeasured is None
 
 
 def test_images_of_other_sizes_are_resized() -> None:

@@ -19,7 +19,7 @@ from activestructure_gym.worlds.registry import PREFIX
 
 @dataclass(frozen=True)
 class Explore:
-    """Run one exploration in a simulator, on a robot or in a recording.
+    """Explore a simulated, real or recorded scene.
 
     The result is a run with map, path and report, as of `asg compare`. Every captured frame is stored, so --resume
     continues an episode that was stopped. `asg watch --world` shows an episode in a browser.

@@ -86,7 +86,7 @@ def test_missing_parts(copy, tmp_path):
     "line, said",
     [
         ("1 0 0", "line 2 .* has 16 numbers, and the first one has 3"),
-        ("nothing " * 16, "not a trajectory"),
+        ("nothing " * 16, "a value that is not a number"),
         (" ".join(["nan"] * 16), "pose 1 .* not a rigid motion"),
         ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 .* not a rigid motion"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 .* mirrors"),

@@ -180,19 +180,26 @@ def test_the_reason_of_the_current_decision_is_shown(
     page.ask("Emulation.clearDeviceMetricsOverride")
 
 
-@pytest.fixture
-def pair(page: Page, recordings: list[Recording], tmp_path: Path) -> Iterator[Page]:
-    """The page of both runs at the middle of the episode, on a phone."""
-    write_replay(recordings, tmp_path / "replay.html")
+@pytest.fixture(scope="module")
+def of_both(page: Page, recordings: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """The page of both runs on a phone, opened once; what changes it for good comes last."""
+    place = tmp_path_factory.mktemp("pair") / "replay.html"
+    write_replay(recordings, place)
     page.ask("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=False)
-    page.open((tmp_path / "replay.html").as_uri())
+    page.open(place.as_uri())
     page.until("window.player && player.drawn > 0")
-    page.value("player.to(20), 1")
-    page.until("player.dirty === false")
     yield page
-    assert page.errors == []
     page.ask("Emulation.clearDeviceMetricsOverride")
-    page.ask("Emulation.setEmulatedMedia", features=[])
+
+
+@pytest.fixture
+def pair(of_both: Page) -> Iterator[Page]:
+    """The page of both runs at the middle of the episode."""
+    of_both.value("player.to(20), 1")
+    of_both.until("player.dirty === false")
+    yield of_both
+    assert of_both.errors == []
+    of_both.ask("Emulation.setEmulatedMedia", features=[])
 
 
 @needs_browser
@@ -225,6 +232,33 @@ def test_the_first_screen_of_a_phone_has_both_maps_and_the_button(pair: Page) ->
 
 
 @needs_browser
+def test_a_candidate_under_the_pointer_shows_what_it_sees_and_costs(pair: Page, recordings: list[Recording]) -> None:
+    pair.value("document.getElementById('show-candidates').click(), 1")
+    pair.until("player.dirty === false")
+    row, x, y = pair.value("""(() => {
+        const run = player.runs[0], box = run.canvas.getBoundingClientRect();
+        for (let y = Math.ceil(box.top) + 40; y < box.bottom - 80; y += 4)
+          for (let x = Math.ceil(box.left) + 20; x < box.right - 20; x += 4) {
+            const row = player.under(run, { clientX: x, clientY: y });
+            if (row >= 0) return [row, x, y];
+          } })()""")
+    pair.ask("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    pair.until("!document.getElementById('tip').hidden")
+    moment = [moment for moment in recordings[0].moments if moment.frame <= 20][-1]
+    rank = 1 + int((moment.scores.astype(np.float32) > np.float32(moment.scores[row])).sum())
+    *_, metres, frames = moment.candidates[row]
+    lines = pair.value("Array.from(document.querySelectorAll('#tip p'), (one) => one.textContent)")
+    assert lines[0].endswith("the map seen from there")
+    assert lines[1].startswith("hole_area ") and lines[1].endswith(f", rank {rank} of {len(moment.candidates)}")
+    assert lines[2] == f"costs {frames:.0f} frames, {metres:.2f} m"
+    pixels = "document.querySelector('#tip canvas').getContext('2d').getImageData(0, 0, 320, 180).data"
+    assert pair.value(f"new Set({pixels}).size") > 20  # the map is drawn
+    pair.ask("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
+    pair.until("document.getElementById('tip').hidden")
+    pair.value("document.getElementById('show-candidates').click(), 1")
+
+
+@needs_browser
 def test_the_page_begins_with_the_map_path_and_choice_and_says_who_leads(
     pair: Page, recordings: list[Recording]
 ) -> None:
@@ -252,32 +286,6 @@ def test_the_page_begins_with_the_map_path_and_choice_and_says_who_leads(
     assert pair.value(legend) == "other candidates, low to high hole_area"
     pair.value("player.runs[1].film.feature = 'pixel', player.open(player.runs), 1")
     assert pair.value(legend) == "other candidates, low to high hole_area or pixel"
-
-
-@needs_browser
-def test_a_candidate_under_the_pointer_shows_what_it_sees_and_costs(pair: Page, recordings: list[Recording]) -> None:
-    pair.value("document.getElementById('show-candidates').click(), 1")
-    pair.until("player.dirty === false")
-    row, x, y = pair.value("""(() => {
-        const run = player.runs[0], box = run.canvas.getBoundingClientRect();
-        for (let y = Math.ceil(box.top) + 40; y < box.bottom - 80; y += 4)
-          for (let x = Math.ceil(box.left) + 20; x < box.right - 20; x += 4) {
-            const row = player.under(run, { clientX: x, clientY: y });
-            if (row >= 0) return [row, x, y];
-          } })()""")
-    pair.ask("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
-    pair.until("!document.getElementById('tip').hidden")
-    moment = [moment for moment in recordings[0].moments if moment.frame <= 20][-1]
-    rank = 1 + int((moment.scores.astype(np.float32) > np.float32(moment.scores[row])).sum())
-    *_, metres, frames = moment.candidates[row]
-    lines = pair.value("Array.from(document.querySelectorAll('#tip p'), (one) => one.textContent)")
-    assert lines[0].endswith("the map seen from there")
-    assert lines[1].startswith("hole_area ") and lines[1].endswith(f", rank {rank} of {len(moment.candidates)}")
-    assert lines[2] == f"costs {frames:.0f} frames, {metres:.2f} m"
-    pixels = "document.querySelector('#tip canvas').getContext('2d').getImageData(0, 0, 320, 180).data"
-    assert pair.value(f"new Set({pixels}).size") > 20  # the map is drawn
-    pair.ask("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
-    pair.until("document.getElementById('tip').hidden")
 
 
 def test_names_have_what_differs_between_the_runs(finished: list[Run]) -> None:

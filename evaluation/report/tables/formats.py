@@ -92,7 +92,7 @@ def documents(tables: Sequence[Table]) -> dict[str, str]:
 
 def _plain(cell: Cell) -> str:
     """Return the CSV text of a cell: a single number in full precision, other texts with "-" as the minus sign."""
-    if cell.value is None or not cell.text.strip("+−").replace(",", "").replace(".", "").isdigit():
+    if cell.value is None or not cell.text.strip("+-−").replace(",", "").replace(".", "").isdigit():
         return spreadsheet_text(cell.text.replace("−", "-"))
     return repr(cell.value)
 

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.report.tables.formats import (
     spreadsheet_text,
     to_csv,
 )
-from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table
+from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, Table, number
 
 TABLE = Table(
     "quality",
@@ -43,6 +43,7 @@ def test_csv_has_full_numbers_and_plain_minus_signs():
     rows = list(csv.reader(io.StringIO(to_csv(TABLE))))
     assert rows[1] == ["pixel_only", "1.2345", "80.0"]
     assert rows[2] == ["a|b", "n/a", "-1.0 [-2.0, 0.5]"]
+    assert to_csv(Table("t", "T", [Heading("a")], [[number(-3.14159, 2)]])) == "a\n-3.14159\n"
 
 
 def test_latex():

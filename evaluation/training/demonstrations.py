@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
+from activestructure_gym.envs.observation import row_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
@@ -27,6 +27,7 @@ from activestructure_gym.evaluation.training.training_env import (
     learning_layouts,
     learning_reward,
     make_env,
+    world_config,
 )
 from activestructure_gym.files import replaced
 from activestructure_gym.ground_truth import Layout
@@ -139,8 +140,9 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
     N is the number of states, and K the number of rows of the candidate table.
     """
     planes, features, columns = config.world.max_planes, len(config.network().features), len(PLANE_FEATURES)
+    candidate = len(row_columns(world_config(config.world).views.stages))
     shapes: dict[str, tuple[int | str, ...]] = {
-        "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_COLUMNS)),
+        "pose": (7,), "budget": (1,), "candidates": ("K", candidate),
         "candidate_features": ("K", features), "action_mask": ("K",), "plane_features": (planes, columns),
         "plane_mask": (planes,), "plane_edges": (planes, planes), "candidate_planes": ("K", planes), "scores": ("K",),
         "rewards": (),

@@ -319,6 +319,15 @@ def test_a_feature_of_several_columns_is_told_with_all_of_them(tiny_layouts: Non
     assert told.shape[-1] == 3 and told.any(axis=(0, 1))[[0, 2]].all()
 
 
+def test_demonstrations_with_other_candidate_sources_are_loaded_with_their_further_columns(
+    tiny_layouts: None, tmp_path: Path
+) -> None:
+    world = replace(SMALL, layouts=1, overrides=(*SMALL.overrides, ("views.stages", (("pool", "turns"),))))
+    config = TrainingConfig(world=world, episodes=1)
+    demonstrations.collect(config, tmp_path)
+    assert demonstrations.load(config, tmp_path).observations["candidates"].shape[1:] == (16, 9 + 2 + 5)
+
+
 def test_the_table_is_between_random_and_the_oracle(tiny_layouts: None, tmp_path: Path) -> None:
     played = scoring.cells(2, (1,), ["box"], [0, 1])
     assert [(cell.scene, cell.seed, cell.start) for cell in played] == [

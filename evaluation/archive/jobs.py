@@ -215,7 +215,8 @@ def scene_label(spec: str, parts: int = 1) -> str:
     """
     kind, path, options = split_spec(spec)
     place = PurePath(path)
-    names = place.with_suffix("").parts[bool(place.anchor) :] if "/" in path or "." in path else (path,)
+    stem = place.with_suffix("") if place.name else place  # "." and "/" have no name
+    names = stem.parts[bool(place.anchor) :] if "/" in path or "." in path else (path,)
     label = "/".join(names[-parts:]) or path or kind
     short = "&".join(f"{key}={PurePath(value).name}" for key, value in _pairs(options))
     return f"{label}?{short}" if short else label

@@ -78,9 +78,8 @@ def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequ
     begins at the n-th start pose of a scene. Raise `InputError` if there is no episode.
     """
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
-    labels = scene_labels(dict.fromkeys(scenes, ""))
-    for spec in scenes:
-        found += [Cell(absolute_spec(spec), seed, labels[spec], start) for start, seed in enumerate(seeds)]
+    for spec, label in scene_labels(dict.fromkeys(map(absolute_spec, scenes), "")).items():  # each scene once
+        found += [Cell(spec, seed, label, start) for start, seed in enumerate(seeds)]
     if not found:
         raise InputError("an evaluation needs episodes: give --layouts, or --scenes with --seeds")
     return found

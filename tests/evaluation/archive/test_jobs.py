@@ -122,6 +122,8 @@ def test_a_result_of_another_protocol_version_is_not_mixed_in():
         ("replica:data/room_0", "room_0"),
         ("my_scene:cube_room?side=5", "cube_room?side=5"),
         ("data/room_0?sequence=/somewhere/else/seq_0", "room_0?sequence=seq_0"),
+        (".", "."),
+        ("/", "/"),
     ],
 )
 def test_short_names_of_scenes(spec, label):

@@ -367,6 +367,18 @@ def test_scenes_of_one_name_are_two_groups(tmp_path: Path) -> None:
     assert len({cell.group for cell in played}) == len({cell.file for cell in played}) == 2
 
 
+def test_a_scene_that_is_named_twice_is_played_and_counted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "room0").mkdir()
+    monkeypatch.chdir(tmp_path / "room0")
+    played = scoring.cells(0, (1,), ["box", "box", ".", str(tmp_path / "room0")], [0, 1])
+    assert [(cell.scene, cell.group, cell.seed) for cell in played] == [
+        (scene, group, seed)
+        for scene, group in (("box", "box"), (str(tmp_path / "room0"), "room0")) for seed in (0, 1)
+    ]  # fmt: skip
+
+
 def test_a_checkpoint_is_shown_by_its_last_names() -> None:
     assert scoring.short_policy("learned:/data/runs/bc/best.safetensors@01234567") == "learned:bc/best"
     assert scoring.short_policy("pixel_only") == "pixel_only"

@@ -49,7 +49,7 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
 
 
 def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict[str, str]]:
-    """Return the finished runs that a report can read, and the damage of the others by the title of their job."""
+    """Return the finished runs that a report can read, and the damage of the others by the name of their job."""
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     found, damaged = list[Run](), dict[str, str]()
     for job in jobs:
@@ -59,7 +59,7 @@ def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict
                 store.read_shown(copy.copy(run))  # a copy, so that the arrays it caches are freed
                 found.append(run)
         except InputError as error:
-            damaged[job.title] = str(error)
+            damaged[job.name] = str(error)
     return found, damaged
 
 

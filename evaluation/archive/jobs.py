@@ -91,7 +91,10 @@ class Job:
     @property
     def title(self) -> str:
         """Return scene, policy, swept values and seed as a short text for messages and tables."""
-        return f"{scene_label(self.scene)} · {self.label} · seed {self.seed}"
+        return self._titled(scene_label(self.scene))
+
+    def _titled(self, scene: str) -> str:
+        return f"{scene} · {self.label} · seed {self.seed}"
 
     @property
     def label(self) -> str:
@@ -257,6 +260,13 @@ def one_spec_each(jobs: Sequence[Job]) -> list[Job]:
 
 def _scene_of(job: Job) -> tuple[str, str]:
     return scene_label(job.scene) if job.scene_hash else job.scene, job.scene_hash
+
+
+def titles_of(jobs: Sequence[Job]) -> dict[str, str]:
+    """Return the titles of jobs by `Job.name`; scenes of equal file names have different names in them."""
+    jobs = one_spec_each(jobs)
+    labels = scene_labels({job.scene: job.scene_hash for job in jobs})
+    return {job.name: job._titled(labels[job.scene]) for job in jobs}
 
 
 def ranked_among(policies: Collection[Spec]) -> set[Spec]:

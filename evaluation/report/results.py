@@ -18,7 +18,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, listed, pluralised, unknown_name
 from activestructure_gym.evaluation.archive import completion, store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
-from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels, titles_of
 from activestructure_gym.evaluation.archive.played import is_played
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.style import COLOURS
@@ -50,8 +50,9 @@ class Source:
 class Results:
     """Hold the finished runs of a report, at most one per scene, policy and seed.
 
-    In a sweep, a policy with other values of the swept fields counts as another policy. Raise `InputError` for no runs,
-    for runs of different conditions, and for a baseline without runs.
+    Of several runs of one scene, policy and seed, as with and without a further protocol, the first is kept. In a
+    sweep, a policy with other values of the swept fields counts as another policy. Raise `InputError` for no runs, for
+    runs of different conditions, and for a baseline without runs.
     """
 
     runs: Sequence[Run]
@@ -73,6 +74,10 @@ class Results:
                     f"these runs were made under different conditions ({name}: {listed(found)}); a report needs "
                     "equal conditions, so write one report for each"
                 )
+        first: dict[tuple[str, str, int], Run] = {}
+        for run in self.runs:
+            first.setdefault((run.scene, run.policy, run.job.seed), run)
+        object.__setattr__(self, "runs", list(first.values()))
         if self.baseline is None and len(self.policies) > 1:
             usual = [run.policy for name in _BASELINES for run in self.runs if run.planner == name]
             object.__setattr__(self, "baseline", usual[0] if usual else self.policies[0])
@@ -281,12 +286,16 @@ def gather(
     missing, with the reason. Raise `InputError` for other directories, and if there is no run.
     """
     runs: dict[str, Run] = {}
-    sources, reasons = list[Source](), list[str]()
+    sources, reasons, asked_for = list[Source](), list[str](), list[Job]()
+    records: dict[int, tuple[Mapping[str, Any], dict[str, str]]] = {}  # record and damage by index of the source
     for directory in directories:
         if (directory / store.COMPARISON).is_file():
             record = read_record(directory) or {"jobs": {}}
-            found, damaged = readable_runs(directory, jobs_of(record, directory))
-            sources.append(source_of(directory, record, found, damaged))
+            jobs = jobs_of(record, directory)
+            found, damaged = readable_runs(directory, jobs)
+            asked_for += jobs
+            records[len(sources)] = record, damaged
+            sources.append(Source(directory))
         elif (directory / completion.DONE).is_file():
             found, damaged = [], {}
             try:
@@ -301,6 +310,9 @@ def gather(
         reasons += damaged.values()
         for run in found:
             runs.setdefault(run.job.hash, run)
+    titles = titles_of(asked_for)
+    for index, (record, damaged) in records.items():  # a job that failed in one directory may be finished in another
+        sources[index] = source_of(sources[index].directory, record, list(runs.values()), damaged, titles)
     if not runs and reasons:
         more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
         raise InputError(f"no run can be reported: {reasons[0]}{more}")
@@ -346,20 +358,27 @@ def labelled(runs: Sequence[Run], labels: Mapping[str, str]) -> list[Run]:
 
 
 def source_of(
-    directory: Path, record: Mapping[str, Any], runs: Sequence[Run], damaged: Mapping[str, str] | None = None
+    directory: Path,
+    record: Mapping[str, Any],
+    runs: Sequence[Run],
+    damaged: Mapping[str, str] | None = None,
+    titles: Mapping[str, str] | None = None,
 ) -> Source:
-    """Return the `Source` of a comparison in ``directory``, with the jobs that have no run.
+    """Return the `Source` of a comparison in ``directory``, with the jobs that have no run among ``runs``.
 
-    ``record`` is the content of ``compare.json``, and ``damaged`` has the reason for each damaged run by its title.
+    ``record`` is the content of ``compare.json``. By the name of the job, ``damaged`` has the reason for each damaged
+    run, and ``titles`` the titles; None derives the titles from the record.
     """
-    finished = {run.job.hash: run.job.title for run in runs}
-    failed = record.get("failed") or {}
-    # Another process may have finished a job after it failed.
-    missing = {title: why for title, why in failed.items() if title not in finished.values()}
-    for content in (record.get("jobs") or {}).values():
-        job = Job.from_dict(content)
+    finished, ended = {run.job.hash for run in runs}, {run.job.title for run in runs}
+    jobs = [Job.from_dict(content) for content in (record.get("jobs") or {}).values()]
+    titles = titles_of(jobs) if titles is None else titles
+    failed, missing = dict(record.get("failed") or {}), dict[str, str]()
+    for job in jobs:
+        # Records of earlier versions have the errors by title. Another process may have finished a job that failed.
+        errors = [failed.pop(name, None) for name in (job.name, job.title)]
         if job.hash not in finished:
-            reasons = ((damaged or {}).get(job.title), failed.get(job.title))
+            reason = next(filter(None, ((damaged or {}).get(job.name), *errors)), "not finished")
             kept = "; its episode is complete, but not measured yet" * is_played(run_directory(directory, job))
-            missing[job.title] = next(filter(None, reasons), "not finished") + kept
-    return Source(directory, record.get("command", ""), record.get("workers"), missing)
+            missing[titles[job.name]] = reason + kept
+    others = {title: error for title, error in failed.items() if title not in ended}
+    return Source(directory, record.get("command", ""), record.get("workers"), others | missing)

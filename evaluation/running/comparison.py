@@ -361,7 +361,7 @@ def run_comparison(
     todo = [job for job in jobs if not completion.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     before = read_record(directory)
-    record = new_record(everything, before, engine=engine, slots=slots, command=command)
+    record = new_record(everything, before, engine=engine, slots=slots, command=command, asked=asked)
     if shard is None or before is None or len(before["jobs"]) < len(everything):
         json_files.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,19 @@ from activestructure_gym.evaluation.running.episode import Progress
 
 
 def new_record(
-    jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
+    jobs: Sequence[Job],
+    before: Mapping[str, Any] | None,
+    *,
+    engine: str,
+    slots: int,
+    command: str,
+    asked: Collection[str],
 ) -> dict[str, Any]:
-    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones."""
+    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones.
+
+    ``asked`` holds the names of the jobs of this call. The errors of other jobs that failed before are kept.
+    """
+    failed = {} if before is None else before.get("failed") or {}
     return {
         "format": store.FORMAT_VERSION,
         "command": before["command"] if before else command,
@@ -25,7 +35,7 @@ def new_record(
         "engine": engine,
         "workers": slots,
         "jobs": {job.name: job.as_dict() for job in jobs},
-        "failed": {},
+        "failed": {job.name: failed[job.name] for job in jobs if job.name in failed and job.name not in asked},
         "attempts": dict(before.get("attempts", {})) if before else {},
         "versions": machine.versions(),
         "hardware": machine.hardware(),
@@ -58,7 +68,7 @@ class Recording:
         if not outcome.finished or outcome.attempts > 1:
             record = read_record(self._directory) or self._record  # another shard may have changed it
             if not outcome.finished:
-                record.setdefault("failed", {})[outcome.job.title] = outcome.error
+                record.setdefault("failed", {})[outcome.job.name] = outcome.error
             if outcome.attempts > 1:
                 record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
             json_files.write_json(self._directory / store.COMPARISON, record)

@@ -92,7 +92,11 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
         "header.html.j2",
         title=title,
         facts=facts,
-        crossed={run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])},
+        crossed={
+            f"{run.scene} · {run.policy} · seed {run.job.seed}": n
+            for run in results.runs
+            if (n := run.metrics["metrics"]["collisions"])
+        },
         missing=results.missing,
         answer=answer(results),
         figure=header_figure(results, anchor, directory),

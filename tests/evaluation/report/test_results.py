@@ -3,14 +3,16 @@ import dataclasses
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import completion, store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.report import results
 from activestructure_gym.evaluation.report.page.document import html_page
 from activestructure_gym.evaluation.report.results import Results, gather, labelled, once, opened, source_of
 from activestructure_gym.evaluation.report.tables.columns import aspects, chosen_columns, ratios_text
 from activestructure_gym.evaluation.report.tables.formats import latex
+from activestructure_gym.evaluation.report.tables.overview import table_rows
 from activestructure_gym.evaluation.report.tables.paper import ablation_table
 
 
@@ -112,6 +114,39 @@ def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
     jobs = {job.name: job.as_dict() for job in (run.job, lost)}
     record = {"jobs": jobs, "failed": {run.job.title: "exit code 1", lost.title: "MemoryError: elsewhere"}}
     assert source_of(tmp_path, record, [run]).missing == {lost.title: "MemoryError: elsewhere"}
+
+
+def test_two_scenes_of_one_file_name_are_missing_twice_with_their_own_errors(tmp_path):
+    lost = [Job(f"/data/{room}/mesh.ply", "random", 0, room[-1] * 64) for room in ("room_0", "room_1")]
+    record = {"jobs": {job.name: job.as_dict() for job in lost}, "failed": {lost[1].name: "exit code 1"}}
+    assert source_of(tmp_path, record, []).missing == {
+        "room_0/mesh · random · seed 0": "not finished", "room_1/mesh · random · seed 0": "exit code 1"
+    }  # fmt: skip
+
+
+def test_a_job_that_failed_in_one_directory_and_ended_in_another_is_not_missing(make_run, tmp_path, monkeypatch):
+    run, lost = make_run(), Job("room", "b", 0)
+    record = {"jobs": {job.name: job.as_dict() for job in (run.job, lost)}, "failed": {run.job.name: "exit code 1"}}
+    for name in "pq":
+        (tmp_path / name).mkdir()
+        json_files.write_json(tmp_path / name / store.COMPARISON, record)
+    monkeypatch.setattr(results, "readable_runs", lambda place, jobs: ([run] if place.name == "q" else [], {}))
+    assert gather([tmp_path / "p", tmp_path / "q"]).missing == {lost.title: "not finished"}
+
+
+def test_the_same_episode_with_and_without_a_further_protocol_counts_once(make_run, tmp_path, monkeypatch):
+    runs = [make_run(seed=0), make_run(seed=1), make_run(seed=0)]
+    further = dataclasses.replace(runs[0].job, conditions=Conditions(also=("activegamer",)))
+    runs[2].__dict__["job"] = further
+    for name in "abc":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / completion.DONE).touch()
+    monkeypatch.setattr(store, "read_run", lambda directory: runs["abc".index(directory.name)])
+    monkeypatch.setattr(store, "read_shown", lambda run: None)
+    found = gather([tmp_path / name for name in "abc"])
+    assert [run.job for run in found.runs] == [runs[0].job, runs[1].job]
+    (row,) = table_rows(found.runs)
+    assert row.runs == 2
 
 
 def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):

@@ -88,7 +88,7 @@ def test_finished_jobs_are_never_repeated_and_failed_ones_are(ran, tmp_path):
     assert listener.begun == (["box · bad · seed 0"], 1)
     assert ran == ["box · random · seed 0", "box · bad · seed 0", "box · bad · seed 0"]
     record = json_files.read_json(tmp_path / store.COMPARISON)
-    assert record["failed"] == {"box · bad · seed 0": "it is bad"}
+    assert record["failed"] == {both[1].name: "it is bad"}
     assert (record["command"], record["resumed"]) == ("asg compare one", ["asg compare two"])
 
 
@@ -101,7 +101,9 @@ def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
     assert [job.title for job in recorded_jobs(tmp_path)] == [
         "box · random · seed 0", "box · bad · seed 0", "box · random · seed 1"
     ]  # fmt: skip
-    assert json_files.read_json(tmp_path / store.COMPARISON)["attempts"] == {variant(seed=1).name: 2}
+    record = json_files.read_json(tmp_path / store.COMPARISON)
+    assert record["attempts"] == {variant(seed=1).name: 2}
+    assert record["failed"] == {variant(policy="bad").name: "it is bad"}  # not asked for again: its error stays
 
 
 @pytest.mark.parametrize(

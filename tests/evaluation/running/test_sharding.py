@@ -71,7 +71,7 @@ def test_two_shards_play_every_job_once_and_a_resumed_comparison_what_failed(tmp
 def test_what_other_shards_have_noted_stays_in_the_record(tmp_path: Path, ran: Counter[int]) -> None:
     run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(2, 2))
     run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(1, 2))
-    assert set(json.loads((tmp_path / store.COMPARISON).read_bytes())["failed"]) == {JOBS[3].title}
+    assert set(json.loads((tmp_path / store.COMPARISON).read_bytes())["failed"]) == {JOBS[3].name}
 
 
 def test_shards_are_a_partition() -> None:

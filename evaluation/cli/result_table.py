@@ -67,18 +67,19 @@ def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
 def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
     """Add standard deviations to a policy's row of averages: over the seeds, of the mean over the scenes.
 
-    A metric gets no deviation if a seed lacks a run or a value.
+    A metric gets no deviation if a seed lacks a run on a scene, or a value.
     """
     cells = dict(row.cells)
+    own = [run for run in runs if run.policy == row.policy]
+    scenes = {run.scene for run in own}
     for key, cell in cells.items():
-        by_seed: dict[int, list[float | None]] = {}
-        for run in runs:
-            if run.policy == row.policy:
-                by_seed.setdefault(run.job.seed, []).append(value_of(run, key))
-        means = [np.mean([value for value in values if value is not None]) for values in by_seed.values() if values]
-        whole = len({len(values) for values in by_seed.values()}) == 1
-        whole = whole and not any(value is None for values in by_seed.values() for value in values)
-        if whole and len(means) > 1 and cell.mean is not None:
+        by_seed: dict[int, dict[str, float]] = {}
+        for run in own:
+            values = by_seed.setdefault(run.job.seed, {})
+            if (value := value_of(run, key)) is not None:
+                values[run.scene] = value
+        if len(by_seed) > 1 and all(values.keys() == scenes for values in by_seed.values()):
+            means = [np.mean(list(values.values())) for values in by_seed.values()]
             cells[key] = replace(cell, deviation=float(np.std(means, ddof=1)))
     return replace(row, cells=cells)
 

@@ -258,7 +258,7 @@ def cost_table(results: Results) -> Table:
         row = [Cell(policy)]
         for column in columns:
             cells = results.cells(policy, column.key)
-            if column.key == "collisions":
+            if column.key == "collisions" and cells:
                 total = int(sum(cells.values()))
                 row.append(Cell(str(total), total, tone="alarm" if total else "good"))
             else:

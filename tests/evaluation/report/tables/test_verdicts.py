@@ -132,6 +132,13 @@ def test_collisions_are_an_alarm(grid):
     column = [heading.text for heading in table.headings].index("collisions")
     assert [(row[column].text, row[column].tone) for row in table.rows] == [("8", "alarm")] * 2
     assert cost_table(grid()).rows[0][column].tone == "good"
+
+
+def test_collisions_that_were_not_measured_are_missing_and_not_zero(make_run):
+    runs = [make_run(policy="p", collisions=None), make_run(policy="q")]
+    table = cost_table(Results(runs, []))
+    column = [heading.text for heading in table.headings].index("collisions")
+    assert [(row[column].text, row[column].tone) for row in table.rows] == [("–", ""), ("0", "good")]
     headings = [heading.text for heading in table.headings]
     assert table.rows[0][headings.index("planning (s)")].text == "3.5"
     assert table.rows[0][headings.index("mapping (s)")].text == "4.0"

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.config import configure
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.policies.activestructure import LADDER
 
@@ -206,6 +207,25 @@ def test_a_ladder_by_hand() -> None:
     ]
     del table["activestructure-c"]
     assert script["ladder"](table) == []
+
+
+def test_tables_of_the_notebook_say_what_they_lack() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    run, checkpoint = dict.fromkeys(script["KEPT"], 1.0), "learned:d300@44f39cb9"
+    table = {"hole_area": {("x", 0): run}, checkpoint: {("x", 0): run}, "learned": {("x", 0): run}}
+    for pair in ((checkpoint, "hole_area"), ("hole_area", checkpoint), (checkpoint, "learned")):
+        assert script["policies_of"](":".join(pair), table) == pair
+    assert script["policies_of"]("nobody:hole_area", table) == ("nobody", "hole_area")
+    with pytest.raises(InputError, match="no scene and seed has runs of all policies: hole_area, random"):
+        script["markdown"]({"hole_area": {("x", 0): run}, "random": {("x", 1): run}})
+    for key in ("depth_l1_cm", "psnr"):
+        table["learned"] = {("x", 0): {name: value for name, value in run.items() if name != key}, ("x", 1): {}}
+        with pytest.raises(InputError, match=f"'learned' in x with seed 0 has no {key}"):
+            script["pairs"](table, [("it", "learned", "hole_area")])
+    native = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    lines = [{"policy": policy, "scene": "x", "seed": seed} for policy, seed in (("random", "0"), ("naruto", "1"))]
+    with pytest.raises(InputError, match="no scene and seed has runs of all policies: random, naruto"):
+        native["by_policy"](lines)
 
 
 def test_readme_and_results_are_short() -> None:

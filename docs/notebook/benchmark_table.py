@@ -22,7 +22,7 @@ import argparse
 import csv
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
@@ -141,14 +141,16 @@ def read(place: Path) -> Table:
 
 def markdown(table: Table) -> str:
     """Return the table as Markdown, with a row per policy by decreasing C.R., and the columns that all runs have."""
-    shown = {
-        key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
-    }
-    cells = set.intersection(*map(set, table.values()))
+    cells = _common(table)
     baseline = next((name for name in BASELINES if name in table), "")
     if not baseline:
         raise InputError(f"nothing to compare with: expected runs of {' or '.join(BASELINES)}, got {', '.join(table)}")
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
+    for policy in table:
+        _values(table, policy, cells, "completion_ratio")  # by which the rows are sorted
+    shown = {
+        key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
+    }
     means = {
         policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in shown}
         for policy, runs in table.items()
@@ -244,7 +246,7 @@ def readme(table: Table) -> str:
     keys |= {"psnr": "PSNR (dB) ↑"}
     heads = [*keys.values(), *(f"{name} minus `hole_area`" for name, _ in DIFFERENCES.values())]
     lines = ["| planner | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
-    cells = set.intersection(*map(set, table.values()))
+    cells = _common(table)
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     for policy, words in README_ROWS.items():
         shown = [f"`{policy.removeprefix(REFERENCE)}`" + (f", {words}" if words else "")]
@@ -270,10 +272,33 @@ def _mean(values: dict[Cell, float]) -> float:
 
 
 def _paired(table: Table, ours: str, theirs: str, key: str, of: Callable[[float], float] = float) -> PairedDifference:
-    values = ({cell: of(run[key]) for cell, run in table[name].items()} for name in (ours, theirs))
+    cells = table[ours].keys() & table[theirs].keys()
+    values = ({cell: of(value) for cell, value in _values(table, one, cells, key).items()} for one in (ours, theirs))
     if (found := paired_difference(*values)) is None:
         raise InputError(f"'{ours}' and '{theirs}' have no scene and seed in common")
     return found
+
+
+def _values(table: Table, policy: str, cells: Collection[Cell], key: str) -> dict[Cell, float]:
+    """Return a policy's values of the metric ``key`` in ``cells``; raise `InputError` if a run has none."""
+    for scene, seed in sorted(cells):
+        if key not in table[policy][scene, seed]:
+            raise InputError(f"the run of '{policy}' in {scene} with seed {seed} has no {key}: leave its policy out")
+    return {cell: table[policy][cell][key] for cell in cells}
+
+
+def _common(table: Table) -> set[Cell]:
+    """Return the scenes and seeds that all policies have played; raise `InputError` if there are none."""
+    if not (cells := set.intersection(*map(set, table.values()))):
+        raise InputError(f"no scene and seed has runs of all policies: {', '.join(table)}")
+    return cells
+
+
+def policies_of(pair: str, table: Table) -> tuple[str, str]:
+    """Split ``A:B`` into two policies of the table, whose names may contain colons too."""
+    ends = [at for at, letter in enumerate(pair) if letter == ":"]
+    splits = [(pair[:at], pair[at + 1 :]) for at in ends]
+    return next((both for both in splits if set(both) <= set(table)), (splits or [(pair, "")])[0])
 
 
 def _difference(table: Table, ours: str, theirs: str, key: str, digits: int) -> str:
@@ -324,8 +349,8 @@ def main() -> None:
     if not table:
         raise InputError(f"no runs in {place}")
     if options.pairs:
-        parts = (pair.partition(":") for pair in options.pairs)
-        print(pairs(table, [(f"`{ours}` over `{theirs}`", ours, theirs) for ours, _, theirs in parts]), end="")
+        parts = [policies_of(pair, table) for pair in options.pairs]
+        print(pairs(table, [(f"`{ours}` over `{theirs}`", ours, theirs) for ours, theirs in parts]), end="")
         return
     print(markdown(table), end="")
     if rungs := ladder(table):

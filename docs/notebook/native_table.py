@@ -220,6 +220,8 @@ def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, Runs]:
     for row in lines:
         runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
     common = set.intersection(*map(set, runs.values()))
+    if not common:
+        raise InputError(f"no scene and seed has runs of all policies: {', '.join(runs)}")
     return {policy: {one: row for one, row in own.items() if one in common} for policy, own in runs.items()}
 
 

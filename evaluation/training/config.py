@@ -120,7 +120,10 @@ class TrainingConfig:
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
-            raise InputError(f"ppo_batch {self.ppo_batch} leaves one step for the last batch: choose another number")
+            raise InputError(
+                f"{self.envs} envs x {self.steps} steps leave one step for the last batch of {self.ppo_batch}, whose "
+                "advantage cannot be normalised: choose other envs or steps"
+            )
         self._network(self.world.features)
 
     def network(self) -> NetworkConfig:

@@ -414,6 +414,8 @@ def test_configurations_are_checked_and_return_from_json() -> None:
     for wrong in ({"method": "dqn"}, {"seed": -1}, {"gamma": 1.5}, {"epochs": 0}, {"start": "a"}, {"bins": 1}):
         with pytest.raises(InputError):
             TrainingConfig(**wrong)
+    with pytest.raises(InputError, match="1 envs x 257 steps leave one step .* choose other envs or steps"):
+        TrainingConfig(method="ppo", envs=1, steps=257)
     for wrong in ({"rooms": ()}, {"rooms": (9,)}, {"reward": "points"}, {"layouts": 0}):
         with pytest.raises(InputError):
             WorldConfig(**wrong)

@@ -18,8 +18,10 @@ import numpy as np
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema
-from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
+from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.archive.temporary import refuse_links
 from activestructure_gym.evaluation.report.tables.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
@@ -27,6 +29,7 @@ from activestructure_gym.evaluation.statistics.resampling import REPEATS, interv
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.process_pool import spread
 from activestructure_gym.ground_truth.layouts import layout_specs
+from activestructure_gym.specs import Spec
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import FreeSpace, GroundTruth
@@ -232,7 +235,10 @@ _loaded: dict[str, GroundTruth] = {}  # the scene that this process loaded last,
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
-    """Play one episode with every policy whose result is missing, and write the results to ``directory``."""
+    """Play one episode with every policy whose result is missing, and write the results to ``directory``.
+
+    The result of a policy whose plug-in code has changed counts as missing.
+    """
     from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -240,7 +246,8 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
 
     file = directory / _EPISODES / cell.file
     content: dict[str, Any] = read_json(file, _EPISODE, remedy=_AGAIN) if file.is_file() else {}
-    missing = [name for name in dict.fromkeys((RANDOM, *policies, ORACLE_GREEDY)) if name not in content]
+    codes = {name: _code_of(world, name) for name in (RANDOM, *policies, ORACLE_GREEDY)}  # before they are imported
+    missing = [name for name, code in codes.items() if content.get(name, {"code": None}).get("code", {}) != code]
     if not missing:
         return
     if cell.scene not in _loaded:
@@ -258,4 +265,11 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
         else:
             played = play_policy(world, truth, make_policy(name), cell.seed, start)
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
+        content[name] |= {"code": codes[name]} if codes[name] else {}
     write_json(file, content)
+
+
+def _code_of(world: WorldConfig, policy: str) -> dict[str, str]:
+    """Return the checksums of the plug-in code that an episode of ``policy`` runs, by kind and name."""
+    job = Job(Spec(""), Spec(policy), 0, conditions=Conditions(overrides=dict(world.overrides)))
+    return plugin_code_of(job, first_checksum_of)

@@ -11,7 +11,7 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.training import demonstrations, oracle, scoring, training_env
+from activestructure_gym.evaluation.training import demonstrations, oracle, rollout, scoring, training_env
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
 from activestructure_gym.evaluation.training.training_env import (
@@ -377,6 +377,29 @@ def test_a_scene_that_is_named_twice_is_played_and_counted_once(
         (scene, group, seed)
         for scene, group in (("box", "box"), (str(tmp_path / "room0"), "room0")) for seed in (0, 1)
     ]  # fmt: skip
+
+
+def test_a_policy_whose_code_has_changed_plays_again_and_the_others_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[str] = []
+    codes = {"hole_area": {"policy mine:Mine": "1" * 64}}
+    monkeypatch.setattr(scoring, "plugin_code_of", lambda job, checksums: codes.get(job.policy, {}))
+
+    def play(world: WorldConfig, truth: GroundTruth, policy: Any, seed: int, start: Any = None) -> rollout.Played:
+        played.append(type(policy).__name__)
+        return rollout.Played((1, 25), (0.0, 0.1 * len(played)), 25)
+
+    monkeypatch.setattr(rollout, "play_policy", play)
+    monkeypatch.setattr(rollout, "play_oracle", lambda world, truth, seed, start: play(world, truth, None, seed))
+    cells = scoring.cells(0, (1,), ["box"], [0])
+    policies = ["pixel_only", "hole_area"]
+    for _ in range(2):
+        scoring.play_cells(SMALL, policies, cells, tmp_path)
+        assert played == ["Random", "PixelOnly", "HoleArea", "NoneType"]
+    codes["hole_area"] = {"policy mine:Mine": "2" * 64}
+    scoring.play_cells(SMALL, policies, cells, tmp_path)
+    assert played[4:] == ["HoleArea"]
 
 
 def test_a_checkpoint_is_shown_by_its_last_names() -> None:

@@ -29,8 +29,9 @@ class Played:
 
     @property
     def auc(self) -> float:
-        """Return the mean coverage over the frame budget, 0..1."""
-        return area_under(np.array(self.frames, np.float64), np.array(self.coverage), self.budget)
+        """Return the mean coverage over the frame budget, 0..1; a step may take no frame, as a change of the stage."""
+        curve = dict(zip(self.frames, self.coverage))  # of several steps at one frame, the last one counts
+        return area_under(np.array(list(curve), np.float64), np.array(list(curve.values())), self.budget)
 
 
 def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None = None) -> Played:

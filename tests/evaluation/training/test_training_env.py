@@ -233,6 +233,13 @@ def test_the_oracle_is_ahead_of_random_choice(box: Scene) -> None:
     assert play_oracle(world, box, 0).auc == best[0]
 
 
+def test_of_several_steps_at_one_frame_the_last_one_counts(box: Scene) -> None:
+    # Coverage 0 at frame 1, 0.5 at frame 1, then linear to 1 at frame 5: 0.5 over one frame, 0.75 over four.
+    assert rollout.Played((1, 1, 5, 5), (0.0, 0.5, 0.5, 1.0), 5).auc == pytest.approx((0.5 + 4 * 0.75) / 5)
+    alone = play_policy(replace(SMALL, frames=1), box, Random(), 0)  # the first frame is the whole budget
+    assert alone.frames == (1, 1) and alone.auc == alone.coverage[0]
+
+
 @pytest.fixture
 def tiny_layouts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes in place of apartments, which take seconds to build."""

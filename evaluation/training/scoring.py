@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,12 +192,17 @@ def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
 
 
 def words(estimate: Estimate | None) -> str:
-    """Format an estimate with three decimals and its interval: "0.512 [0.480, 0.544]"; None gives an empty text."""
+    """Format an estimate with three decimals and its interval: "0.512 [0.480, 0.544]"; None gives an empty text.
+
+    An area is not normalised ("n/a") if random choice and the oracle have equal areas.
+    """
     if estimate is None:
         return ""
-    if not estimate.has_interval:
-        return f"{estimate.value:.3f}"
-    return f"{estimate.value:.3f} [{estimate.low:.3f}, {estimate.high:.3f}]"
+    if not math.isfinite(estimate.value):
+        return "n/a"
+    ends = (estimate.low, estimate.high)
+    value, *interval_ = (f"{round(number, 3) + 0.0:.3f}" for number in (estimate.value, *ends) if number is not None)
+    return f"{value} [{', '.join(interval_)}]" if interval_ else value
 
 
 def short_policy(spec: str) -> str:

@@ -11,6 +11,8 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.json_files import write_json
+from activestructure_gym.evaluation.statistics import Estimate
 from activestructure_gym.evaluation.training import demonstrations, oracle, rollout, scoring, training_env
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
@@ -407,6 +409,16 @@ def test_a_policy_whose_code_has_changed_plays_again_and_the_others_do_not(
     codes["hole_area"] = {"policy mine:Mine": "2" * 64}
     scoring.play_cells(SMALL, policies, cells, tmp_path)
     assert played[4:] == ["HoleArea"]
+
+
+def test_an_area_between_equal_references_is_not_normalised(tmp_path: Path) -> None:
+    (cell,) = scoring.cells(0, (1,), ["box"], [0])
+    (tmp_path / "episodes").mkdir()
+    played = dict.fromkeys(("random", "oracle-greedy"), {"auc": 0.5})
+    write_json(tmp_path / "episodes" / cell.file, played | {"start": 0})
+    rows = scoring.table(tmp_path, ["random"], [cell], ["random"])
+    assert [entry[4:] for entry in scoring.entries(rows)] == [["50.0", "n/a", ""], ["50.0", "n/a", "n/a"]]
+    assert scoring.words(Estimate(-0.0004, -0.0012, 0.0, 2)) == "0.000 [-0.001, 0.000]"
 
 
 def test_a_checkpoint_is_shown_by_its_last_names() -> None:

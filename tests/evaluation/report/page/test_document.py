@@ -68,6 +68,14 @@ def test_what_is_missing_and_what_collided_is_named(path, make_run):
     assert "run missing" not in text and 'href="#against"' not in text  # nobody to compare with
 
 
+def test_collisions_in_two_scenes_of_one_file_name_are_both_named(make_run):
+    runs = [make_run(f"/data/{room}/mesh.ply", collisions=count) for count, room in enumerate("ab", start=1)]
+    for run, room in zip(runs, "ab"):
+        run.__dict__["scene"] = f"{room}/mesh"
+    text = html_page(Results(runs, []))
+    assert "a/mesh · random · seed 0: 1 step<" in text and "b/mesh · random · seed 0: 2 steps<" in text
+
+
 def test_no_error_no_request_and_no_foreign_markup(path, browser):
     browser.open(path)
     assert browser.requests() == [path.resolve().as_uri()]

@@ -55,15 +55,15 @@ def _protocols(results: Results) -> list[Table]:
 
 
 def _configuration(runs: Sequence[Run]) -> Table:
-    found: dict[str, dict[str, str]] = {}
+    found: dict[str, dict[str, dict[str, None]]] = {}  # policies by field and value
     for run in runs:
         for name, value in _flat(run.config["configuration"]):
-            found.setdefault(name, {}).setdefault(without_folders(str(value)), run.policy)
-    rows = [
-        [Cell(name), Cell(", ".join(values) if len(values) == 1 else "; ".join(f"{p}: {v}" for v, p in values.items()))]
-        for name, values in found.items()
-    ]
-    caption = "One row per field; one value per policy if they differ"
+            found.setdefault(name, {}).setdefault(without_folders(str(value)), {})[run.policy] = None
+    rows = []
+    for name, values in found.items():
+        texts = [f"{', '.join(policies)}: {value}" for value, policies in values.items()]
+        rows.append([Cell(name), Cell("; ".join(values if len(values) == 1 else texts))])
+    caption = "One row per field; different values with the policies that have them"
     return Table("configuration", "Configuration", _two("field", "value"), rows, caption)
 
 

@@ -57,6 +57,24 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
         os.close(descriptor)
 
 
+@contextmanager
+def alone(file: Path) -> Iterator[None]:
+    """Run the block while no other block holds ``file``, a lock file that is made; wait for the others.
+
+    It is for short changes by the holders of a shared lock. On file systems without locks it has no effect.
+    """
+    descriptor = None
+    with suppress(OSError):
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
 def check_free(directory: Path, *, shared: bool = False) -> None:
     """Raise `InputError` if a lock on ``directory`` excludes a new one, ``shared`` or exclusive; write nothing."""
     try:

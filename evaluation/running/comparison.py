@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.protocols.metrics import get_metrics
 from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import ENGINES, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.output_directory import already_begun
-from activestructure_gym.evaluation.running.record import Recording, new_record
+from activestructure_gym.evaluation.running.record import Recording, changing, new_record
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, review_finished
 from activestructure_gym.evaluation.running.sharding import Shard
@@ -360,12 +360,13 @@ def run_comparison(
     review_finished(everything if shard is None else jobs, asked, directory, notify)
     todo = [job for job in jobs if not completion.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
-    before = read_record(directory)
-    record = new_record(everything, before, engine=engine, slots=slots, command=command, asked=asked)
-    if shard is None or before is None or len(before["jobs"]) < len(everything):
-        json_files.write_json(directory / store.COMPARISON, record)
+    with changing(directory, shared=shard is not None):
+        before = read_record(directory)
+        record = new_record(everything, before, engine=engine, slots=slots, command=command, asked=asked)
+        if shard is None or before is None or len(before["jobs"]) < len(everything):
+            json_files.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))
-    watch = Recording(listener, directory, record)
+    watch = Recording(listener, directory, record, shared=shard is not None)
     if todo:
         chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
     missing = [

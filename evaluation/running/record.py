@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
 from activestructure_gym.evaluation.archive import json_files, store
 from activestructure_gym.evaluation.archive.comparison import read_record
+from activestructure_gym.evaluation.archive.directory_lock import alone
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.running.engines import Listener, Outcome
@@ -42,11 +44,19 @@ def new_record(
     }
 
 
-class Recording:
-    """Forward all events to a listener, and record failed jobs and repeated attempts."""
+def changing(directory: Path, *, shared: bool) -> AbstractContextManager[None]:
+    """Return a context in which ``compare.json`` is read and written; if it is ``shared``, no other shard does so."""
+    return alone(directory / f".{store.COMPARISON}.lock") if shared else nullcontext()
 
-    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
-        self._listener, self._directory, self._record = listener, directory, record
+
+class Recording:
+    """Forward all events to a listener, and record failed jobs and repeated attempts.
+
+    ``shared`` says whether other programs write into the directory.
+    """
+
+    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any], *, shared: bool = False) -> None:
+        self._listener, self._directory, self._record, self._shared = listener, directory, record, shared
         self.failed: list[Outcome] = []
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
@@ -66,10 +76,11 @@ class Recording:
         if not outcome.finished:
             self.failed.append(outcome)
         if not outcome.finished or outcome.attempts > 1:
-            record = read_record(self._directory) or self._record  # another shard may have changed it
-            if not outcome.finished:
-                record.setdefault("failed", {})[outcome.job.name] = outcome.error
-            if outcome.attempts > 1:
-                record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
-            json_files.write_json(self._directory / store.COMPARISON, record)
+            with changing(self._directory, shared=self._shared):
+                record = read_record(self._directory) or self._record  # another shard may have changed it
+                if not outcome.finished:
+                    record.setdefault("failed", {})[outcome.job.name] = outcome.error
+                if outcome.attempts > 1:
+                    record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
+                json_files.write_json(self._directory / store.COMPARISON, record)
         self._listener.ended(outcome)

@@ -6,19 +6,21 @@ import json
 import threading
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import completion, store
+from activestructure_gym.evaluation.archive import completion, json_files, store
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Result, run_comparison
 from activestructure_gym.evaluation.running.engines import ENGINES, Engine, Limits, Outcome
+from activestructure_gym.evaluation.running.record import Recording, new_record
 from activestructure_gym.evaluation.running.sharding import Shard
 from tests.evaluation.written_runs import write_run
 
@@ -72,6 +74,24 @@ def test_what_other_shards_have_noted_stays_in_the_record(tmp_path: Path, ran: C
     run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(2, 2))
     run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(1, 2))
     assert set(json.loads((tmp_path / store.COMPARISON).read_bytes())["failed"]) == {JOBS[3].name}
+
+
+def test_jobs_that_fail_in_two_shards_at_once_are_both_in_the_record(tmp_path: Path) -> None:
+    record = new_record(JOBS, None, engine="counted", slots=1, command="", asked=())
+    json_files.write_json(tmp_path / store.COMPARISON, record)
+    jobs = [replace(JOBS[0], seed=seed) for seed in range(40)]
+
+    def fail(part: Sequence[Job]) -> None:
+        recording = Recording(NullListener(), tmp_path, dict(record), shared=True)
+        for job in part:
+            recording.ended(Outcome(job, "bad"))
+
+    threads = [threading.Thread(target=fail, args=(jobs[number::2],)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(json.loads((tmp_path / store.COMPARISON).read_bytes())["failed"]) == {job.name for job in jobs}
 
 
 def test_shards_are_a_partition() -> None:

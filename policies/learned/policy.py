@@ -10,7 +10,13 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid
-from activestructure_gym.policies.learned.checkpoint import digest, find_checkpoint, load_network, read_network_config
+from activestructure_gym.policies.learned.checkpoint import (
+    digest,
+    find_checkpoint,
+    load_network,
+    read_network_config,
+    weights_at,
+)
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 if TYPE_CHECKING:
@@ -86,7 +92,7 @@ def learned_from(place: str) -> type[Learned]:
     of its content. Raises `InputError` if the checkpoint is missing or has another hash.
     """
     path, at, expected = place.rpartition("@")
-    if not at or len(expected) != 8 or Path(os.path.expanduser(place)).exists():
+    if not at or len(expected) != 8 or Path(os.path.expanduser(place)).exists() or weights_at(place).is_file():
         path, expected = place, ""
     weights = find_checkpoint(path).resolve()
     found = digest(weights)

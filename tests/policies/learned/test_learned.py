@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES
-from activestructure_gym.policies.learned import SHIPPED, Learned
+from activestructure_gym.policies.learned import SHIPPED, Learned, learned_from
 from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
@@ -52,6 +52,14 @@ def test_found_by_every_form_of_its_name(checkpoint: Path) -> None:
     assert POLICIES.get(kinds[0].spec).spec == kinds[0].spec
     with pytest.raises(InputError, match="no file"):
         POLICIES.get(f"learned:{folder / 'other'}")
+
+
+def test_a_date_after_an_at_sign_in_a_file_name_is_no_checksum(checkpoint: Path, tmp_path: Path) -> None:
+    for suffix in (".safetensors", ".json"):
+        (tmp_path / f"ppo@20261128{suffix}").write_bytes(checkpoint.with_suffix(suffix).read_bytes())
+    found = learned_from(str(tmp_path / "ppo@20261128"))
+    assert found.checkpoint == (tmp_path / "ppo@20261128.safetensors").resolve()
+    assert learned_from(found.spec.removeprefix("learned:")).spec == found.spec
 
 
 def test_our_own_ships_with_the_package() -> None:

@@ -50,9 +50,7 @@ class Feature:
         self.compute, self.columns = compute, tuple(columns)
         count = len(self.columns)
         if not count or len(set(self.columns)) < count or not all(isinstance(name, str) for name in self.columns):
-            raise InputError(
-                f"columns of a feature must be at least one text, all different, got {short_repr(columns)}"
-            )
+            raise InputError(f"columns of a feature must be one or more different texts, got {short_repr(columns)}")
         self.units: tuple[str, ...] = self._each("unit", unit, isinstance(unit, str))
         self.low: tuple[float, ...] = self._each("low", low, isinstance(low, int | float))
         self.high: tuple[float, ...] = self._each("high", high, isinstance(high, int | float))

@@ -183,7 +183,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
         if key in said:
             raise InputError(f"the scene '{spec}' gives its own {key}; give it in one place")
         if key not in parameters and key != INSIDE and not takes_any:
-            raise InputError(f"the scene '{spec}' takes no {key}; remove it")
+            raise InputError(f"the scene '{spec}' has no option '{key}'; remove this option")
     more = "&".join(f"{key}={value}" for key, value in options.items())
     return f"{spec}{'&' if said else '?'}{more}"
 

@@ -257,9 +257,9 @@ class VoxelVolume:
         if len(shape) not in (2, 3) or shape[-2:] != (4, 4):
             raise InputError(f"world_from_camera is one pose, [4, 4], or several, [K, 4, 4], got the shape {shape}")
         if stride is not None and not (isinstance(stride, Integral) and stride >= 1):
-            raise InputError(f"stride is a whole number of pixels from 1, or None, got {short_repr(stride)}")
+            raise InputError(f"stride must be a whole number of at least 1 pixel, or None, got {short_repr(stride)}")
         if reach is not None and not 0.0 < reach < np.inf:  # a ray outside the grid would never end
-            raise InputError(f"reach is a finite number of metres above 0, or None, got {short_repr(reach)}")
+            raise InputError(f"reach must be a finite number of metres above 0, or None, got {short_repr(reach)}")
         poses, rays = rays_of_pixels(camera, world_from_camera, stride)
         unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         length = self.config.max_range if reach is None else float(reach)

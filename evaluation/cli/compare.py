@@ -56,8 +56,8 @@ class GridOptions:
     )
     mappers: NoNames = ()
     (
-        "Map recorded trajectories with each of these mappers: default, splatam, monogs, gaussian_slam, co_slam. A "
-        "recorded trajectory is one of the --policies: trajectory:FILE, trajectory:sweep or trajectory:passive."
+        "Map recorded trajectories with each of these mappers: default, splatam, monogs, gaussian_slam, co_slam. Name "
+        "the trajectories in --policies: trajectory:FILE, trajectory:sweep or trajectory:passive."
     )
     seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
     """Use these whole numbers as seeds; equal seeds start at the same pose, so that policies are compared in pairs."""

@@ -44,7 +44,7 @@ class ConditionOptions:
     samples: Annotated[int | None, option("N", "(default: 200000)")] = None
     """Sample this number of points on the whole mesh; those visible from free space are the true surface."""
     protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
-    """Measure finished maps by these protocols: activegamer, activesplat, naruto, offline; always by standard."""
+    """Measure by these protocols besides `standard`: activegamer, activesplat, naruto, offline."""
     metrics: Annotated[Words, option("NAME [NAME ...]", "")] = None
     """Measure finished maps by these metrics as well: registered names or package.module:Name."""
     lpips_weights: PathName = None
@@ -86,7 +86,7 @@ class RunOptions:
     """Print the runs, their frame budget and their directory, and write nothing."""
     resume: Switch = False
     (
-        "Continue the comparison in --out under its own conditions. Finished runs are kept; further scenes, policies "
+        "Continue the comparison in --out with its stored settings. Finished runs are kept; further scenes, policies "
         "and seeds are added."
     )
     engine: Annotated[str, option("local|inline|ray")] = "local"

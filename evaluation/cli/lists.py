@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.cli.worlds import Worlds
 @tyro.conf.configure(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes)
 @dataclass(frozen=True)
 class List:
-    """List policies, scenes, worlds, features or fields."""
+    """List policies, scenes, worlds, features or settings."""
 
     what: (
         Annotated[Policies, tyro.conf.subcommand("policies")]

@@ -152,7 +152,9 @@ class FusedSurface:
         shape = np.floor(high / block) - first + 2.0
         if float(shape.prod()) > _MAX_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
             if len(images) == 1:
-                raise InputError(f"a depth image spans {(high - low).round(1)} m; expected a scene in metres")
+                raise InputError(
+                    f"a depth image spans {(high - low).round(1)} m, too much to fuse; check that depth is in metres"
+                )
             half = len(images) // 2
             parts = [self._marked_by(depth[part], images[part]) for part in (slice(half), slice(half, None))]
             return np.concatenate(parts)

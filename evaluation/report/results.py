@@ -287,10 +287,10 @@ def gather(
     """
     runs: dict[str, Run] = {}
     sources, reasons, asked_for = list[Source](), list[str](), list[Job]()
-    records: dict[int, tuple[Mapping[str, Any], dict[str, str]]] = {}  # record and damage by index of the source
+    records: dict[int, tuple[dict[str, Any], dict[str, str]]] = {}  # record and damage by index of the source
     for directory in directories:
         if (directory / store.COMPARISON).is_file():
-            record = read_record(directory) or {"jobs": {}}
+            record = dict(read_record(directory) or {"jobs": {}})
             jobs = jobs_of(record, directory)
             found, damaged = readable_runs(directory, jobs)
             asked_for += jobs

@@ -162,7 +162,7 @@ def read_tensors(
             for name in sorted(wanted.keys() | shapes.keys()):
                 if shapes.get(name) != wanted.get(name):
                     have, want = shapes.get(name, "nothing"), wanted.get(name, "nothing")
-                    raise InputError(f"'{file}' holds {have} as '{name[:80]}', expected {want}")
+                    raise InputError(f"'{file}': the tensor '{name[:80]}' has shape {have}, expected {want}")
             tensors = {name: stored.get_tensor(name) for name in shapes}
             notes = dict(stored.metadata() or {})
     except (SafetensorError, OSError, RuntimeError) as error:

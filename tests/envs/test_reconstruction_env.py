@@ -291,7 +291,7 @@ def test_the_seed_of_the_layout_reaches_every_scene_that_takes_one(box_options: 
             {"scene": load_scene("box"), "scene_seed": 4},
             "is loaded already, so its options cannot be changed: remove seed",
         ),
-        ("Apartment", {"scene": "box", "rooms": 2}, "the scene 'box' takes no rooms; remove it"),
+        ("Apartment", {"scene": "box", "rooms": 2}, "the scene 'box' has no option 'rooms'; remove this option"),
         ("Room", {"scene_seed": 1.5}, "scene_seed must be a whole number from 0 to 2^63 - 1, got 1.5"),
         ("Room", {"scene_seed": -1}, "scene_seed must be a whole number"),
         ("Room", {"scene_seed": 10**5000}, "scene_seed must be a whole number"),

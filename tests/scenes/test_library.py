@@ -234,8 +234,8 @@ def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):
     assert load_scene(with_options("hut?width=4", {"seed": 4})).source == load_scene("hut?width=4&seed=4").source
     for scene, said in (
         ("hut?seed=3", "the scene 'hut?seed=3' gives its own seed"),
-        (str(mesh_file), "takes no seed"),
-        (mesh_file, "takes no seed"),
+        (str(mesh_file), "has no option 'seed'"),
+        (mesh_file, "has no option 'seed'"),
         (furnished_room, "is loaded already, so its options cannot be changed: remove seed"),
         ("hutt", "did you mean 'hut'"),
     ):

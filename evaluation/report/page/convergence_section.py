@@ -81,8 +81,8 @@ def reading(lines: Sequence[Line], measure: Measure) -> str:
     top, before = (f"{value:.{measure.metric.digits}f} {measure.metric.unit}" for value in (best, early))
     if len(lines) == 1:
         return f"{measure.metric.label}: {before} at frame {half:.0f}, {top} at the end."
-    text = f"{measure.metric.label}: highest at the end: {_named(last)}, {top}"
-    return f"{text}; highest at frame {half:.0f}: {_named(first)}, {before}."
+    ends_and_middles = f"{_named(last)}, {top}, at the end; {_named(first)}, {before}, at frame {half:.0f}"
+    return f"{measure.metric.label}, highest: {ends_and_middles}."
 
 
 def _named(names: Sequence[str]) -> str:

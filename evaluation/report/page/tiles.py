@@ -132,8 +132,8 @@ def _deficit_text(graph: Mapping[str, np.ndarray]) -> str:
     areas = graph["areas"]
     share = 100 * float(areas[graph["deficit"] >= _HIGH_DEFICIT].sum()) / (float(areas.sum()) or 1.0)
     return (
-        f"{_holes_text(graph)} of deficient surface; planes with a deficit of {_HIGH_DEFICIT:g} or more (of 1) have "
-        f"{share:.0f} % of the area"
+        f"{_holes_text(graph)} of deficient surface; planes with a deficit of at least {_HIGH_DEFICIT:g} have "
+        f"{share:.0f} % of the planes' area"
     )
 
 

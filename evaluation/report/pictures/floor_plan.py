@@ -83,7 +83,7 @@ def camera_height_text(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[s
     heights = [path["world_from_camera"][:, 2, 3] - zero for (path, _), zero in zip(paths, datum)]
     low, high = (f"{end:.1f}" for end in (min(h.min() for h in heights), max(h.max() for h in heights)))
     height = f"{low} m" if low == high else f"{low} to {high} m"
-    return f"Camera height: {height} {reference}. A path may cross lower furniture."
+    return f"Camera height: {height} {reference}. A path may lead over furniture below this height."
 
 
 def _floor(graph: Mapping[str, np.ndarray]) -> float | None:

@@ -161,7 +161,7 @@ def difference_table(results: Results) -> Table | None:
     headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: same printed value"))
     caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over scenes"
     if measured(PROGRESS, results.runs):
-        caption += ". In rows of frames to a share, a run that did not reach the share counts with its frame budget"
+        caption += ". Frames to N %: a run that did not reach N % counts with its frame budget"
         caption += f". {missing}" if (missing := unreached_levels_text(results.runs)) else ""
     if intervals:
         headings.insert(3, Heading("Verdict", numeric=False))

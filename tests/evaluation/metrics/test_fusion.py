@@ -84,7 +84,7 @@ def test_what_was_seen_through_is_carved_away(around):
 def test_nothing_seen_and_nonsense():
     assert fused_surface(np.zeros((2, 9, 12), np.float32), CAMERA, np.tile(np.eye(4), (2, 1, 1)), voxel=0.05,
                          truncation=0.1).shape == (0, 3, 3)  # fmt: skip
-    with pytest.raises(InputError, match="expected a scene in metres"):
+    with pytest.raises(InputError, match="check that depth is in metres"):
         fused_surface(np.full((1, 90, 120), 3000.0, np.float32), CAMERA, np.eye(4)[None], voxel=0.05, truncation=0.1)
 
 

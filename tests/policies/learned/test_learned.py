@@ -141,7 +141,7 @@ def test_a_network_that_cannot_be_is_not_built(checkpoint: Path, tmp_path: Path,
 
 def test_weights_of_other_sizes_are_not_read(checkpoint: Path, tmp_path: Path) -> None:
     weights = described(checkpoint, tmp_path, candidates=1024, planes=1024)
-    with pytest.raises(InputError, match=r"holds \(48,\) as 'candidate_in.0.bias', expected \(1024,\)"):
+    with pytest.raises(InputError, match=r"the tensor 'candidate_in.0.bias' has shape \(48,\), expected \(1024,\)"):
         load_network(weights)
 
 

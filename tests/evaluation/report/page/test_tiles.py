@@ -52,8 +52,8 @@ def test_planes_say_what_they_lack(make_run, tiles):
     run = make_run(policy="a", planes=True)  # areas 11.91 and 2.00, deficits 0 and 0.05
     tile = planes_tile(run, tiles)
     assert tile["by_deficit"]["caption"] == (
-        "1 deficiency centre with 0.1 m² of deficient surface; planes with a deficit of 0.01 or more (of 1) have "
-        "14 % of the area"
+        "1 deficiency centre with 0.1 m² of deficient surface; planes with a deficit of at least 0.01 have "
+        "14 % of the planes' area"
     )
     assert len(tile["pictures"]) == 3 and tile["caption"].endswith(
         "1 structural planes, 1 object planes, 1 deficiency centre with 0.1 m²"

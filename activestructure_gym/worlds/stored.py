@@ -6,7 +6,7 @@ A folder of captures holds::
     views.npz      the poses that can be captured, if the world has `Views`.
     000000.npz     the first frame: rgb, depth, pose (where it was taken), asked (the pose that was asked for).
     000001.npz     the second frame, and so on.
-    000002.failed  the message of a capture that failed, in place of its frame.
+    000002.failed  the message of a capture, or of the travel to it, that failed, in place of its frame.
 """
 
 from __future__ import annotations
@@ -136,9 +136,15 @@ class StoredCaptures:
                 reset(seed)
 
     def travel(self, path: np.ndarray) -> None:
-        """Send the path [P, 4, 4] to the world, unless the frame at its end is stored."""
+        """Send the path [P, 4, 4] to the world, unless the frame at its end is stored; store a `CaptureFailed`."""
         if not self._is_stored(self._next) and (travel := getattr(self.world, "travel", None)) is not None:
-            travel(path)
+            self._read_or_ask()  # world.json comes first
+            try:
+                travel(path)
+            except CaptureFailed as error:
+                self._store_failure(self._next, error)
+                self._next += 1
+                raise
 
     def capture(self, world_from_camera: np.ndarray) -> Frame:
         """Return the next frame: the stored one, or a new one, which is stored.
@@ -159,8 +165,7 @@ class StoredCaptures:
         try:
             frame = self.world.capture(world_from_camera)
         except CaptureFailed as error:
-            with replaced(failure) as stream:
-                stream.write(str(error).encode())
+            self._store_failure(number, error)
             raise
         images = {"rgb": np.asarray(frame.rgb), "depth": np.asarray(frame.depth)}
         poses = {"pose": np.asarray(frame.world_from_camera), "asked": np.asarray(world_from_camera)}
@@ -185,6 +190,10 @@ class StoredCaptures:
 
     def _failure(self, number: int) -> Path:
         return self.folder / f"{number:0{_DIGITS}}.failed"
+
+    def _store_failure(self, number: int, error: CaptureFailed) -> None:
+        with replaced(self._failure(number)) as stream:
+            stream.write(str(error).encode())
 
     def _stored_frame(self, file: Path, wanted: np.ndarray | None = None) -> Frame:
         arrays = _read_arrays(file, ("asked", "rgb", "depth", "pose"))

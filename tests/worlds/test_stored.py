@@ -149,3 +149,23 @@ def test_the_views_of_a_world_are_stored_too(tmp_path: Path) -> None:
     assert again.views is not None
     np.testing.assert_array_equal(again.views.world_from_camera, poses)
     assert again.views.free_radius.tolist() == [0.4] * 3
+
+
+class Bumping(SimulatedRobot):
+    """Fail the second travel."""
+
+    travelled = 0
+
+    def travel(self, path: np.ndarray) -> None:
+        self.travelled += 1
+        if self.travelled == 2:
+            raise CaptureFailed("the bumper was hit")
+
+
+def test_a_failed_travel_is_replayed_as_one(tmp_path: Path) -> None:
+    whole, env = played(StoredCaptures(tmp_path, robot(Bumping)))
+    assert (tmp_path / "000001.failed").read_text() == "the bumper was hit"
+    for again, other in (played(StoredCaptures(tmp_path)), played(StoredCaptures(tmp_path, robot()))):
+        assert len(again) == len(whole)
+        poses = [np.stack(one.reconstruction.trajectory) for one in (other, env)]
+        np.testing.assert_array_equal(*poses)

@@ -10,9 +10,10 @@ import numpy as np
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.motion import unrounded_start
 from activestructure_gym.ranges import MAX_COORDINATE_M
 
-_RIGID = 1e-3  # largest deviation of an entry of R R^T from the identity: poses rounded to three decimals
+_RIGID = 2e-3  # largest accepted entry of R R^T - I; rounding to three decimals gives up to 0.001 sqrt(3)
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,11 @@ def checked_bounds(bounds: Any) -> np.ndarray:  # [2, 3] float64
 
 
 def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
-    """Return a pose as an array; raise `InputError` unless it is a rigid motion. ``what`` begins the message."""
+    """Return a pose with an orthonormal rotation; raise `InputError` unless it is nearly a rigid motion.
+
+    A rotation rounded to three decimals is accepted; a level pose (without roll) remains level. ``what`` begins the
+    message.
+    """
     try:
         array = np.array(pose, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -137,16 +142,19 @@ def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
     off = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if off > _RIGID or np.linalg.det(rotation) < 0 or np.abs(array[3] - (0, 0, 0, 1)).max() > _RIGID:
         raise InputError(f"{what} must be a rigid motion (rotation and translation), got {array.round(3).tolist()}")
-    return array
+    return unrounded_start(array)
 
 
 def checked_views(views: Views, bounds: np.ndarray) -> Views:
-    """Return the views inside the bounds; raise `InputError` if a pose is not rigid, or if none is inside."""
+    """Return the views inside the bounds; raise `InputError` if none is, for a pose that is not rigid, a radius < 0."""
+    radii = np.asarray(views.free_radius, dtype=np.float64)
+    if not (radii >= 0.0).all():
+        raise InputError(f"the free_radius of a view is 0 m or more, got {radii[~(radii >= 0.0)][0]}")
     poses = np.stack([checked_pose(f"view {n}", pose) for n, pose in enumerate(views.world_from_camera)])
     inside = ((poses[:, :3, 3] >= bounds[0]) & (poses[:, :3, 3] <= bounds[1])).all(axis=1)
     if not inside.any():
         raise InputError(f"none of the {len(poses)} views is inside the world's bounds {bounds.round(3).tolist()}")
-    return Views(poses[inside], np.asarray(views.free_radius, dtype=np.float64)[inside])
+    return Views(poses[inside], radii[inside])
 
 
 def checked_start(start: Start, bounds: np.ndarray) -> Start:

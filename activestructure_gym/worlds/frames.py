@@ -13,6 +13,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.worlds.base import checked_pose
 
 _SAME_ASPECT = 0.02  # largest relative difference of width / height between an image and the camera
+_ROUNDING = 1e-3  # by which floating-point colours may be outside 0..1; a step of uint8 is 0.004
 
 
 def frame_from(
@@ -24,6 +25,7 @@ def frame_from(
 ) -> Frame:
     """Return a frame of ``camera``; raise `InputError` for arrays that are no colour image, depth image or pose.
 
+    - The arrays are copied, since cameras can reuse them.
     - Depth beyond ``max_range`` or infinite becomes 0: no surface is within the range.
     - Depth of 0, below 0 or NaN becomes 0 and is marked in `Frame.unmeasured`: it proves nothing.
     - Images of another size are resized to the camera's: colour by area, depth by the nearest pixel. Their aspect ratio
@@ -34,9 +36,9 @@ def frame_from(
         raise InputError(f"a colour image is an array [H, W, 3], got {_described(rgb)}")
     colour = colour[..., :3]
     if colour.dtype.kind == "f":
-        if not np.isfinite(colour).all() or colour.min() < 0.0 or colour.max() > 1.0:
+        if not ((colour >= -_ROUNDING) & (colour <= 1.0 + _ROUNDING)).all():
             raise InputError("a colour image of floating-point numbers has values from 0 to 1; give uint8 for 0 to 255")
-        colour = np.rint(255.0 * colour).astype(np.uint8)
+        colour = np.rint(255.0 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
     elif colour.dtype != np.uint8:
         raise InputError(f"a colour image has dtype uint8, or floating-point numbers from 0 to 1, got {colour.dtype}")
 
@@ -48,13 +50,14 @@ def frame_from(
         raise InputError(
             f"depth is in metres as floating-point numbers, got {metres.dtype}; divide millimetres by 1000.0"
         )
-    metres = metres.astype(np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):
+        metres = metres.astype(np.float32)
     size = (camera.width, camera.height)
-    metres = _resized("depth", metres, size, cv2.INTER_NEAREST)
+    metres = _resized("depth", metres, size, cv2.INTER_NEAREST_EXACT)
     with np.errstate(invalid="ignore"):
         unmeasured, within = ~(metres > 0.0), metres <= np.float32(max_range)
     return Frame(
-        rgb=np.ascontiguousarray(_resized("colour", colour, size, cv2.INTER_AREA)),
+        rgb=np.array(_resized("colour", colour, size, cv2.INTER_AREA), order="C"),
         depth=np.ascontiguousarray(np.where(unmeasured | ~within, np.float32(0.0), metres)),
         world_from_camera=checked_pose("the pose of a frame", world_from_camera),
         camera=camera,

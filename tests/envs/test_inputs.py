@@ -29,6 +29,13 @@ def test_a_pose_written_with_three_decimals_is_the_nearest_rotation() -> None:
     np.testing.assert_array_equal(as_pose(ROUNDED)[:3, 3], ROUNDED[:3, 3])
 
 
+def test_any_pose_written_with_three_decimals_is_accepted() -> None:
+    for direction in np.random.default_rng(0).standard_normal((200, 3)):
+        written = look_along(np.array([2, 1.5, 1.25]), direction).round(3)
+        rotation = as_pose(written)[:3, :3]
+        assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-12 and is_level(as_pose(written))
+
+
 def test_a_pitched_pose_written_with_few_decimals_is_no_rolling_one(box_options: dict[str, Any]) -> None:
     level = look_along(np.array([2, 1.5, 1.25]), np.array([0.7, 0.4, -0.3]))
     for digits in (3, 4):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.motion import is_level
 from activestructure_gym.worlds import frame_from
 
 CAMERA = PinholeCamera.from_size(8, 4)
@@ -44,12 +45,43 @@ def test_colours_as_fractions_and_with_alpha() -> None:
     assert (frame.rgb == 128).all() and frame.rgb.shape == (4, 8, 3)
 
 
+def test_a_camera_may_reuse_its_arrays() -> None:
+    rgb, depth, pose = RGB.copy(), DEPTH.copy(), np.eye(4)
+    frame = frame_from(rgb, depth, pose, CAMERA, 10.0)
+    rgb[:], depth[:], pose[:] = 0, 0.0, 0.0
+    assert (frame.rgb == 100).all() and (frame.depth == 2.0).all()
+    np.testing.assert_array_equal(frame.world_from_camera, np.eye(4))
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_rounding_puts_just_outside_are_accepted() -> None:
+    rgb = np.full((4, 8, 3), 1.0 + 1e-6)
+    rgb[0] = -1e-6
+    frame = frame_from(rgb, np.full((4, 8), np.finfo(np.float64).max), np.eye(4), CAMERA, 10.0)
+    assert (frame.rgb[0] == 0).all() and (frame.rgb[1:] == 255).all() and not frame.depth.any()
+
+
+def test_a_pose_rounded_to_three_decimals_becomes_a_rotation_that_is_still_level() -> None:
+    errors = []
+    for direction in np.random.default_rng(0).standard_normal((200, 3)):
+        exact = look_along(np.array([1.0, 2.0, 1.5]), direction)
+        given = exact.round(3)
+        errors.append(np.abs(given[:3, :3] @ given[:3, :3].T - np.eye(3)).max())
+        taken = frame_from(RGB, DEPTH, given, CAMERA, 10.0).world_from_camera
+        assert np.abs(taken[:3, :3] @ taken[:3, :3].T - np.eye(3)).max() < 1e-12 < np.abs(taken - exact).max() < 2e-3
+        assert is_level(taken)
+    assert 1.2e-3 < max(errors) < 1e-3 * 3**0.5  # the limit
+    np.testing.assert_array_equal(frame_from(RGB, DEPTH, exact, CAMERA, 10.0).world_from_camera, exact)
+
+
 @pytest.mark.parametrize(
     ("rgb", "depth", "pose", "message"),
     [
         (RGB[..., 0], DEPTH, np.eye(4), r"a colour image is an array \[H, W, 3\], got shape \(4, 8\)"),
         (RGB.astype(np.int64), DEPTH, np.eye(4), "dtype uint8"),
         (RGB.astype(np.float64), DEPTH, np.eye(4), "values from 0 to 1"),
+        (np.full((4, 8, 3), np.nan), DEPTH, np.eye(4), "values from 0 to 1"),
+        (np.full((4, 8, 3), -0.01), DEPTH, np.eye(4), "values from 0 to 1"),
         (RGB, DEPTH[0], np.eye(4), r"a depth image is an array \[H, W\]"),
         (RGB, (1000 * DEPTH).astype(np.uint16), np.eye(4), "divide millimetres by 1000"),
         (RGB, np.ones((4, 4), np.float32), np.eye(4), "aspect ratios differ"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from typing import Any
 
@@ -191,3 +192,22 @@ def test_poses_that_drift_are_tracked() -> None:
         return np.linalg.norm(poses[1:, :3, 3] - np.stack(true)[1 : len(poses), :3, 3], axis=1)
 
     assert np.median(errors(30)) < 0.6 * np.median(errors(0))
+
+
+class Rounding(SimulatedRobot):
+    """Report poses with three decimals, as a log file or a message of a robot does."""
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        frame = super().capture(world_from_camera)
+        return dataclasses.replace(frame, world_from_camera=frame.world_from_camera.round(3))
+
+
+def test_an_agent_at_a_rounded_pose_is_offered_to_stay_there() -> None:
+    config = {"views.stages": (("pool", "stay"),), "views.max_candidates": 32}
+    env = ReconstructionEnv(Rounding("box", width=64, height=36), preset="rl", frame_budget=40, config=config)
+    env.reset(seed=0)  # the source refuses poses that are no rotations
+    for row in (0, 1):
+        env.step(np.int64(row))
+        rotation = env.reconstruction.pose[:3, :3]
+        assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-12
+    env.close()

@@ -168,16 +168,21 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
                 f"scene must be a name, a path, a Scene, a World, or a sequence of them, got {short_repr(scene)}"
             )
         config = replaced(config, changes)
-        self._world = only_world(self._scenes, start_pose)
-        self.config = config if self._world is None else with_camera(config, self._world.camera)
         self.reward_config = (
             reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), table_of("reward", reward))
         )
+        self._world = only_world(self._scenes, start_pose)
+        try:
+            self.config = config if self._world is None else with_camera(config, self._world.camera)
+            self.reconstruction = Reconstruction(self.config)
+            self.observation_space = observation_space(self.config, max_planes, observation_keys)
+        except BaseException:
+            if self._world is not None and names_world(self._scenes[0]):  # made here: the caller cannot close it
+                self._world.close()
+            raise
         self.render_mode = render_mode
         self.coverage_target = coverage_target
         self.max_planes = max_planes
-        self.reconstruction = Reconstruction(self.config)
-        self.observation_space = observation_space(self.config, max_planes, observation_keys)
         self.action_space = spaces.Discrete(self.config.views.max_candidates)
         self._start_pose = None if start_pose is None else self._as_start(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
@@ -326,7 +331,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return draw_panel(self.reconstruction, self._frame)
 
     def close(self) -> None:
-        """Release the sensor and the live page; further calls have no effect.
+        """Release the sensor or the world, and the live page; further calls have no effect.
 
         A closed environment refuses `reset`, `step` and `render`. Its `reconstruction` can still be read.
         """
@@ -334,8 +339,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if self._view is not None:
             self._view.close()
             self._view = None
-        if self._frame is not None:
-            self.reconstruction.world.close()
+        world = self._world if self._world is not None else getattr(self.reconstruction, "world", None)
+        if world is not None:  # a world is released even if no episode has begun
+            world.close()
 
     def _show_start(self) -> None:
         """Serve the live page, once per environment, and show the start of the episode."""

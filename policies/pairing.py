@@ -86,7 +86,11 @@ def make_env_and_policy(
         options = {"preset": NATIVE_PRESET, **options, "config": _with(settings, options.get("config"))}
     required = features_of(policy)
     env = gym.make(env_id, features=(*required, *(name for name in features if name not in required)), **options)
-    policy.bind(env)
+    try:
+        policy.bind(env)
+    except BaseException:
+        env.close()
+        raise
     return env, policy
 
 

@@ -11,7 +11,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import Spec, typed_options
 from activestructure_gym.worlds.base import World, is_world
-from activestructure_gym.worlds.reliable import Reliable
+from activestructure_gym.worlds.reliable import Reliable, check_limits
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -60,6 +60,7 @@ def load_world(name: str) -> World:
     make = WORLDS.get(spec.name)
     label = f"world '{spec.name}'"
     options, limits = _arguments(spec, make, spec.options(label))
+    check_limits(**limits)  # before a robot is connected
     made = make(**options)
     if not is_world(made):
         raise InputError(

@@ -69,14 +69,18 @@ class Watch:
 
         env, policy = self._make()
         asks = self.policy == YOU
-        view = LiveView(
-            f"{self.policy} · {self.world or self.scene} · seed {self.seed}",
-            address=self.host,
-            port=self.port,
-            chooses=True,
-            asks=asks,
-            paused=self.paused,
-        )
+        try:
+            view = LiveView(
+                f"{self.policy} · {self.world or self.scene} · seed {self.seed}",
+                address=self.host,
+                port=self.port,
+                chooses=True,
+                asks=asks,
+                paused=self.paused,
+            )
+        except BaseException:
+            env.close()
+            raise
         console = make_console()
         if not ip_address(self.host).is_loopback:
             complain(

@@ -68,7 +68,14 @@ def surroundings_of(job: Job, directory: Path, world: StoredCaptures | None = No
     if not names_world(job.scene):
         return scene_surroundings(job)
     refuse_without_truth(job)
-    return _of_world(job, world or StoredCaptures(captures_in_progress(directory), load_world(job.scene)))
+    if world is not None:
+        return _of_world(job, world)
+    made = load_world(job.scene)
+    try:
+        return _of_world(job, StoredCaptures(captures_in_progress(directory), made))
+    except BaseException:
+        made.close()
+        raise
 
 
 def scene_surroundings(job: Job) -> Surroundings:

@@ -13,6 +13,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.policies import Policy, make_env_and_policy
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sensors import RGBDSensor, SensorConfig
@@ -174,3 +175,66 @@ def test_a_reconstruction_needs_the_world_s_camera() -> None:
     config = with_camera(configure("fast"), world.camera)
     frame = Reconstruction(config).start(world, 0)
     assert isinstance(frame, Frame) and frame.camera == world.camera
+
+
+class Counted(SimulatedRobot):
+    """Count the worlds that are open."""
+
+    open_worlds = 0
+
+    def __init__(self, start: bool = True) -> None:
+        super().__init__("box", width=64, height=36)
+        Counted.open_worlds += 1
+        self._closed, self._starts = False, start
+
+    @property
+    def start(self) -> Start:
+        return super().start if self._starts else Start(np.full((4, 4), np.nan))
+
+    def close(self) -> None:
+        super().close()
+        Counted.open_worlds -= not self._closed
+        self._closed = True
+
+
+def test_a_world_is_closed_after_every_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Counted, "open_worlds", 0)
+    name = f"world:{__name__}:Counted"
+    ReconstructionEnv(name, preset="rl").close()  # before the first reset
+    assert Counted.open_worlds == 0
+    env = ReconstructionEnv(f"{name}?start=false", preset="rl")
+    with pytest.raises(InputError, match="start pose"):
+        env.reset(seed=0)
+    assert Counted.open_worlds == 1
+    env.close()
+    assert Counted.open_worlds == 0
+    for options in ({"observation_keys": ["nothing"]}, {"config": {"mapper.keyframe_reduction": 5}}):
+        with pytest.raises(InputError):
+            ReconstructionEnv(name, preset="rl", **options)
+        assert Counted.open_worlds == 0
+    for limits in ("tries=0", "timeout_s=-1"):
+        with pytest.raises(InputError, match="of a world"):
+            load_world(f"{name}?{limits}")
+        assert Counted.open_worlds == 0
+    with pytest.raises(InputError, match="needs the features"):
+        make_env_and_policy(Needy(), name, preset="rl", observation_keys=["action_mask"])
+    assert Counted.open_worlds == 0
+
+
+class Needy(Policy):
+    """Fail to bind."""
+
+    def bind(self, source: Any) -> None:
+        raise InputError("Needy needs the features of another env")
+
+    def act(self, observation: dict[str, np.ndarray]) -> int:
+        return 0
+
+
+def test_a_world_of_the_caller_stays_open_if_the_environment_cannot_be_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Counted, "open_worlds", 0)
+    world = Counted()
+    with pytest.raises(InputError):
+        ReconstructionEnv(world, preset="rl", observation_keys=["nothing"])
+    assert Counted.open_worlds == 1
+    world.close()

@@ -223,10 +223,15 @@ class Explorer:
         return target
 
     def close(self) -> None:
-        """Stop, and delete the temporary folder; may be called twice."""
-        self.stop()
-        if self._temporary is not None:
-            shutil.rmtree(self._temporary, ignore_errors=True)
+        """Stop, and delete the temporary folder; may be called twice. An error of the episode is not raised again."""
+        try:
+            self.stop()
+        except BaseException as error:
+            if error is not self._error:
+                raise
+        finally:
+            if self._temporary is not None:
+                shutil.rmtree(self._temporary, ignore_errors=True)
 
     def _asked_for(self) -> Goal | None:
         """Return the goal that the episode waits at; None if it has ended. Raise its error."""

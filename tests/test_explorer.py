@@ -191,4 +191,8 @@ def test_an_error_of_the_policy_reaches_the_caller(monkeypatch: pytest.MonkeyPat
     observe(explorer, camera, camera.start.pose)
     with pytest.raises(ZeroDivisionError):
         explorer.next_view()
+    folder = explorer.directory.parent
+    for _ in range(2):
+        explorer.close()  # the error has been raised
+        assert not folder.exists()
     assert issubclass(type(make_policy("hole_area")), Policy)

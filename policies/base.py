@@ -273,6 +273,18 @@ def without_revisits(observation: Observation) -> Observation:
     return {**observation, "action_mask": new.astype(np.int8)} if new.any() else observation
 
 
+def only_views(observation: Observation, candidates: Candidates) -> Observation:
+    """Return a copy of the observation in which only views are valid, unless no view is; see `Candidates.views`.
+
+    Planners that compare places or indices use it. In rows that end the episode or switch stages, the place is that of
+    the agent and the index of a node, region or frontier is 0, as in views.
+    """
+    views = candidates.views
+    if not views.any() or np.array_equal(views, candidates.valid):
+        return observation
+    return {**observation, "action_mask": views.astype(np.int8)}
+
+
 def nearest_new(observation: Observation) -> int:
     """Return the valid row with the fewest frames; revisits and the current pose come after all other views.
 

@@ -97,6 +97,18 @@ class Candidates:
         """Return which rows hold a candidate."""
         return self._observation["action_mask"].astype(bool)
 
+    @property
+    def views(self) -> np.ndarray:  # [K] bool, a new array
+        """Return which rows hold a view; other valid rows end the episode or switch stages, and their features are 0.
+
+        Of the sources, only ``finish`` is known to end the episode.
+        """
+        others = [name for name in self._rows if name.startswith("ask_") or name.partition("?")[0] == "from_finish"]
+        rows = self.valid
+        for name in others:
+            rows &= ~(self._row(name) > 0)
+        return rows
+
     def offers(self, source: str) -> bool:
         """Return whether the env has this candidate source in any stage, such as ``"lattice?spacing_m=1"``."""
         return f"from_{source}" in self._rows or (source == "pool" and tuple(self._rows) == CANDIDATE_COLUMNS)

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, without_revisits
+from activestructure_gym.policies.base import (
+    POLICIES,
+    Observation,
+    best_valid,
+    nearest_new,
+    only_views,
+    without_revisits,
+)
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner.policy import shortest_tour
@@ -50,7 +57,7 @@ class Aiisrfe(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the candidate nearest to the next task of the tour; without tasks, the nearest new view."""
-        observation = without_revisits(observation)
+        observation = without_revisits(only_views(observation, self.candidates(observation)))
         candidates = self.candidates(observation)
         new = candidates.valid & ~candidates.revisit
         frontier = new & (candidates["aiisrfe_frontier"] >= 0)

@@ -13,6 +13,7 @@ from activestructure_gym.policies.base import (
     at_current_pose,
     best_valid,
     nearest_new,
+    only_views,
     travel_discount,
 )
 from activestructure_gym.policies.candidates import Candidates
@@ -82,6 +83,7 @@ class AnmS(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the next view at this node, or a view at the next node."""
+        observation = only_views(observation, self.candidates(observation))
         candidates = self.candidates(observation)
         places = candidates.xyz.astype(np.float64)
         here = observation["pose"][:3].astype(np.float64)

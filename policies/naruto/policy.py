@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
+from activestructure_gym.policies.base import (
+    POLICIES,
+    Observation,
+    best_valid,
+    nearest_new,
+    only_views,
+    travel_discount,
+)
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
@@ -49,6 +56,7 @@ class Naruto(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the next view at the goal, or a view at a new goal if no target is left or the goal was missed."""
+        observation = only_views(observation, self.candidates(observation))
         candidates = self.candidates(observation)
         here = observation["pose"][:3]
         if np.linalg.norm(here - self._goal) > AT_GOAL:

@@ -13,6 +13,7 @@ from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, candidate_co
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import column_names
 from activestructure_gym.policies import candidates
+from activestructure_gym.policies.base import only_views
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.naruto import Naruto
@@ -37,6 +38,20 @@ def test_every_column_by_its_name(observation: dict[str, np.ndarray]) -> None:
     assert seen.revisit.tolist() == [False, True, False, True, False]
     assert seen.valid.tolist() == [True, True, True, False, False]
     assert candidate_columns(*CANDIDATE_COLUMNS) == list(range(9))
+
+
+def test_rows_that_end_or_switch_are_no_views(observation: dict[str, np.ndarray]) -> None:
+    assert Candidates(observation).views.tolist() == [True, True, True, False, False]
+    rows = (*CANDIDATE_COLUMNS, "from_pool", "from_finish?rows=1", "from_finisher", "ask_1")
+    kinds = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0]], np.float32)
+    observation["candidates"] = np.hstack([observation["candidates"], kinds])
+    observation["action_mask"][4] = 1
+    seen = Candidates(observation, rows=rows)
+    assert seen.views.tolist() == [True, False, False, False, True]
+    assert seen.valid.tolist() == [True, True, True, False, True]
+    assert only_views(observation, seen)["action_mask"].tolist() == [1, 0, 0, 0, 1]
+    observation["action_mask"][[0, 4]] = 0  # nothing else is left
+    assert only_views(observation, seen) is observation
 
 
 def test_features_and_single_columns(observation: dict[str, np.ndarray]) -> None:

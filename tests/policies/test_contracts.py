@@ -16,6 +16,7 @@ import trimesh
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, STAGE_COLUMNS
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES, FeatureContext, column_names, evaluate_features
 from activestructure_gym.features.keyframe_information import KeyframeInformation
@@ -290,3 +291,37 @@ def test_the_swap_finds_a_feature_that_peeks(episode: Episode) -> None:
             evaluate_features(("peeking_for_this_test",), episode.context)
     finally:
         del FEATURES._entries["peeking_for_this_test"]
+
+
+# The planners that compare places, or indices of nodes, regions and frontiers.
+@pytest.mark.parametrize(
+    "name",
+    ["aiisrfe", "aiisrfe?travel=shared", "anm_s", "activesplat", "activeinr", "naruto", "rt_guide", "gs_planner",
+     "activegamer"],
+)  # fmt: skip
+def test_the_row_that_ends_the_episode_is_not_taken_for_a_view(name: str) -> None:
+    policy, rows = make_policy(name), (*CANDIDATE_COLUMNS, "from_pool", "from_finish", *STAGE_COLUMNS)
+    columns = column_names(policy.required_features)
+    policy.bind(columns)
+    policy._rows = rows
+    table = np.zeros((3, len(rows)), np.float32)
+    place = {column: number for number, column in enumerate(rows)}
+    # Two views that show nothing, 3 and 4 m away, and the row that ends the episode, at the agent's pose.
+    table[:, place["x"]], table[:, place["look_x"]] = (3.0, 4.0, 0.0), 1.0
+    table[:, place["path_length"]], table[:, place["frames"]] = (3.0, 4.0, 0.0), (30.0, 40.0, 500.0)
+    table[:2, place["from_pool"]] = table[2, place["from_finish"]] = 1.0
+    features = np.zeros((3, len(columns)), np.float32)
+    for column in ("voronoi_node", "aiisrfe_frontier", "activesplat_region", "rt_guide"):
+        if column in columns:
+            features[:2, columns.index(column)] = -1.0
+    observation = {
+        "candidates": table,
+        "candidate_features": features,
+        "action_mask": np.ones(3, np.int8),
+        "pose": np.array([0, 0, 0, 0.5, -0.5, 0.5, -0.5], np.float32),  # looks along +x
+        "fidelity": np.array([20.0, 25.0], np.float32),
+    }
+    for _ in range(3):
+        assert policy.act(observation) in (0, 1)
+    observation["action_mask"][:2] = 0
+    assert policy.act(observation) == 2

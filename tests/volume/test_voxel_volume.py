@@ -387,6 +387,15 @@ def test_no_straight_line_passes_a_wall_of_one_voxel(wall):
     assert volume.straight_lines_free(beyond[0], beyond).all()
 
 
+def test_a_straight_line_out_of_the_grid_is_not_free():
+    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
+    volume.state[:] = FREE
+    middle, outside = np.full(3, 0.5), np.array([5.0, 0.5, 0.5])
+    assert volume.straight_lines_free(middle, np.array([1.05, 0.5, 0.5]))[0]  # in the outermost voxels
+    assert not volume.straight_lines_free(middle, outside)[0]
+    assert not volume.straight_lines_free(outside, middle)[0]
+
+
 def test_wrong_input_is_refused(cast_boxes):
     with pytest.raises(InputError, match="units"):
         VoxelVolume(np.array([[0.0, 0.0, 0.0], [8000.0, 6000.0, 2500.0]]))

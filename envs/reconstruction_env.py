@@ -15,7 +15,7 @@ from gymnasium import spaces
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.exclusive_access import ExclusiveAccess
 from activestructure_gym.envs.inputs import Scenes, as_pose, as_truth, only_world, table_of
-from activestructure_gym.envs.observation import encode, observation_space
+from activestructure_gym.envs.observation import MAX_DISTANCE_M, encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
 from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
@@ -220,6 +220,13 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         start_pose = self._as_start(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
         self._frame = self.reconstruction.start(where, episode_seed, start_pose)
+        if (away := float(np.abs(self.reconstruction.bounds).max())) > MAX_DISTANCE_M:
+            warnings.warn(
+                f"the scene is {away:,.0f} m from the origin, and the observation limits positions to "
+                f"{MAX_DISTANCE_M:,.0f} m, so policies that read positions choose wrong views: move the scene",
+                InputWarning,
+                stacklevel=3,
+            )
         if not len(self.reconstruction.candidates):
             sources = ", ".join(self.config.views.stages[0])
             warnings.warn(

@@ -9,7 +9,7 @@ import pytest
 
 from activestructure_gym import configure
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
@@ -238,3 +238,39 @@ def test_a_world_of_the_caller_stays_open_if_the_environment_cannot_be_made(monk
         ReconstructionEnv(world, preset="rl", observation_keys=["nothing"])
     assert Counted.open_worlds == 1
     world.close()
+
+
+class Distant(SimulatedRobot):
+    """Have the origin of the frame 2 km away, as in a map of a town."""
+
+    _AWAY = np.array([2000.0, 0.0, 0.0])
+
+    def __init__(self) -> None:
+        super().__init__("box", width=64, height=36)
+        self.bounds = self.bounds + self._AWAY
+
+    @property
+    def start(self) -> Start:
+        start = super().start
+        return Start(self._moved(start.pose, self._AWAY), start.free_radius)
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        frame = super().capture(self._moved(world_from_camera, -self._AWAY))
+        pose = self._moved(frame.world_from_camera, self._AWAY)
+        return Frame(frame.rgb, frame.depth, pose, frame.camera)
+
+    def _moved(self, pose: np.ndarray, by: np.ndarray) -> np.ndarray:
+        moved = np.array(pose)
+        moved[:3, 3] += by
+        return moved
+
+
+def test_positions_beyond_the_limits_of_the_observation_are_warned_of() -> None:
+    env = ReconstructionEnv(Distant(), preset="rl")
+    with pytest.warns(
+        InputWarning, match=r"the scene is 2,00\d m from the origin, and the observation limits positions"
+    ):
+        observation, _ = env.reset(seed=0)
+    rows = observation["action_mask"] > 0
+    assert (observation["candidates"][rows, 0] == 1000.0).all()  # all views seem to be at one place
+    env.close()

@@ -67,6 +67,10 @@ class Proposals:
             )
         if self.path_length is not None and np.shape(self.path_length) != shape[:1]:
             raise InputError(f"path_length must be [{shape[0]}], one per pose, got {np.shape(self.path_length)}")
+        if self.revisit is not None:
+            if np.shape(self.revisit) != shape[:1]:
+                raise InputError(f"revisit must be [{shape[0]}], one per pose, got {np.shape(self.revisit)}")
+            object.__setattr__(self, "revisit", np.asarray(self.revisit, dtype=bool))  # features index with ~revisit
 
     def __len__(self) -> int:
         return len(self.world_from_camera)

@@ -233,6 +233,10 @@ def test_proposals_are_checked() -> None:
         Proposals(np.tile(np.eye(4), (2, 1, 1)), look_at=np.zeros((1, 3)))
     with pytest.raises(InputError, match=r"path_length must be \[2\], one per pose, got \(1,\)"):
         Proposals(np.tile(np.eye(4), (2, 1, 1)), path_length=np.zeros(1))
+    with pytest.raises(InputError, match=r"revisit must be \[2\], one per pose, got \(\)"):
+        Proposals(np.tile(np.eye(4), (2, 1, 1)), revisit=True)
+    whole = Proposals(np.tile(np.eye(4), (2, 1, 1)), revisit=[0, 1]).revisit  # ~ of whole numbers is no mask
+    assert whole.dtype == bool and whole.tolist() == [False, True]
 
 
 @dataclass(frozen=True)

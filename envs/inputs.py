@@ -1,19 +1,24 @@
-"""Convert what users give an environment: scenes and worlds, start poses, tables of options."""
+"""Convert what users give an environment: scenes and worlds, start poses, tables of options; warn of a bad start."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.envs.observation import MAX_DISTANCE_M
+from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, Layout, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import unrounded_start
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.worlds import World, is_world, load_world, names_world
+
+if TYPE_CHECKING:
+    from activestructure_gym.reconstruction import Reconstruction
 
 SceneSpec = str | PathLike[str] | Scene | GroundTruth | Layout | World
 Scenes = SceneSpec | Sequence[SceneSpec]
@@ -90,3 +95,25 @@ def table_of(what: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise InputError(f"{what} must be a dictionary with names as keys, got {short_repr(value)}")
     return value
+
+
+def warn_of_start(episode: Reconstruction) -> None:
+    """Warn of a scene too far from the origin for the observation, and of a start without a candidate view.
+
+    The warnings name the line that calls ``reset()``.
+    """
+    if (away := float(np.abs(episode.bounds).max())) > MAX_DISTANCE_M:
+        warnings.warn(
+            f"the scene is {away:,.0f} m from the origin, and the observation limits positions to "
+            f"{MAX_DISTANCE_M:,.0f} m, so policies that read positions choose wrong views: move the scene",
+            InputWarning,
+            stacklevel=4,
+        )
+    if not len(episode.candidates):
+        sources = ", ".join(episode.config.views.stages[0])
+        warnings.warn(
+            f"no candidate view at the start: none of the views that '{sources}' proposed can be reached through "
+            "known free space, so the episode ends with its first step",
+            InputWarning,
+            stacklevel=4,
+        )

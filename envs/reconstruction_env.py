@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
@@ -14,11 +13,11 @@ from gymnasium import spaces
 
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.exclusive_access import ExclusiveAccess
-from activestructure_gym.envs.inputs import Scenes, as_pose, as_truth, only_world, table_of
-from activestructure_gym.envs.observation import MAX_DISTANCE_M, encode, observation_space
+from activestructure_gym.envs.inputs import Scenes, as_pose, as_truth, only_world, table_of, warn_of_start
+from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
-from activestructure_gym.errors import InputError, InputWarning, renamed, short_repr
+from activestructure_gym.errors import InputError, renamed, short_repr
 from activestructure_gym.ground_truth import GroundTruth, Layout
 from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, StepResult
@@ -220,21 +219,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         start_pose = self._as_start(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
         self._frame = self.reconstruction.start(where, episode_seed, start_pose)
-        if (away := float(np.abs(self.reconstruction.bounds).max())) > MAX_DISTANCE_M:
-            warnings.warn(
-                f"the scene is {away:,.0f} m from the origin, and the observation limits positions to "
-                f"{MAX_DISTANCE_M:,.0f} m, so policies that read positions choose wrong views: move the scene",
-                InputWarning,
-                stacklevel=3,
-            )
-        if not len(self.reconstruction.candidates):
-            sources = ", ".join(self.config.views.stages[0])
-            warnings.warn(
-                f"no candidate view at the start: none of the views that '{sources}' proposed can be reached through "
-                "known free space, so the episode ends with its first step",
-                InputWarning,
-                stacklevel=3,
-            )
+        warn_of_start(self.reconstruction)
         self._coverage = None if truth is None else SurfaceCoverage(truth.observable_surface.points, self.reward_config)
         self._count(self._frame, self.reconstruction.trajectory[0])
         self._ended = False

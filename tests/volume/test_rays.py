@@ -97,7 +97,7 @@ def test_no_view_and_a_view_from_outside() -> None:
 )
 def test_a_reach_without_end_and_a_stride_below_one_are_refused(options: dict[str, float]) -> None:
     name, value = next(iter(options.items()))
-    with pytest.raises(InputError, match=f"^{name} is .*, or None, got {value}$"):
+    with pytest.raises(InputError, match=f"^{name} must be .*, or None, got {value}$"):
         ahead(VoxelVolume(BOUNDS), **options)
 
 

@@ -155,24 +155,22 @@ def test_the_command_writes_a_page_and_says_what_it_takes(
 
 
 @needs_browser
-@pytest.mark.parametrize("width", [390, 1280])
-def test_the_reason_of_the_current_decision_is_shown(
-    page: Page, recordings: list[Recording], tmp_path: Path, width: int
-) -> None:
+def test_the_reason_of_the_current_decision_is_shown(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     write_replay(recordings[:1], tmp_path / "replay.html")
-    page.ask("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=False)
+    page.ask("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False)
     page.open((tmp_path / "replay.html").as_uri())
     page.until("window.player && player.drawn > 0")
     panel = "document.querySelector('.why')"
-    for moment in recordings[0].moments[:2]:
+    box = f"{panel}.getBoundingClientRect()"
+    for moment, width in zip(recordings[0].moments, (390, 1280)):
+        page.ask("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=False)
         page.value(f"player.to({moment.frame}); 1")
         page.until("player.dirty === false")
         reason = reasons.reason("hole_area", recordings[0].run.decisions[moment.decision])
         assert page.value(f"{panel}.querySelector('summary').textContent") == reason
-    assert page.value("document.documentElement.scrollWidth") == width
-    assert page.value(f"{panel}.open") is True
-    box = f"{panel}.getBoundingClientRect()"
-    assert page.value(f"{box}.left >= 0 && {box}.right <= {width} && {box}.height < 320")
+        assert page.value("document.documentElement.scrollWidth") == width
+        assert page.value(f"{panel}.open") is True
+        assert page.value(f"{box}.left >= 0 && {box}.right <= {width} && {box}.height < 320")
     page.value("player.to(player.end), 1")
     page.until("player.dirty === false")
     assert page.value(f"{panel}.hidden") is True  # no decision follows the last keyframe

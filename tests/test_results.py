@@ -99,7 +99,7 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     full = psnr.pop("activestructure?discovery=pixel&revisits=true")
     a, b, c, d = (psnr[f"activestructure-{rung}"] for rung in "abcd")
     assert full > max(psnr.values()) and c == d
-    assert f"the highest PSNR of A to E**, by {full - a:.2f} dB" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"the highest PSNR of the paper's variants A to E**, by {full - a:.2f} dB" in (ROOT / "README.md").read_text(encoding="utf-8")
     assert f"{full - a:+.2f} dB over A and {full - d:+.2f} dB over D" in told
     assert f"cost {a - b:.2f} dB** (B minus A)" in told and f"another {b - c:.2f} dB (C minus B)" in told
 

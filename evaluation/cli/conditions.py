@@ -97,4 +97,4 @@ class RunOptions:
     workers: int = 0
     """Run this number of jobs at a time; 0 is one per core."""
     trust_code: Switch = False
-    """Run code (package.module:Name) that a resumed comparison, a checkpoint or a run names."""
+    """Allow the execution of code (package.module:Name) named in a resumed comparison, a checkpoint or a run."""

@@ -356,8 +356,8 @@ def _check_overlap(path: Path, mesh: SceneMesh) -> None:
     times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
     if times > _MAX_OVERLAP:
         raise InputError(
-            f"'{path}' has triangles on top of each other: a line through it meets about {times:,.0f} of their "
-            f"boxes, where a furnished apartment has 20 (at most {_MAX_OVERLAP}); remove the copies"
+            f"'{path}' has overlapping triangles: a line through it meets about {times:,.0f} triangle boxes (a "
+            f"furnished apartment: 20, limit: {_MAX_OVERLAP}); remove the copies"
         )
 
 

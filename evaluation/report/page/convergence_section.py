@@ -81,8 +81,8 @@ def reading(lines: Sequence[Line], measure: Measure) -> str:
     top, before = (f"{value:.{measure.metric.digits}f} {measure.metric.unit}" for value in (best, early))
     if len(lines) == 1:
         return f"{measure.metric.label}: {before} at frame {half:.0f}, {top} at the end."
-    ends_and_middles = f"{_named(last)}, {top}, at the end; {_named(first)}, {before}, at frame {half:.0f}"
-    return f"{measure.metric.label}, highest: {ends_and_middles}."
+    middle = f"at frame {half:.0f}: {_named(first)} ({before})"
+    return f"{measure.metric.label}, highest at the end: {_named(last)} ({top}), {middle}."
 
 
 def _named(names: Sequence[str]) -> str:

@@ -41,7 +41,7 @@ def planning_table(results: Results) -> Table | None:
     ]
     rows = [[Cell(policy), *(cells[k] for cells in by_column)] for k, policy in enumerate(results.policies)]
     caption = (
-        "Frames to N %: until N % of the observable surface was observed. >: some runs did not reach the share and "
+        "Frames to N %: until N % of the true surface was observed. >: some runs did not reach the share and "
         "count with the budget. Exploration: area under the curve of observed surface, divided by the frame budget. "
         "Late PSNR and late Depth: change per 100 frames in the second half of the budget. Means over scenes of the "
         "means over runs"

@@ -17,13 +17,13 @@ def line(name, *heights):
     [
         ([line("a", 0, 40, 80.04)], "C.R.: 40.0 % at frame 50, 80.0 % at the end."),
         ([line("a", 0, 40, 80), line("b", 0, 50, 70)],
-         "C.R., highest: a, 80.0 %, at the end; b, 50.0 %, at frame 50."),
+         "C.R., highest at the end: a (80.0 %), at frame 50: b (50.0 %)."),
         ([line("a", 0, 50, 80), line("b", 0, 40, 79.9)],
-         "C.R., highest: a, 80.0 %, at the end; a, 50.0 %, at frame 50."),
+         "C.R., highest at the end: a (80.0 %), at frame 50: a (50.0 %)."),
         ([line("a", 0, 50, 80.01), line("b", 0, 40, 79.99)],  # equal as printed
-         "C.R., highest: a and b, 80.0 %, at the end; a, 50.0 %, at frame 50."),
+         "C.R., highest at the end: a and b (80.0 %), at frame 50: a (50.0 %)."),
         ([line(name, 0, 50, 80) for name in "abcde"],
-         "C.R., highest: a, b, c and 2 more, 80.0 %, at the end; a, b, c and 2 more, 50.0 %, at frame 50."),
+         "C.R., highest at the end: a, b, c and 2 more (80.0 %), at frame 50: a, b, c and 2 more (50.0 %)."),
         ([], ""),
     ],
 )  # fmt: skip

@@ -105,7 +105,7 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     assert f"{full - a:+.2f} dB over A and {full - d:+.2f} dB over D" in told
     (row,) = script["rows"](script["PLACE"].with_name("paper_rounds.csv"))
     plain = float(row["psnr"])
-    assert f"bring {full - plain:.2f} dB.**" in told and f"E has {plain:.2f} dB, {a - plain:.2f} dB less than A" in told
+    assert f"bring {full - plain:.2f} dB.**" in told and f"keyframes and has {plain:.2f} dB, {a - plain:.2f} dB less than A" in told
     assert f"cost {a - b:.2f} dB** (B minus A)" in told and f"another {b - c:.2f} dB (C minus B)" in told
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.config import Preset, configure
+from activestructure_gym.config import Preset
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -133,7 +133,6 @@ class Explorer:
         corners = checked_bounds(bounds)
         begin = checked_start(Start(start, free_radius), corners)
         conditions = Conditions(preset=preset, frame_budget=frame_budget, overrides=config or {}, setup=setup)
-        self._range = configure(conditions.preset, conditions.overrides).sensor.max_range
         self._job = Job(SCENE, canonical_policy(policy), seed, world_hash(SCENE), conditions)
         self._temporary = Path(tempfile.mkdtemp(prefix="asg-explorer-")) if directory is None else None
         self.directory = Path(directory) if directory is not None else Path(f"{self._temporary}/run")
@@ -176,7 +175,7 @@ class Explorer:
         goal = self._asked_for()
         if goal is None:
             raise InputError("the exploration has ended, so no picture is asked for")
-        frame = frame_from(rgb, depth, pose, self._robot.camera, self._range)
+        frame = frame_from(rgb, depth, pose, self._robot.camera, np.inf)  # the episode applies the sensor's range
         self._goal = None
         self._robot.answers.put(frame)
 

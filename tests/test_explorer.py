@@ -152,6 +152,23 @@ def test_a_view_that_cannot_be_reached_is_replaced_and_the_fourth_ends_it() -> N
         explorer.next_view()
 
 
+def test_infinite_depth_reaches_the_episode_as_no_surface_and_not_as_no_measurement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    camera, frames = robot(), list[Any]()
+    explorer = explorer_of(camera)
+    frame = camera.capture(camera.start.pose)
+    explorer.next_view()
+    put = explorer._robot.answers.put
+    monkeypatch.setattr(explorer._robot.answers, "put", lambda answer: (frames.append(answer), put(answer)))
+    depth = np.full(frame.depth.shape, np.inf, np.float32)
+    depth[0, 0] = 0.0
+    explorer.observe(frame.rgb, depth, frame.world_from_camera)
+    assert np.isposinf(frames[0].depth).sum() == depth.size - 1 and frames[0].unmeasured.sum() == 1
+    monkeypatch.undo()
+    explorer.close()
+
+
 def test_wrong_pictures_are_refused_and_lose_nothing() -> None:
     camera = robot()
     explorer = explorer_of(camera)

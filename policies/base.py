@@ -276,8 +276,8 @@ def without_revisits(observation: Observation) -> Observation:
 def only_views(observation: Observation, candidates: Candidates) -> Observation:
     """Return a copy of the observation in which only views are valid, unless no view is; see `Candidates.views`.
 
-    Planners that compare places or indices use it. In rows that end the episode or switch stages, the place is that of
-    the agent and the index of a node, region or frontier is 0, as in views.
+    Planners that compare places or indices use it. Rows that end the episode or switch stages have the
+    agent's position, and index 0 of a node, region or frontier, which views can have too.
     """
     views = candidates.views
     if not views.any() or np.array_equal(views, candidates.valid):

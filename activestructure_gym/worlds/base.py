@@ -146,10 +146,10 @@ def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
 
 
 def checked_views(views: Views, bounds: np.ndarray) -> Views:
-    """Return the views inside the bounds; raise `InputError` if none is, for a pose that is not rigid, a radius < 0."""
+    """Return the views inside the bounds; raise `InputError` if none is, or for an invalid pose or radius."""
     radii = np.asarray(views.free_radius, dtype=np.float64)
     if not (radii >= 0.0).all():
-        raise InputError(f"the free_radius of a view is 0 m or more, got {radii[~(radii >= 0.0)][0]}")
+        raise InputError(f"the free_radius of a view must be 0 m or more, got {radii[~(radii >= 0.0)][0]}")
     poses = np.stack([checked_pose(f"view {n}", pose) for n, pose in enumerate(views.world_from_camera)])
     inside = ((poses[:, :3, 3] >= bounds[0]) & (poses[:, :3, 3] <= bounds[1])).all(axis=1)
     if not inside.any():

@@ -114,9 +114,9 @@ class Reliable:
 def check_limits(*, tries: int = 1, timeout_s: float | None = None) -> None:
     """Raise `InputError` for values that `Reliable` does not accept."""
     if isinstance(tries, bool) or not isinstance(tries, int) or tries < 1:
-        raise InputError(f"tries of a world is a whole number of at least 1, got {short_repr(tries)}")
+        raise InputError(f"tries of a world must be a whole number of at least 1, got {short_repr(tries)}")
     if timeout_s is not None and not (isinstance(timeout_s, int | float) and 0 < timeout_s < 1e6):
-        raise InputError(f"timeout_s of a world is a number of seconds above 0, got {short_repr(timeout_s)}")
+        raise InputError(f"timeout_s of a world must be a number of seconds above 0, got {short_repr(timeout_s)}")
 
 
 class _TooLate(CaptureFailed):

@@ -59,7 +59,7 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
 
 @contextmanager
 def alone(file: Path) -> Iterator[None]:
-    """Run the block while no other block holds ``file``, a lock file that is made; wait for the others.
+    """Run the block with an exclusive lock on ``file``, which is created; wait for other holders.
 
     It is for short changes by the holders of a shared lock. On file systems without locks it has no effect.
     """

@@ -263,7 +263,7 @@ def _scene_of(job: Job) -> tuple[str, str]:
 
 
 def titles_of(jobs: Sequence[Job]) -> dict[str, str]:
-    """Return the titles of jobs by `Job.name`; scenes of equal file names have different names in them."""
+    """Return the titles of jobs by `Job.name`; scenes with equal file names get different ones."""
     jobs = one_spec_each(jobs)
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     return {job.name: job._titled(labels[job.scene]) for job in jobs}

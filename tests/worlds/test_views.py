@@ -99,7 +99,7 @@ def test_views_are_checked() -> None:
     with pytest.raises(InputError, match="view 2 must be a rigid motion"):
         checked_views(Views(np.stack([*poses[:2], 2 * np.eye(4)]), np.ones(3)), bounds)
     for radius in (-0.1, np.nan):
-        with pytest.raises(InputError, match=f"the free_radius of a view is 0 m or more, got {radius}"):
+        with pytest.raises(InputError, match=f"the free_radius of a view must be 0 m or more, got {radius}"):
             checked_views(Views(poses, np.array([0.1, radius, 0.3])), bounds)
     for wrong in (poses[0], poses[:0]):
         with pytest.raises(InputError, match="views are poses"):

@@ -32,9 +32,10 @@ def task(sentence: str, **arguments: str) -> Callable[[E], E]:
     """
 
     def make(kind: E) -> E:
-        head, first = "## Description\n", "    | `preset` |"
-        page = (ReconstructionEnv.__doc__ or "").replace(head, f"{head}    {sentence}\n\n", 1)
-        rows = "".join(f"    | `{name}` | {row} |\n" for name, row in arguments.items())
+        head, first = "## Description\n", "| `preset` |"
+        text = inspect.cleandoc(ReconstructionEnv.__doc__ or "")  # Python 3.13 stores docstrings without their indent
+        page = text.replace(head, f"{head}{sentence}\n\n", 1)
+        rows = "".join(f"| `{name}` | {row} |\n" for name, row in arguments.items())
         kind.__doc__ = page.replace(first, rows + first, 1)
         own = [p for p in inspect.signature(kind).parameters.values() if p.kind is p.KEYWORD_ONLY]
         shared = [p for name, p in inspect.signature(ReconstructionEnv).parameters.items() if name != "scene"]

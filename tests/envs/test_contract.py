@@ -194,7 +194,15 @@ def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None
     assert [f"## {section}" for section in sections] == [
         line.strip() for line in page.splitlines() if line.strip().startswith("## ")
     ]
-    assert f"**{env_id.split('/')[1]}**" in page
+    assert f"\n**{env_id.split('/')[1]}**" in page
+
+
+def test_the_page_of_an_environment_has_one_indent_in_every_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stored in (ReconstructionEnv.__doc__, inspect.cleandoc(ReconstructionEnv.__doc__ or "")):  # from 3.13 on
+        monkeypatch.setattr(ReconstructionEnv, "__doc__", stored)
+        kind = type("New", (ReconstructionEnv,), {"__init__": lambda self, *, size=1, **options: None})
+        page = tasks.task("**New-v0**: new.", size="int | 1 | its size")(kind).__doc__ or ""
+        assert "\n**New-v0**: new.\n" in page and "\n| `size` | int | 1 | its size |\n| `preset` |" in page
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)

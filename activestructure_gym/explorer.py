@@ -175,7 +175,7 @@ class Explorer:
         goal = self._asked_for()
         if goal is None:
             raise InputError("the exploration has ended, so no picture is asked for")
-        frame = frame_from(rgb, depth, pose, self._robot.camera, np.inf)  # the episode applies the sensor's range
+        frame = frame_from(rgb, depth, pose, self._robot.camera)
         self._goal = None
         self._robot.answers.put(frame)
 

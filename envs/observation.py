@@ -162,7 +162,12 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     return {
         "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
         "depth": Key(
-            (height, width), f32, 0, config.sensor.max_range, "m", "its depth along the optical axis; 0 = no return"
+            (height, width),
+            f32,
+            0,
+            config.sensor.max_range,
+            "m",
+            "its depth along the optical axis; 0 = not measured, or no surface within range",
         ),
         "pose": Key((7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"),
         "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),

@@ -118,12 +118,28 @@ class Noisy(SimulatedRobot):
         return frame
 
 
+class Holed(SimulatedRobot):
+    def capture(self, world_from_camera: np.ndarray) -> Any:
+        frame = super().capture(world_from_camera)
+        frame.depth[:2] = np.nan
+        return frame
+
+
+def test_a_world_can_have_pixels_without_depth() -> None:
+    check_world(f"{__name__}:Holed?scene=box&width=48&height=36")
+
+
 def test_faulty_worlds() -> None:
     class Blind(SimulatedRobot):
+        empty = 0.0
+
         def capture(self, world_from_camera: np.ndarray) -> Any:
             frame = super().capture(world_from_camera)
-            frame.depth[:] = 0.0
+            frame.depth[:] = self.empty
             return frame
+
+    class Void(Blind):
+        empty = np.inf
 
     class Elsewhere(SimulatedRobot):
         def capture(self, world_from_camera: np.ndarray) -> Any:
@@ -135,8 +151,9 @@ def test_faulty_worlds() -> None:
         check_world(Elsewhere("box", width=48, height=36))
     with pytest.raises(AssertionError, match="two fresh worlds"):
         check_world(f"{__name__}:Noisy?scene=box&width=48&height=36")
-    with pytest.raises(AssertionError, match="no depth"):
-        check_world(Blind("box", width=48, height=36))
+    for kind in (Blind, Void):
+        with pytest.raises(AssertionError, match="no depth"):
+            check_world(kind("box", width=48, height=36))
     with pytest.raises(AssertionError, match="members"):
         check_world(object())  # type: ignore[arg-type]
 

@@ -6,7 +6,7 @@ Conventions of the whole project:
 - Camera frame: OpenCV axes (x right, y down, z forward).
 - ``world_from_camera``: 4x4 transform from camera to world points.
 - Pixel (column u, row v): its centre is (u + 0.5, v + 0.5).
-- Depth: metres along the optical axis, 0 = no return.
+- Depth: metres along the optical axis; 0 = not measured, or no surface within range.
 - Quaternions: order w, x, y, z (written wxyz).
 """
 

@@ -67,9 +67,9 @@ class VoxelVolume:
         """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image size).
 
         A pixel without return proves nothing, unless ``sensor_range`` is given. Then its ray is free up to that range,
-        which an agent needs in halls longer than the range. Pixels in `Frame.unmeasured` never prove space free. With
-        ``dropouts`` only blocks of 5 x 5 pixels without return are free. Other lost pixels get the smallest depth of
-        their neighbours, and thin structures need views from half the distance.
+        which an agent needs in halls longer than the range. Pixels in `Frame.unmeasured` prove nothing. With
+        ``dropouts`` only blocks of 5 x 5 pixels without return are free. Other pixels without depth, also unmeasured
+        ones, get the smallest depth of their neighbours, and thin structures need views from half the distance.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):

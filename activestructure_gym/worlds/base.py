@@ -91,7 +91,8 @@ class World(Protocol):
         """Go to a pose [4, 4], or render there, and return the frame taken.
 
         ``Frame.world_from_camera`` is the pose where the frame was taken, as accurately as the world measures it. Depth
-        is in metres along the optical axis; 0 means no return. Raise `CaptureFailed` if no frame can be taken.
+        is in metres along the optical axis. 0 and NaN mean not measured, infinite depth that the ray meets no surface.
+        Raise `CaptureFailed` if no frame can be taken.
         """
 
     def close(self) -> None:

@@ -21,13 +21,13 @@ def frame_from(
     depth: Any,  # [H, W] or [H, W, 1] metres
     world_from_camera: Any,  # [4, 4]
     camera: PinholeCamera,
-    max_range: float,  # metres
+    max_range: float = np.inf,  # metres; worlds leave it out, since an episode applies its sensor's
 ) -> Frame:
     """Return a frame of ``camera``; raise `InputError` for arrays that are no colour image, depth image or pose.
 
     - The arrays are copied, since cameras can reuse them.
-    - Depth beyond ``max_range`` or infinite becomes 0: no surface is within the range.
     - Depth of 0, below 0 or NaN becomes 0 and is marked in `Frame.unmeasured`: it proves nothing.
+    - Depth beyond ``max_range`` becomes 0: no surface is within that range. Without a range, infinite depth stays.
     - Images of another size are resized to the camera's: colour by area, depth by the nearest pixel. Their aspect ratio
       must be the camera's.
     """

@@ -117,7 +117,7 @@ class RecordedWorld:
 
     def _frame(self, index: int) -> Frame:
         frame = self._sequence.frame(index)
-        return frame_from(frame.rgb, frame.depth, self._poses[index], self.camera, np.inf)
+        return frame_from(frame.rgb, frame.depth, self._poses[index], self.camera)
 
     def _sampled_points(self) -> np.ndarray:  # [N, 3] metres, world
         """Return points of the depth images; raise `InputError` if there are none."""

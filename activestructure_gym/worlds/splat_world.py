@@ -108,7 +108,7 @@ class SplatWorld:
             )
         drawn = cpu.render(self._map.parameters, self._map.count, self.camera, pose)
         colour = np.clip(drawn.color + (1.0 - drawn.alpha)[..., None] * self._background, 0.0, 1.0)
-        return frame_from(colour, self._depth(self.camera, pose[None])[0], pose, self.camera, np.inf)
+        return frame_from(colour, self._depth(self.camera, pose[None])[0], pose, self.camera)
 
     def close(self) -> None:
         """Do nothing: the map is held in memory only."""

@@ -53,7 +53,7 @@ class HabitatWorld:
         position = OURS_FROM_HABITAT.T @ world_from_camera[:3, 3]
         self._sim.get_agent(0).set_state(habitat_sim.AgentState(position, rotation.as_quat()))  # x, y, z, w
         seen = self._sim.get_sensor_observations()
-        return frame_from(seen["color"], seen["depth"], world_from_camera, self.camera, np.inf)
+        return frame_from(seen["color"], seen["depth"], world_from_camera, self.camera)
 
     def close(self) -> None:
         self._sim.close()

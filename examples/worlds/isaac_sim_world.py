@@ -63,7 +63,7 @@ class IsaacWorld:
             images = [self._sensor.get_data(name)[0] for name in ("rgb", "distance_to_image_plane")]
             if update >= SETTLE and all(image is not None for image in images):
                 rgb, depth = (image.numpy() for image in images)  # the depth of the sky is infinite
-                return frame_from(rgb, depth, world_from_camera, self.camera, np.inf)
+                return frame_from(rgb, depth, world_from_camera, self.camera)
         raise CaptureFailed(f"Isaac Sim gave no picture in {PATIENCE} updates")
 
     def close(self) -> None:

@@ -65,7 +65,7 @@ class Ros2World:
         rgb, metres = CvBridge().imgmsg_to_cv2(colour, "rgb8"), CvBridge().imgmsg_to_cv2(depth, "passthrough")
         metres = metres * np.float32(0.001 if depth.encoding == "16UC1" else 1.0)
         pose = self._pose(self._fixed, self._optical, Time.from_msg(colour.header.stamp))  # the pose really reached
-        return frame_from(rgb, metres, pose, self.camera, np.inf)
+        return frame_from(rgb, metres, pose, self.camera)
 
     def close(self):
         rclpy.try_shutdown()

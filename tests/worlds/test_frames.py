@@ -28,6 +28,9 @@ def test_depth_that_is_no_measurement_becomes_zero() -> None:
     assert frame.unmeasured[0].tolist() == [True, False, True, False, False, False, False, False]
     assert not frame.unmeasured[1:].any()
     assert frame_from(RGB, DEPTH, np.eye(4), CAMERA, 10.0).unmeasured is None
+    of_world = frame_from(RGB, depth, np.eye(4), CAMERA)  # without a range the episode can still apply its sensor's
+    again = frame_from(RGB, of_world.depth, np.eye(4), CAMERA, 10.0)
+    assert np.array_equal(again.depth, frame.depth) and np.array_equal(again.unmeasured, frame.unmeasured)
 
 
 def test_images_of_other_sizes_are_resized() -> None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import difflib
 import unicodedata
-import warnings
 from collections.abc import Iterable
-from typing import TypeVar
-
-T = TypeVar("T")
 
 MAX_NAMES = 5  # maximum number of names in a message
 # Commands that list the known names of each kind.
@@ -82,20 +78,6 @@ class InputWarning(UserWarning):
 
     def __init__(self, *said: object) -> None:
         super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
-
-
-def renamed(old: str, given: T | None, new: str, value: T) -> T:
-    """Return the value of keyword ``new``, which may also be given under its former name ``old``.
-
-    ``value`` was given as ``new`` and ``given`` as ``old``; None means that ``old`` was not given. If it was, warn and
-    return ``given``. Raise `InputError` if both are given; an empty ``value`` counts as not given.
-    """
-    if given is None:
-        return value
-    if value:
-        raise InputError(f"{old} is the former name of {new}, and both are given: leave out {old}")
-    warnings.warn(f"{old} is now called {new}; the old name will be removed in 0.2", FutureWarning, stacklevel=3)
-    return given
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:

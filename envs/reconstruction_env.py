@@ -17,7 +17,7 @@ from activestructure_gym.envs.inputs import Scenes, as_pose, as_truth, only_worl
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, known_volume, reward_terms
-from activestructure_gym.errors import InputError, renamed, short_repr
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.ground_truth import GroundTruth, Layout
 from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, StepResult
@@ -45,7 +45,6 @@ class EnvOptions(TypedDict, total=False):
     observation_keys: Sequence[str] | None
     start_pose: Sequence[float] | np.ndarray | None
     render_mode: RenderMode | None
-    gains: Sequence[str] | None
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -96,7 +95,6 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `observation_keys` | tuple of str | all | entries of the observation to return |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | start pose of every episode |
     | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a live web page |
-    | `gains` | tuple of str | none | former name of `features`; deprecated |
 
     ## Reset options
     | option | meaning |
@@ -132,9 +130,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         observation_keys: Sequence[str] | None = None,
         start_pose: Sequence[float] | np.ndarray | None = None,
         render_mode: RenderMode | None = None,
-        gains: Sequence[str] | None = None,
     ) -> None:
-        features = renamed("gains", gains, "features", features)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]
             raise InputError(f"render_mode must be one of {modes} or None, got {short_repr(render_mode)}")

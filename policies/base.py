@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeGuard
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, feature_columns, feature_names, row_names
-from activestructure_gym.errors import InputError, renamed, short_repr
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.policies.native_settings import NativeSettings
 from activestructure_gym.policies.scored import record_scores
@@ -38,12 +38,6 @@ class Policy(ABC):
     required_features: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # names of the columns of ``candidate_features``; None before `bind`
     _rows: tuple[str, ...] = CANDIDATE_COLUMNS  # names of the columns of ``candidates``
-
-    def __init_subclass__(cls, **keywords: Any) -> None:
-        super().__init_subclass__(**keywords)
-        if (old := cls.__dict__.get("required_gains")) is not None:
-            own = cls.__dict__.get("required_features", ())
-            cls.required_features = renamed("required_gains", old, "required_features", own)
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)

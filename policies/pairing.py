@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, renamed, short_repr
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.policies.base import Policy, features_of, is_policy, make_policy
 from activestructure_gym.policies.native_settings import NATIVE_PRESET, NativeSettings, Setup, native_settings_of
 
@@ -22,7 +22,6 @@ def make_env_and_policy(
     env_id: str = ROOM,
     features: Sequence[str] = (),
     setup: Setup = "shared",
-    gains: Sequence[str] | None = None,
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """Create an env with the features that a policy requires, and bind the policy to it.
@@ -42,8 +41,6 @@ def make_env_and_policy(
     setup
         ``"native"`` uses the policy's own candidate sources and schedule (`NativeSettings`), and the preset ``full``
         unless ``preset`` is given. Fields of ``config`` override both.
-    gains
-        Former name of ``features``; deprecated.
     **options
         Other arguments of ``gymnasium.make``: ``preset``, ``frame_budget``, ``config``, ...
 
@@ -76,7 +73,6 @@ def make_env_and_policy(
             "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made, got "
             f"{short_repr(policy)}"
         )
-    features = renamed("gains", gains, "features", features)
     if isinstance(features, str) or not isinstance(features, Sequence):
         raise InputError(f"features must be a list of names, got {short_repr(features)}")
     if scene is not None:

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from activestructure_gym.config import configure, known_preset
-from activestructure_gym.errors import MAX_NAMES, InputError, listed, renamed, unknown_keyword, unknown_name
+from activestructure_gym.errors import MAX_NAMES, InputError, listed, unknown_keyword, unknown_name
 from activestructure_gym.evaluation.cli.commands import find_command
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import get_protocol
@@ -61,8 +61,3 @@ def test_an_unknown_keyword_is_refused_in_python_s_own_words() -> None:
     error = unknown_keyword(of_python.__qualname__, "b", ["a"])
     assert isinstance(error, TypeError) and isinstance(error, InputError)
     assert str(error).startswith(str(refused.value)) and str(error).endswith(". Known: a")
-
-
-def test_a_value_under_both_names_of_a_keyword_is_refused() -> None:
-    with pytest.raises(InputError, match="gains is the former name of features, and both are given: leave out gains"):
-        renamed("gains", ("pixel",), "features", ("hole_area",))

@@ -356,12 +356,6 @@ def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -
     assert truncated and info["frames"] == 1
 
 
-def test_the_former_keyword_of_features_works_and_warns(box_options) -> None:
-    with pytest.warns(FutureWarning, match="gains is now called features"):
-        env = ReconstructionEnv(**{**box_options, "gains": ("hole_area",)})
-    assert env.config.features == ("hole_area",)
-
-
 def test_without_map_and_planes_the_same_actions_lead_to_the_same_views_and_rewards() -> None:
     """Preset `rl` is `fast` without what is read from Gaussians and planes."""
     envs = [ReconstructionEnv("box", preset=preset, frame_budget=60) for preset in ("fast", "rl")]  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, Table
 from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, Policy, travel_discount
-from activestructure_gym.policies.base import best_valid, features_of, nearest_new
+from activestructure_gym.policies.base import best_valid, nearest_new
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
@@ -233,15 +233,3 @@ def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator)
         assert policy.act(observed) == lengths.argmin()
     finally:
         del POLICIES._entries["nearest_for_this_test"]
-
-
-def test_the_former_name_of_required_features_works_and_warns() -> None:
-    with pytest.warns(FutureWarning, match="required_gains is now called required_features"):
-
-        class Old(Policy):
-            required_gains = ("pixel",)
-
-            def act(self, observation) -> int:
-                return 0
-
-    assert Old.required_features == ("pixel",) and features_of(Old()) == ("pixel",)

@@ -141,7 +141,8 @@ class Explorer:
         self._robot = _Caller(corners, camera, begin)
         self._goal: Goal | None = None  # that `observe` answers
         self._env: ReconstructionEnv | None = None
-        self._error: BaseException | None = None
+        self._error: BaseException | None = None  # of the episode
+        self._raised = False  # whether the caller has received it
         world = StoredCaptures(captures_in_progress(self.directory), self._robot)
         self.resumed = world.stored > 0
         self._thread = threading.Thread(target=self._run, args=(world,), name="explorer", daemon=True)
@@ -213,8 +214,7 @@ class Explorer:
         if self._asked_for() is not None and getattr(self.reconstruction, "chosen", None) is None:
             raise InputError("there is no picture to save a run of: call observe() first")
         self.stop()
-        if self._error is not None:
-            raise self._error
+        self._raise()
         if target != self.directory:
             shutil.copytree(self.directory, target)
         elif self._temporary is not None:
@@ -222,11 +222,13 @@ class Explorer:
         return target
 
     def close(self) -> None:
-        """Stop, and delete the temporary folder; may be called twice. An error of the episode is not raised again."""
+        """Stop, and delete the temporary folder; may be called twice. Raise an error of the episode once."""
+        received = self._raised
         try:
             self.stop()
+            self._raise()
         except BaseException as error:
-            if error is not self._error:
+            if error is not self._error or not received:
                 raise
         finally:
             if self._temporary is not None:
@@ -239,11 +241,15 @@ class Explorer:
             with suppress(queue.Empty):
                 self._goal = self._goal_of(self._robot.requests.get(timeout=0.0 if ended else 0.05))
                 break
-            if ended and self._error is not None:
-                raise self._error
             if ended:
+                self._raise()
                 return None
         return self._goal
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            self._raised = True
+            raise self._error
 
     def _goal_of(self, path: np.ndarray) -> Goal:
         episode = self.reconstruction
@@ -260,7 +266,8 @@ class Explorer:
         try:
             run_job(self._job, self.directory, world=world, begun=self._begun)
         except BaseException as error:
-            self._error = error
+            if not (self._robot.stopped and isinstance(error, CaptureFailed)):  # the answer to a request after `stop`
+                self._error = error
 
 
 class _Caller:

@@ -199,17 +199,28 @@ def test_an_exploration_without_a_picture_is_not_saved(tmp_path: Path) -> None:
     explorer.close()
 
 
+def test_an_exploration_can_be_closed_at_any_time() -> None:
+    explorer_of(robot()).close()
+    camera = robot()
+    explorer = explorer_of(camera)
+    observe(explorer, camera, camera.start.pose)
+    for _ in range(3):  # the fourth failure would be an error
+        explorer.failed()
+    explorer.close()
+
+
 def test_an_error_of_the_policy_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     from activestructure_gym.policies import Policy
 
     monkeypatch.setattr(type(make_policy("hole_area")), "act", lambda self, observation: 1 / 0)
     camera = robot()
-    explorer = explorer_of(camera)
-    observe(explorer, camera, camera.start.pose)
-    with pytest.raises(ZeroDivisionError):
-        explorer.next_view()
-    folder = explorer.directory.parent
-    for _ in range(2):
-        explorer.close()  # the error has been raised
-        assert not folder.exists()
+    for fails in ("next_view", "close"):
+        explorer = explorer_of(camera)
+        observe(explorer, camera, camera.start.pose)
+        with pytest.raises(ZeroDivisionError):
+            getattr(explorer, fails)()
+        folder = explorer.directory.parent
+        for _ in range(2):
+            explorer.close()  # the error has been raised
+            assert not folder.exists()
     assert issubclass(type(make_policy("hole_area")), Policy)

@@ -83,11 +83,15 @@ class InputWarning(UserWarning):
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """Return the error for an unknown ``name``, with the nearest known name and the command that lists all names.
 
-    ``kind`` is the kind of name. For example: ``unknown policy 'frontire'; did you mean 'frontier'? `asg list policies`
-    lists the names``. If there is no command, at most `MAX_NAMES` names are listed.
+    ``kind`` is the kind of name, such as "policy" or "option of scene 'room'". For example: ``unknown policy
+    'frontire'; did you mean 'frontier'? `asg list policies` lists the names``, and ``unknown option 'sed' of scene
+    'room'``. If there is no command, at most `MAX_NAMES` names are listed.
     """
     command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
-    return InputError(f"unknown {kind} {short_repr(name)}{_nearest(name, known, command)}")
+    noun, of, owner = kind.partition(" of ")
+    if " " in noun:
+        noun, of, owner = kind, "", ""
+    return InputError(f"unknown {noun} {short_repr(name)}{of}{owner}{_nearest(name, known, command)}")
 
 
 def unknown_keyword(function: str, name: str, known: Iterable[str]) -> UnknownKeyword:

@@ -16,6 +16,7 @@ from activestructure_gym.scenes import load_scene
 
 def test_few_names_are_all_listed_and_many_by_a_command_or_the_nearest():
     assert str(unknown_name("thing", "b", "xyz")) == "unknown thing 'b'. Known: x, y, z"
+    assert str(unknown_name("option of scene 'hut'", "b", "x")) == "unknown option 'b' of scene 'hut'. Known: x"
     assert str(unknown_name("thing", "b", ())) == "unknown thing 'b'. Known: none"
     many = [f"policy_{number}" for number in range(46)]
     said = str(unknown_name("policy", "polcy_7", many))

@@ -50,7 +50,7 @@ def test_the_text_of_a_number_is_that_number(value):
 @pytest.mark.parametrize(
     "kind, query, message",
     [
-        (make, "dpth=3", "unknown option of thing 'x' 'dpth'; did you mean 'depth'? Known: depth, name, size, wide"),
+        (make, "dpth=3", "unknown option 'dpth' of thing 'x'; did you mean 'depth'? Known: depth, name, size, wide"),
         (make, "depth=deep", "option depth of thing 'x' must be a whole number, got 'deep'"),
         (make, "wide=maybe", "option wide of thing 'x' must be true or false, got 'maybe'"),
         (make, "size=3", "option size of thing 'x' must be 2 values with commas, got '3'"),

@@ -60,7 +60,6 @@ def load_world(name: str) -> World:
     make = WORLDS.get(spec.name)
     label = f"world '{spec.name}'"
     options, limits = _arguments(spec, make, spec.options(label))
-    check_limits(**limits)  # before a robot is connected
     made = make(**options)
     if not is_world(made):
         raise InputError(
@@ -76,11 +75,13 @@ def _arguments(
     label = f"world '{spec.name}'"
     limits: dict[str, Any] = {name: options.pop(name) for name in ("tries", "timeout_s") if name in options}
     try:
-        return typed_options(label, make, options), typed_options(label, Reliable, limits, apart=("world",))
+        options, limits = typed_options(label, make, options), typed_options(label, Reliable, limits, apart=("world",))
     except InputError:
         raise
     except ValueError as error:  # a built-in type has no signature
         raise InputError(f"{label} cannot be made: {error}") from error
+    check_limits(**limits)
+    return options, limits
 
 
 def with_camera(config: ReconstructionConfig, camera: PinholeCamera) -> ReconstructionConfig:

@@ -39,7 +39,7 @@ def in_our_axes(
     Poses of "opencv" that are not inverted are copied unchanged. Raise `InputError` if ``axes`` is not one of `AXES`.
     """
     if axes not in AXES:
-        raise unknown_name("convention of axes", axes, AXES)
+        raise unknown_name("axes convention", axes, AXES)
     poses = invert_rigid(poses) if inverted else np.array(poses, dtype=np.float64)
     if axes == "opencv":
         return poses

@@ -86,7 +86,7 @@ def test_it_is_found_by_its_name_and_has_its_own_fields(own):
     assert (config.name, config.shade, config.iterations) == (f"{own}:OwnConfig", 0.25, 0)
     recorded = dataclasses.asdict(configure("fast", {"mapper.name": f"{own}:OwnConfig"}))
     assert configure("default", recorded).mapper == dataclasses.replace(config, shade=0.5)
-    with pytest.raises(InputError, match="unknown field of OwnConfig 'seed_spacing'"):
+    with pytest.raises(InputError, match="unknown field 'seed_spacing' of OwnConfig"):
         configure("fast", {"mapper.name": f"{own}:OwnConfig", "mapper.seed_spacing": 0.1})
 
 

@@ -39,7 +39,7 @@ def test_a_registered_scene_with_typed_options(hut):
     "spec, said",
     [
         ("hutt", "unknown scene 'hutt'; did you mean 'hut'?"),
-        ("hut?wdith=4", "unknown option of scene 'hut' 'wdith'; did you mean 'width'?"),
+        ("hut?wdith=4", "unknown option 'wdith' of scene 'hut'; did you mean 'width'?"),
         ("hut?seed=two", "option seed of scene 'hut' must be a whole number, got 'two'"),
         ("hut?roof=maybe", "must be true or false, got 'maybe'"),
         ("hut?size=1", "must be 2 values with commas, got '1'"),

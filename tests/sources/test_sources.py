@@ -216,7 +216,7 @@ def test_all_known_space_has_no_frontier() -> None:
     [
         ("lattise", "did you mean 'lattice'"),
         ("turns?count=0", "count must be a whole number from 1 to 360"),
-        ("around?radius=2", "unknown option of source 'around' 'radius'"),
+        ("around?radius=2", "unknown option 'radius' of source 'around'"),
         ("stay?rounds=-1", "rounds must be"),
         ("roi?nearest_m=nan", "nearest_m must be"),
     ],

@@ -147,7 +147,7 @@ def test_names_of_worlds() -> None:
     assert load_world("simulated?scene=box&width=64&height=48").camera.height == 48
     with pytest.raises(InputError, match="unknown world 'simulate'.*simulated"):
         load_world("simulate")
-    with pytest.raises(InputError, match="unknown option of world 'simulated' 'widht'"):
+    with pytest.raises(InputError, match="unknown option 'widht' of world 'simulated'"):
         load_world("world:simulated?widht=3")
     with pytest.raises(InputError, match="must return an object with bounds"):
         load_world("fractions:Fraction")

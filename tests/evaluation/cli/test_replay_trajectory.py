@@ -62,5 +62,5 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "give --scene" in capsys.readouterr().err
     assert main(["replay-trajectory", str(tmp_path / "none.txt")]) == 2
     assert "there is no trajectory" in capsys.readouterr().err
-    with pytest.raises(InputError, match="unknown convention of axes"):
+    with pytest.raises(InputError, match="unknown axes convention"):
         asked(str(tmp_path / "poses.npz"), scene="box", axes="unity").prepare()

@@ -155,8 +155,10 @@ def test_what_needs_ground_truth_is_refused_before_anything_moves(
 ) -> None:
     with pytest.raises(InputError, match=message):
         compare([WORLD], policies, tmp_path / "runs", conditions=conditions, engine="inline")
-    with pytest.raises(InputError, match="unknown option of world 'simulated'"):
+    with pytest.raises(InputError, match="unknown option 'colour' of world 'simulated'"):
         compare([f"{WORLD}&colour=red"], ["random"], tmp_path / "runs", conditions=SMALL, engine="inline")
+    with pytest.raises(InputError, match="tries of a world must be a whole number of at least 1, got 0"):
+        compare([f"{WORLD}&tries=0"], ["random"], tmp_path / "runs", conditions=SMALL, engine="inline")
 
 
 def test_asg_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,9 +21,11 @@ def mark_crossed(
     origin: np.ndarray,  # [3] metres, lower corner of voxel (0, 0, 0)
     voxel_size: float,  # metres
     reach: float,  # metres of depth
+    state: np.ndarray,  # [X, Y, Z] of the voxels
+    end: int,  # state of the voxels at which a ray ends
     crossed: np.ndarray,  # [X, Y, Z] bool, voxels on the rays of these pixels are set to True
 ) -> None:
-    """Mark the voxels on the rays of the empty pixels, in steps of half a voxel, up to the border of the grid."""
+    """Mark the voxels on the rays of the empty pixels, in steps of half a voxel, up to ``end`` or the grid's border."""
     fx, fy, cx, cy = lens
     pose, step = world_from_camera, 0.5 * voxel_size
     for v in range(0, empty.shape[0], stride):
@@ -40,5 +42,7 @@ def mark_crossed(
                 x, y, z = x + dx, y + dy, z + dz
                 i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
                 if i < 0 or j < 0 or k < 0 or i >= crossed.shape[0] or j >= crossed.shape[1] or k >= crossed.shape[2]:
+                    break
+                if state[i, j, k] == end:
                     break
                 crossed[i, j, k] = True

@@ -18,6 +18,8 @@ from activestructure_gym.volume.no_return import mark_crossed
 from activestructure_gym.volume.occupancy import occupancy
 from activestructure_gym.volume.rays import PixelRays, rays_of_pixels
 
+_NONE = -1  # no state of a voxel
+
 
 class VoxelVolume:
     """Hold a dense axis-aligned voxel grid over the workspace, updated from depth images.
@@ -67,9 +69,10 @@ class VoxelVolume:
         """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image size).
 
         A pixel without return proves nothing, unless ``sensor_range`` is given. Then its ray is free up to that range,
-        which an agent needs in halls longer than the range. Pixels in `Frame.unmeasured` prove nothing. With
-        ``dropouts`` only blocks of 5 x 5 pixels without return are free. Other pixels without depth, also unmeasured
-        ones, get the smallest depth of their neighbours, and thin structures need views from half the distance.
+        which an agent needs in halls longer than the range. Pixels of NaN, and those in `Frame.unmeasured`, prove no
+        space free. With ``dropouts`` only blocks of 5 x 5 pixels without return are free. Other pixels without depth,
+        also unmeasured ones, get the smallest depth of their neighbours, and thin structures need views from half the
+        distance.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
@@ -77,7 +80,9 @@ class VoxelVolume:
                 f"depth has the shape {frame.depth.shape}, but its camera has {(camera.height, camera.width)}"
             )
         depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+        unmeasured = frame.unmeasured
         if not np.isfinite(depth).all():
+            unmeasured = np.isnan(depth) if unmeasured is None else unmeasured | np.isnan(depth)
             depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
         fresh = self._last_view is None or bool(
             math.dist(view[:3, 3].tolist(), self._last_view[:3, 3].tolist()) > 0.02
@@ -92,14 +97,9 @@ class VoxelVolume:
         integration.mark_hits(
             depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
         )
-        free_to = fill_gaps(depth, sensor_range, dropouts=dropouts, unmeasured=frame.unmeasured)
-        if sensor_range is not None and (empty := self._without_return(frame, depth, free_to, sensor_range)).any():
-            # The last voxel of a ray is left out: it can contain an unseen surface just beyond the sensor's range.
-            reach = min(max(0.0, float(sensor_range) - 3.0**0.5 * self.voxel_size), config.max_range)
-            # Large images have more rays than needed: half a voxel between rays is enough.
-            stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / max(reach, self.voxel_size)))
-            rays = empty, stride, camera.lens, view
-            mark_crossed(*rays, self.origin, self.voxel_size, reach, self.no_return)
+        free_to = fill_gaps(depth, sensor_range, dropouts=dropouts, unmeasured=unmeasured)
+        if sensor_range is not None:
+            self._mark_no_return(frame, depth, free_to, unmeasured, float(sensor_range))
         # Lost returns leave fewer rays, so rays count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
         camera_from_world = invert_rigid(view)
@@ -118,13 +118,28 @@ class VoxelVolume:
         self._images += 1
         self._changed()
 
-    def _without_return(self, frame: Frame, depth: np.ndarray, free_to: np.ndarray, sensor_range: float) -> np.ndarray:
-        """Return the pixels [H, W] whose rays show no surface, such as windows and dark objects.
+    def _mark_no_return(
+        self, frame: Frame, depth: np.ndarray, free_to: np.ndarray, unmeasured: np.ndarray | None, sensor_range: float
+    ) -> None:
+        """Record the voxels on rays that show no surface, such as those through windows and to dark objects.
 
-        Of pixels that were not measured, only blocks of 5 x 5 count.
+        Of pixels that were not measured, only blocks of 5 x 5 count, and their rays end at occupied voxels. They do not
+        count if they are half of the image or more, as after a failure of the camera or too near to a surface.
         """
-        empty = (depth <= 0) & (free_to >= np.float32(sensor_range))
-        return empty if frame.unmeasured is None else empty | (solid_gaps(depth) & frame.unmeasured)
+        # The last voxel of a ray is left out: it can contain an unseen surface just beyond the sensor's range.
+        reach = min(max(0.0, sensor_range - 3.0**0.5 * self.voxel_size), self.config.max_range)
+        camera, view = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
+        # Large images have more rays than needed: half a voxel between rays is enough.
+        stride = max(1, int(0.5 * self.voxel_size * min(camera.fx, camera.fy) / max(reach, self.voxel_size)))
+        rays = [((depth <= 0) & (free_to >= np.float32(sensor_range)), _NONE)]
+        if unmeasured is not None and unmeasured.mean() < 0.5:
+            rays.append((solid_gaps(depth) & unmeasured, OCCUPIED))
+        for empty, end in rays:
+            if empty.any():
+                mark_crossed(
+                    empty, stride, camera.lens, view, self.origin, self.voxel_size, reach, self.state, end,
+                    self.no_return,
+                )  # fmt: skip
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
         """Mark the voxels inside a sphere as free, because the agent's body occupies it.

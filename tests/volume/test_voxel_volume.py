@@ -157,6 +157,25 @@ def test_pixels_that_were_not_measured_prove_nothing_to_be_free(dropouts):
     assert not volumes[0].no_return[behind].any() and not (volumes[0].state[behind] == FREE).any()
 
 
+@pytest.mark.parametrize("share", ["block", "most"])
+def test_rays_of_unmeasured_pixels_end_at_a_known_wall_and_count_in_no_blank_image(share):
+    # A wall at x = 2.5 m, then an image of it with a block that was not measured, or with little that was.
+    camera, pose = PinholeCamera.from_size(160, 90), look_along(np.array([0.5, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    volume = VoxelVolume(np.array([[0.0, -2.0, 0.0], [6.0, 2.0, 2.0]]))
+    rgb, depth = np.zeros((90, 160, 3), np.uint8), np.full((90, 160), 2.0, np.float32)
+    volume.integrate(Frame(rgb, depth, pose, camera), sensor_range=5.0)
+    volume.integrate(Frame(rgb, depth, pose, camera), sensor_range=5.0)
+    depth[5:85, 20 : 140 if share == "most" else 80] = np.nan
+    volume.integrate(Frame(rgb, depth, pose, camera), sensor_range=5.0)
+    x = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))[..., 0]
+    before = (x < 2.4) & (volume.state == FREE)
+    assert before.sum() > 1000 and not volume.no_return[x > 2.6].any()
+    assert volume.no_return[before].any() == (share == "block")
+    fresh = VoxelVolume(np.array([[0.0, -2.0, 0.0], [6.0, 2.0, 2.0]]))
+    fresh.integrate(Frame(rgb, np.full_like(depth, np.nan), pose, camera), sensor_range=5.0)
+    assert (fresh.state == UNKNOWN).all() and not fresh.no_return.any()
+
+
 def test_a_wall_just_beyond_the_sensors_range_is_not_recorded_as_without_return(cast_boxes):
     caster, volume = cast_boxes(ROOM), VoxelVolume(ROOM)
     for x in (0.96, 1.5):  # the wall at x = 4 is 3.04 m away, then 2.5 m

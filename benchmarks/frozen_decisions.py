@@ -73,7 +73,7 @@ def frozen_decisions(
     records = []
     try:
         for policy in (played, *scored.values()):
-            policy.bind(env.config.features)
+            policy.bind(env)
             policy.reset(seed)
         observation, info = env.reset(seed=seed)
         ended = not observation["action_mask"].any()

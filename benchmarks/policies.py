@@ -88,7 +88,7 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
     env = ReconstructionEnv(
         scene=scene, preset=preset, frame_budget=frames + 1, features=policy.required_features, coverage_target=None
     )
-    policy.bind(env.config.features)
+    policy.bind(env)
     observation, _ = env.reset(seed=_SEED)
     policy.reset(_SEED)
     ended = False

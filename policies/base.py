@@ -72,6 +72,18 @@ class Policy(ABC):
         """Return the candidates of an observation, with their features by name if the policy is bound."""
         return Candidates(observation, self._columns, type(self).__name__, self._rows)
 
+    def only_views(self, observation: Observation) -> Observation:
+        """Return a copy of the observation in which only views are valid, unless no view is; see `Candidates.views`.
+
+        Rows that end the episode or switch stages have the agent's position, no path, and index 0 of a node, region or
+        frontier, which views can have too. So planners take such a row only if nothing else is left.
+        """
+        candidates = self.candidates(observation)
+        views = candidates.views
+        if not views.any() or np.array_equal(views, candidates.valid):
+            return observation
+        return {**observation, "action_mask": views.astype(np.int8)}
+
 
 def features_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
     """Return the required features of a policy or its class; raise `InputError` unless they are a tuple of names."""
@@ -265,18 +277,6 @@ def without_revisits(observation: Observation) -> Observation:
     candidates = Candidates(observation)
     new = candidates.valid & ~candidates.revisit
     return {**observation, "action_mask": new.astype(np.int8)} if new.any() else observation
-
-
-def only_views(observation: Observation, candidates: Candidates) -> Observation:
-    """Return a copy of the observation in which only views are valid, unless no view is; see `Candidates.views`.
-
-    Planners that compare places or indices use it. Rows that end the episode or switch stages have the
-    agent's position, and index 0 of a node, region or frontier, which views can have too.
-    """
-    views = candidates.views
-    if not views.any() or np.array_equal(views, candidates.valid):
-        return observation
-    return {**observation, "action_mask": views.astype(np.int8)}
 
 
 def nearest_new(observation: Observation) -> int:

@@ -77,6 +77,7 @@ class Greedy(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; the first of equal ones."""
+        observation = self.only_views(observation)
         name = self.required_features[0]
         gain = self.candidates(observation)[name]
         terms = self.score_terms(name, gain, observation)

@@ -56,7 +56,7 @@ def play_policy(
 ) -> Played:
     """Play one episode of ``policy`` in the scene ``truth``, without noise; ``seed`` and ``start`` are as in `play`."""
     env = make_env(world, truth, features=policy.required_features)
-    policy.bind(env.config.features)
+    policy.bind(env)
     policy.reset(seed)
     return play(env, lambda _, observation: policy.act(observation), seed, start)
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from activestructure_gym.policies.activestructure.phases import patience
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_views, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings
@@ -110,7 +110,7 @@ class ActiveGAMER(Planner):
         candidates = self.candidates(observation)
         if candidates.offers(SOURCES[0]):
             return self._act_on_lattices(observation, candidates)
-        observation = only_views(observation, candidates)
+        observation = self.only_views(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid
         if not len(self._start):

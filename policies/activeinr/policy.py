@@ -14,7 +14,6 @@ from activestructure_gym.policies.base import (
     at_current_pose,
     best_valid,
     nearest_new,
-    only_views,
 )
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSettings
@@ -62,7 +61,7 @@ class ActiveINR(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the candidate of the largest cluster, or the candidate nearest to the current target."""
-        observation = only_views(observation, self.candidates(observation))
+        observation = self.only_views(observation)
         candidates = self.candidates(observation)
         usable = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates)
         share = np.where(usable, candidates[self._feature], 0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from activestructure_gym.policies.activesplat.nodes import Nodes, choose_node, node_scores
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_views
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto.policy import forward
@@ -63,7 +63,7 @@ class ActiveSplat(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return a local view if one is left at this stop, otherwise a view at the best node."""
-        observation = only_views(observation, self.candidates(observation))
+        observation = self.only_views(observation)
         candidates = self.candidates(observation)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:

@@ -9,7 +9,6 @@ from activestructure_gym.policies.base import (
     Observation,
     best_valid,
     nearest_new,
-    only_views,
     without_revisits,
 )
 from activestructure_gym.policies.candidates import Candidates
@@ -57,7 +56,7 @@ class Aiisrfe(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the candidate nearest to the next task of the tour; without tasks, the nearest new view."""
-        observation = without_revisits(only_views(observation, self.candidates(observation)))
+        observation = without_revisits(self.only_views(observation))
         candidates = self.candidates(observation)
         new = candidates.valid & ~candidates.revisit
         frontier = new & (candidates["aiisrfe_frontier"] >= 0)

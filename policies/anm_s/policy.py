@@ -13,7 +13,6 @@ from activestructure_gym.policies.base import (
     at_current_pose,
     best_valid,
     nearest_new,
-    only_views,
     travel_discount,
 )
 from activestructure_gym.policies.candidates import Candidates
@@ -83,7 +82,7 @@ class AnmS(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the next view at this node, or a view at the next node."""
-        observation = only_views(observation, self.candidates(observation))
+        observation = self.only_views(observation)
         candidates = self.candidates(observation)
         places = candidates.xyz.astype(np.float64)
         here = observation["pose"][:3].astype(np.float64)
@@ -168,7 +167,7 @@ class AnmS(Planner):
         if self.travel == "native" and length[best] > DEFERRED_M and (rows & (length <= DEFERRED_M)).any():
             apart = np.linalg.norm(places - places[best], axis=1)
             best = best_valid(np.where(rows & (length <= DEFERRED_M), -apart, -np.inf), observation)
-        # A row that is no view, as one that finishes, has nothing to look at and the cosine 0.
+        # A view without anything to look at has the cosine 0.
         looks = candidates[f"{self._feature}_looks"] > 0
         facing = np.where(looks, candidates[f"{self._feature}_facing"], -1.0)
         return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * length, -np.inf), observation)

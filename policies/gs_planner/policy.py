@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_views, without_revisits
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 from activestructure_gym.policies.scored import first_best
@@ -82,7 +82,7 @@ class GSPlanner(Planner):
         """Return the view with the largest G at a near place, or one from the view library."""
         volume, loss = self.candidates(observation).feature("gs_planner").astype(np.float64).T
         gain = volume + QUALITY_WEIGHT * loss
-        observation = without_revisits(only_views(observation, self.candidates(observation)))
+        observation = without_revisits(self.only_views(observation))
         if self.travel == "shared":
             choice, source = best_valid(self.scores(gain, observation), observation), "all"
         else:

@@ -52,7 +52,7 @@ class HGSPlanner(Greedy):
 
     def act(self, observation: Observation) -> int:
         """Return the valid row of the current stage with the highest G."""
-        observation = without_revisits(observation)
+        observation = without_revisits(self.only_views(observation))
         if self.travel == "shared":
             return super().act(observation)
         candidates = self.candidates(observation)

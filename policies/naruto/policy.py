@@ -9,7 +9,6 @@ from activestructure_gym.policies.base import (
     Observation,
     best_valid,
     nearest_new,
-    only_views,
     travel_discount,
 )
 from activestructure_gym.policies.candidates import Candidates
@@ -56,7 +55,7 @@ class Naruto(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the next view at the goal, or a view at a new goal if no target is left or the goal was missed."""
-        observation = only_views(observation, self.candidates(observation))
+        observation = self.only_views(observation)
         candidates = self.candidates(observation)
         here = observation["pose"][:3]
         if np.linalg.norm(here - self._goal) > AT_GOAL:

@@ -11,7 +11,7 @@ from activestructure_gym.specs import Spec
 
 @POLICIES.register("random")
 class Random(Policy):
-    """Choose each of the n valid candidates with probability P = 1 / n.
+    """Choose each of the n valid views with probability P = 1 / n.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class Random(Policy):
             self.native_settings = POLICIES.get(name).native_settings
 
     def act(self, observation: Observation) -> int:
-        """Return a valid row, all equally likely; raise `ValueError` if none is valid."""
-        valid = np.flatnonzero(self.candidates(observation).valid)
+        """Return a valid view, all equally likely; if there is none, a valid row. Raise `ValueError` if none is."""
+        valid = np.flatnonzero(self.only_views(observation)["action_mask"])
         if not len(valid):
             raise ValueError("no candidate is valid: the episode has ended, call reset()")
         return int(self.rng.choice(valid))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_views, without_revisits
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, without_revisits
 from activestructure_gym.policies.greedy import Planner
 from activestructure_gym.policies.native_settings import NativeSettings
 
@@ -30,7 +30,7 @@ class RTGuide(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the best view of the best region; the nearest region is the best if no Gaussian has moved."""
-        observation = without_revisits(only_views(observation, self.candidates(observation)))
+        observation = without_revisits(self.only_views(observation))
         candidates = self.candidates(observation)
         valid = candidates.valid
         xi, region, cuboid = candidates.feature("rt_guide").astype(np.float64).T

@@ -12,8 +12,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, candidate_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import column_names
-from activestructure_gym.policies import candidates
-from activestructure_gym.policies.base import only_views
+from activestructure_gym.policies import candidates, make_policy
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.naruto import Naruto
@@ -49,9 +48,11 @@ def test_rows_that_end_or_switch_are_no_views(observation: dict[str, np.ndarray]
     seen = Candidates(observation, rows=rows)
     assert seen.views.tolist() == [True, False, False, False, True]
     assert seen.valid.tolist() == [True, True, True, False, True]
-    assert only_views(observation, seen)["action_mask"].tolist() == [1, 0, 0, 0, 1]
+    policy = make_policy("random")
+    policy._rows = rows
+    assert policy.only_views(observation)["action_mask"].tolist() == [1, 0, 0, 0, 1]
     observation["action_mask"][[0, 4]] = 0  # nothing else is left
-    assert only_views(observation, seen) is observation
+    assert policy.only_views(observation) is observation
 
 
 def test_features_and_single_columns(observation: dict[str, np.ndarray]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, wraps
 from pathlib import Path
@@ -266,9 +267,16 @@ def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     """Return the factory that loads a path without prefix, and the path."""
     check_printable(str(path))
     try:
+        _check_name(path)
         return _layout_of(path)
     except OSError as error:
         raise InputError(f"a scene cannot be read: {error.strerror or error}: {short_repr(str(path))}") from error
+
+
+def _check_name(path: str | Path) -> None:
+    """Raise `OSError` for a name that no file can have; `Path.exists` returns False for it from Python 3.14 on."""
+    with suppress(FileNotFoundError, NotADirectoryError, ValueError):  # the last for a null character
+        os.stat(path)
 
 
 def _layout_of(path: Path) -> tuple[Callable[..., Scene], str]:
@@ -300,6 +308,8 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
     options = options if own else {key: value for key, value in options.items() if key != INSIDE}
     arguments = typed_options(label, factory, options, apart=("path",) if path is not None else (), more=(INSIDE,))
     try:
+        if path is not None:
+            _check_name(path)
         scene = factory(path, **arguments) if path is not None else factory(**arguments)
     except OSError as error:
         if path is None:

@@ -50,7 +50,7 @@ class Source:
 class Results:
     """Hold the finished runs of a report, at most one per scene, policy and seed.
 
-    Of several runs of one scene, policy and seed, as with and without a further protocol, the first is kept. In a
+    Of several runs of one scene, policy and seed, the one with the most protocols is kept, of equals the first. In a
     sweep, a policy with other values of the swept fields counts as another policy. Raise `InputError` for no runs, for
     runs of different conditions, and for a baseline without runs.
     """
@@ -74,10 +74,12 @@ class Results:
                     f"these runs were made under different conditions ({name}: {listed(found)}); a report needs "
                     "equal conditions, so write one report for each"
                 )
-        first: dict[tuple[str, str, int], Run] = {}
+        kept: dict[tuple[str, str, int], Run] = {}
         for run in self.runs:
-            first.setdefault((run.scene, run.policy, run.job.seed), run)
-        object.__setattr__(self, "runs", list(first.values()))
+            other = kept.setdefault((run.scene, run.policy, run.job.seed), run)
+            if other is not run and len(run.protocols) > len(other.protocols):
+                kept[run.scene, run.policy, run.job.seed] = run
+        object.__setattr__(self, "runs", list(kept.values()))
         if self.baseline is None and len(self.policies) > 1:
             usual = [run.policy for name in _BASELINES for run in self.runs if run.planner == name]
             object.__setattr__(self, "baseline", usual[0] if usual else self.policies[0])

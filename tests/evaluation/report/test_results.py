@@ -147,6 +147,9 @@ def test_the_same_episode_with_and_without_a_further_protocol_counts_once(make_r
     assert [run.job for run in found.runs] == [runs[0].job, runs[1].job]
     (row,) = table_rows(found.runs)
     assert row.runs == 2
+    own = runs[0].protocols
+    runs[2].__dict__["protocols"] = {**own, "activegamer": own["standard"]}  # more were measured, so none gets lost
+    assert [run.job for run in Results(runs, []).runs] == [further, runs[1].job]
 
 
 def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):

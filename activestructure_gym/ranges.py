@@ -11,6 +11,7 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, short_repr
 
+POSE_ROUNDING = 2e-3  # largest accepted entry of R R^T - I; rounding to three decimals gives up to 0.001 sqrt(3)
 # Limits of all runs; a configuration beyond them is refused before the first frame.
 MAX_COORDINATE_M = 1e6  # metres from the world's origin along each axis
 MAX_ASPECT_RATIO = 8  # largest ratio of a camera image's longer to its shorter side

@@ -12,8 +12,9 @@ import numpy as np
 from activestructure_gym.envs.observation import MAX_DISTANCE_M
 from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.geometry import look_along
-from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, Layout, ground_truth_of, warn_if_hardly_seen
+from activestructure_gym.ground_truth import GroundTruth, Layout, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import unrounded_start
+from activestructure_gym.ranges import POSE_ROUNDING
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.worlds import World, is_world, load_world, names_world
 

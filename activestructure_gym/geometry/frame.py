@@ -18,7 +18,7 @@ class Frame:
     world_from_camera: np.ndarray  # [4, 4] float64 reported pose
     camera: PinholeCamera  # intrinsics of both images
     # [H, W] bool: pixels that were not measured; their depth of 0 proves nothing. None: depth 0 means that there is no
-    # surface within the sensor's range.
+    # surface within the sensor's range. Frames of a `World` have infinite depth there, and 0 is not measured.
     unmeasured: np.ndarray | None = None
 
     def world_points(self) -> np.ndarray:  # [M, 3] float64

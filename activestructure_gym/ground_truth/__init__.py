@@ -6,11 +6,10 @@
 from activestructure_gym.ground_truth.free_space import FreeSpace
 from activestructure_gym.ground_truth.layouts import Layout
 from activestructure_gym.ground_truth.observable import ObservableSurface, observable_surface_of
-from activestructure_gym.ground_truth.start_check import POSE_ROUNDING, check_start_pose
+from activestructure_gym.ground_truth.start_check import check_start_pose
 from activestructure_gym.ground_truth.truth import GroundTruth, free_space_of, ground_truth_of, warn_if_hardly_seen
 
 __all__ = [
-    "POSE_ROUNDING",
     "FreeSpace",
     "GroundTruth",
     "Layout",

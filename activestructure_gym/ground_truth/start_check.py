@@ -7,9 +7,9 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.ground_truth.regions import in_text
 from activestructure_gym.ground_truth.truth import GroundTruth
+from activestructure_gym.ranges import POSE_ROUNDING
 from activestructure_gym.scenes.scene import Scene
 
-POSE_ROUNDING = 2e-3  # largest accepted entry of R R^T - I; rounding to three decimals gives up to 0.001 sqrt(3)
 _IN_THE_SURFACE = 0.01  # metres; a camera closer to a surface counts as inside it
 
 

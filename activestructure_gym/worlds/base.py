@@ -11,9 +11,7 @@ from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.motion import unrounded_start
-from activestructure_gym.ranges import MAX_COORDINATE_M
-
-_RIGID = 2e-3  # largest accepted entry of R R^T - I; rounding to three decimals gives up to 0.001 sqrt(3)
+from activestructure_gym.ranges import MAX_COORDINATE_M, POSE_ROUNDING
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ def checked_pose(what: str, pose: Any) -> np.ndarray:  # [4, 4] float64
         raise InputError(f"{what} is a finite 4x4 world_from_camera matrix, got {short_repr(pose)}")
     rotation = array[:3, :3]
     off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if off > _RIGID or np.linalg.det(rotation) < 0 or np.abs(array[3] - (0, 0, 0, 1)).max() > _RIGID:
+    if off > POSE_ROUNDING or np.linalg.det(rotation) < 0 or np.abs(array[3] - (0, 0, 0, 1)).max() > POSE_ROUNDING:
         raise InputError(f"{what} must be a rigid motion (rotation and translation), got {array.round(3).tolist()}")
     return unrounded_start(array)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeGuard
@@ -277,6 +278,15 @@ def without_revisits(observation: Observation) -> Observation:
     candidates = Candidates(observation)
     new = candidates.valid & ~candidates.revisit
     return {**observation, "action_mask": new.astype(np.int8)} if new.any() else observation
+
+
+def patience(rows: int) -> int:
+    """Return how many successive tables of ``rows`` rows end a phase or stage if none has a view that suffices.
+
+    A table is a random part of all views. So there must be at least 3 tables, with at least 768 rows together: 3 tables
+    of the default size, 12 of preset `fast`.
+    """
+    return max(3, math.ceil(768 / rows))
 
 
 def nearest_new(observation: Observation) -> int:

@@ -6,8 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from activestructure_gym.policies.activestructure.phases import patience
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, patience, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import NativeSettings

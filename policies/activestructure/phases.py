@@ -5,12 +5,12 @@ No transition between phases depends on the number of frames.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from activestructure_gym.policies.activestructure.information_gain import GainTerms, Weights
+from activestructure_gym.policies.base import patience
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,6 @@ PHASES = (
     # The keyframes with the lowest PSNR are revisited and get more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
 )
-# A table is a random part of all views. So a phase ends after at least 3 successive tables without a view in the pool,
-# with at least 768 rows together: 3 tables of the default size, 12 of preset `fast`.
-PATIENCE, ROWS = 3, 768
 GOOD_PSNR = 34.0  # dB; phase III ends when 90 % of the keyframes reach it (ActiveGAMER's threshold)
 LOT = 4  # number of revisits between two tests of progress; a table offers at most as many
 MIN_RISE_DB = 0.25  # dB by which LOT revisits must raise the 10 % quantile of the keyframes' PSNR
@@ -68,11 +65,6 @@ def in_pool(
     """
     enough = discovered * (1.0 - terms.discount) * terms.suppressed * travel >= phase.pool_share
     return valid & (enough | (terms.deficiency >= phase.deficit_share))
-
-
-def patience(rows: int) -> int:
-    """Return how many successive tables of this number of rows end a phase if none has a view in the pool."""
-    return max(PATIENCE, math.ceil(ROWS / rows))
 
 
 class PhaseMachine:

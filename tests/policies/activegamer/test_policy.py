@@ -18,7 +18,7 @@ from activestructure_gym.policies.activegamer.policy import (
     coarse_views,
     travel_factor,
 )
-from activestructure_gym.policies.activestructure.phases import patience
+from activestructure_gym.policies.base import patience
 from activestructure_gym.policies.scored import recorded_scores
 from tests.policies.binding import bound
 

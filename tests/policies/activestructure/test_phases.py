@@ -27,8 +27,8 @@ from activestructure_gym.policies.activestructure.phases import (
     MIN_RISE_DB,
     RevisitedViews,
     in_pool,
-    patience,
 )
+from activestructure_gym.policies.base import patience
 from activestructure_gym.scenes import load_scene
 from tests.policies.activestructure.test_policy import observation, planes
 from tests.policies.binding import bound

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.policies import make_policy
-from activestructure_gym.policies.activestructure.phases import patience
+from activestructure_gym.policies.base import patience
 from activestructure_gym.policies.unseen.policy import SIDE_DEPTH
 from tests.policies.activestructure.test_policy import observation
 from tests.policies.binding import bound

@@ -64,6 +64,8 @@ def make_env_and_policy(
     """
     import gymnasium as gym
 
+    from activestructure_gym.worlds import is_world
+
     if isinstance(policy, str):
         policy = make_policy(policy)
     elif is_policy(policy):
@@ -85,7 +87,8 @@ def make_env_and_policy(
     try:
         policy.bind(env)
     except BaseException:
-        env.close()
+        if not (is_world(scene) or is_world(options.get("world"))):  # else it is the caller's
+            env.close()
         raise
     return env, policy
 

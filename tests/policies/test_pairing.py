@@ -14,6 +14,7 @@ from activestructure_gym.policies import POLICIES, Policy, make_env_and_policy
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.scenes import load_scene
+from activestructure_gym.worlds.simulated_world import SimulatedRobot
 
 ROOM = "activestructure_gym:ActiveStructure/Room-v0"
 SMALL: dict[str, Any] = {
@@ -121,3 +122,19 @@ def test_in_a_vector_env_one_binding_serves_every_row() -> None:
         np.testing.assert_array_equal(observation["candidates"][row], alone["candidates"])
         assert policy.act({key: value[row] for key, value in observation.items()}) == other.act(alone)
     envs.close()
+
+
+def test_a_world_stays_the_caller_s_if_the_policy_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(policy: HoleArea, env: object) -> None:
+        raise InputError("does not fit")
+
+    closed: list[str] = []
+    world = SimulatedRobot("box", width=48, height=36)
+    monkeypatch.setattr(SimulatedRobot, "close", lambda robot: closed.append("world"))
+    monkeypatch.setattr(HoleArea, "bind", refuse)
+    name = "simulated?scene=box&width=48&height=36"
+    of_world: dict[str, Any] = {"env_id": "activestructure_gym:ActiveStructure/World-v0"}
+    for given, released in (({"scene": world}, 0), (of_world | {"world": world}, 0), (of_world | {"world": name}, 1)):
+        with pytest.raises(InputError, match="does not fit"):
+            make_env_and_policy("hole_area", preset="fast", **given)
+        assert len(closed) == released

@@ -248,7 +248,7 @@ def sight_line(
     end_z: float,
     spared: float,  # length before the end that is not tested, in voxels
 ) -> bool:
-    """Return whether the line from start to end enters no blocking voxel; every voxel on the line is tested.
+    """Return whether the line from start to end enters no blocking voxel before its end, in whichever voxel it starts.
 
     The points are given as numbers and not as arrays, since numba counts references to rows of arrays in loops.
     """

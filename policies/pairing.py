@@ -64,8 +64,6 @@ def make_env_and_policy(
     """
     import gymnasium as gym
 
-    from activestructure_gym.worlds import is_world
-
     if isinstance(policy, str):
         policy = make_policy(policy)
     elif is_policy(policy):
@@ -87,7 +85,8 @@ def make_env_and_policy(
     try:
         policy.bind(env)
     except BaseException:
-        if not (is_world(scene) or is_world(options.get("world"))):  # else it is the caller's
+        made = options.get("world", scene)
+        if made is None or isinstance(made, str):  # a world is the caller's
             env.close()
         raise
     return env, policy

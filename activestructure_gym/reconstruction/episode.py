@@ -285,7 +285,7 @@ class Reconstruction(EpisodeState):
                     keyframes.append(self._keyframe(path, refine_factor))
                 except CaptureFailed:
                     self._failures += 1
-                    if self._failures > _MAX_FAILURES and not getattr(self.world, "is_over", False):
+                    if self._failures > _MAX_FAILURES and not getattr(self.world, "stopped", False):
                         raise
                     del self.trajectory[len(self.trajectory) - (index - since) :]
                     self.frames, self.metres, self.pose = kept

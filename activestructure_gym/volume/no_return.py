@@ -6,26 +6,35 @@ return nothing either. In all these cases further views rarely find a surface th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.camera import Lens
 
 
+class Grid(NamedTuple):
+    """Hold the voxels that rays cross."""
+
+    state: np.ndarray  # [X, Y, Z]
+    crossed: np.ndarray  # [X, Y, Z] bool
+    origin: np.ndarray  # [3] metres, lower corner of voxel (0, 0, 0)
+    voxel_size: float  # metres
+
+
 @kernel
 def mark_crossed(
+    grid: Grid,  # voxels on the rays of the empty pixels are set to True in ``crossed``
     empty: np.ndarray,  # [H, W] bool: pixels without a return up to ``reach``
     stride: int,  # pixels from one traced ray to the next, in both directions
     lens: Lens,
     world_from_camera: np.ndarray,  # [4, 4]
-    origin: np.ndarray,  # [3] metres, lower corner of voxel (0, 0, 0)
-    voxel_size: float,  # metres
     reach: float,  # metres of depth
-    state: np.ndarray,  # [X, Y, Z] of the voxels
     end: int,  # state of the voxels at which a ray ends
-    crossed: np.ndarray,  # [X, Y, Z] bool, voxels on the rays of these pixels are set to True
 ) -> None:
     """Mark the voxels on the rays of the empty pixels, in steps of half a voxel, up to ``end`` or the grid's border."""
+    state, crossed, origin, voxel_size = grid
     fx, fy, cx, cy = lens
     pose, step = world_from_camera, 0.5 * voxel_size
     for v in range(0, empty.shape[0], stride):

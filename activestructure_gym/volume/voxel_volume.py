@@ -14,7 +14,7 @@ from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.config import VolumeConfig, grid_shape
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid, solid_gaps
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
-from activestructure_gym.volume.no_return import mark_crossed
+from activestructure_gym.volume.no_return import Grid, mark_crossed
 from activestructure_gym.volume.occupancy import occupancy
 from activestructure_gym.volume.rays import PixelRays, rays_of_pixels
 
@@ -134,12 +134,10 @@ class VoxelVolume:
         rays = [((depth <= 0) & (free_to >= np.float32(sensor_range)), _NONE)]
         if unmeasured is not None and unmeasured.mean() < 0.5:
             rays.append((solid_gaps(depth) & unmeasured, OCCUPIED))
+        grid = Grid(self.state, self.no_return, self.origin, self.voxel_size)
         for empty, end in rays:
             if empty.any():
-                mark_crossed(
-                    empty, stride, camera.lens, view, self.origin, self.voxel_size, reach, self.state, end,
-                    self.no_return,
-                )  # fmt: skip
+                mark_crossed(grid, empty, stride, camera.lens, view, reach, end)
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
         """Mark the voxels inside a sphere as free, because the agent's body occupies it.

@@ -81,7 +81,12 @@ class StoredCaptures:
     @property
     def is_over(self) -> bool:
         """Return whether the episode ends here: no capture is left, or the world was stopped."""
-        return self.exhausted or bool(getattr(self.world, "stopped", False))
+        return self.exhausted or self.stopped
+
+    @property
+    def stopped(self) -> bool:
+        """Return whether the world was stopped."""
+        return bool(getattr(self.world, "stopped", False))
 
     @property
     def stored(self) -> int:

@@ -12,14 +12,38 @@ from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
-
-if TYPE_CHECKING:
-    from activestructure_gym.viewer.live import LiveView
 
 _MAX_COMMAND_BYTES = 1000  # larger requests are refused
 _MAX_STRANGERS = 64  # maximum number of connections that have not sent the key; the oldest is closed for a new one
+
+
+class View(Protocol):
+    """Define what the server needs of a `LiveView`."""
+
+    hosts: set[str] | None  # host names of the server; None: any
+
+    @property
+    def closed(self) -> bool:
+        """Return whether the server is closed."""
+        ...
+
+    def page(self) -> str:
+        """Return the page's HTML."""
+        ...
+
+    def has_key(self, key: str) -> bool:
+        """Return whether ``key`` is the server's key."""
+        ...
+
+    def news(self, episode: int, moments: int, version: int) -> bytes | None:
+        """Return the data that the page lacks."""
+        ...
+
+    def execute(self, command: dict[str, Any]) -> str:
+        """Execute a command of the page; return an error message, or an empty string."""
+        ...
 
 
 class Server(ThreadingHTTPServer):
@@ -29,7 +53,7 @@ class Server(ThreadingHTTPServer):
     request_queue_size = 128  # number of connections that may wait to be accepted
     allow_reuse_address = os.name != "nt"  # on Windows the option would let two programs use the same port
 
-    def __init__(self, place: tuple[str, int], view: LiveView) -> None:
+    def __init__(self, place: tuple[str, int], view: View) -> None:
         self.address_family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
         self.view = view
         self._strangers: dict[Any, None] = {}  # connections that have not sent the key, oldest first

@@ -38,7 +38,7 @@ def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
         return text
     sure = sum(verdicts.verdict(margin, column)[0].startswith("better") for margin, column in margins)
     pairs = min(margin.pairs for margin, _ in margins)
-    few = f", from as few as {pairs} pairs" if pairs < verdicts.FEW else ""
+    few = f", at least {pairs} pairs" if pairs < verdicts.FEW else ""
     if not sure:
         nothing = f"No policy is clearly best: no lead is significant (95 %){few}."
         return nothing if len(wins) > _NAMED and wins[0][1] == wins[-1][1] else f"{nothing} {text}"

@@ -18,7 +18,7 @@ def made(make_run, seeds, **psnr):
         (
             2,
             {"a": 20.0, "b": 22.0},
-            "b is best in 1 of 2 metrics. The lead is significant (95 %), from as few as 2 pairs.",
+            "b is best in 1 of 2 metrics. The lead is significant (95 %), at least 2 pairs.",
         ),
         (2, {"a": 20.0, "b": 20.0}, "The best policies are equal in all metrics."),
         (
@@ -42,7 +42,7 @@ def test_of_several_winners_the_most_frequent_is_first(make_run):
         for seed in (0, 1)
     ]
     results = Results(runs, [])
-    text = "b is best in 2 of 3 metrics, a in 1. All 3 leads are significant (95 %), from as few as 2 pairs."
+    text = "b is best in 2 of 3 metrics, a in 1. All 3 leads are significant (95 %), at least 2 pairs."
     assert answer_text(results, leads(results)) == text
 
 
@@ -50,8 +50,8 @@ def test_of_several_winners_the_most_frequent_is_first(make_run):
     ("lead", "text"),
     [
         # One seed is 3 dB for b and the other 1 dB for a: the interval of the mean contains 0.
-        ((3.0, -1.0), "No policy is clearly best: no lead is significant (95 %), from as few as 2 pairs. {}"),
-        ((3.0, 3.0), "{} Of 2 leads, 1 is significant (95 %), from as few as 2 pairs."),
+        ((3.0, -1.0), "No policy is clearly best: no lead is significant (95 %), at least 2 pairs. {}"),
+        ((3.0, 3.0), "{} Of 2 leads, 1 is significant (95 %), at least 2 pairs."),
     ],
 )
 def test_policies_with_as_many_metrics_are_named_together(make_run, lead, text):
@@ -73,7 +73,7 @@ def test_many_policies_with_as_many_metrics_are_counted(make_run):
     # With two seeds, each lead is +5 and -4: none is significant, and the cards name the policies.
     runs += [make_run("room", policy, 1, **usual | {key: usual[key] - 4.0}) for policy, key in best.items()]
     results = Results(runs, [])
-    text = "No policy is clearly best: no lead is significant (95 %), from as few as 2 pairs."
+    text = "No policy is clearly best: no lead is significant (95 %), at least 2 pairs."
     assert answer_text(results, leads(results)) == text
 
 

@@ -24,6 +24,7 @@ import math
 import sys
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE
@@ -45,7 +46,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "depth_l1_cm": ("Depth (cm) ↓", 2, min),
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
-# Files of single runs on many scenes, which are the sample: intervals are over the scenes.
+# Files of few runs on many scenes, which are the sample: intervals are over the scenes, with the mean of a scene's seeds.
 POOLED = (
     "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv", "learned_300.csv", "learned_2000.csv"
 )  # fmt: skip
@@ -127,16 +128,28 @@ def added(place: Path, directories: Sequence[Path]) -> None:
 
 
 def read(place: Path) -> Table:
-    """Read the metrics of all runs in the CSV file ``place``; a file in `POOLED` has one scene and a "seed" per run."""
+    """Read the metrics of all runs in the CSV file ``place``, by policy and by scene and seed.
+
+    A file in `POOLED` has one scene, and a "seed" per scene with the means over the seeds that all its policies played.
+    """
     table: Table = {}
-    rows = _rows(place)
-    cells: dict[tuple[str, str], Cell] = {(row["scene"], row["seed"]): (row["scene"], int(row["seed"])) for row in rows}
-    if place.name in POOLED:
-        cells = {cell: ("all", number) for number, cell in enumerate(sorted(cells))}
-    for row in rows:
+    for row in _rows(place):
         numbers = {key: float(row[key]) for key in KEPT if row.get(key)}
-        table.setdefault(row["policy"], {})[cells[row["scene"], row["seed"]]] = numbers
-    return table
+        table.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = numbers
+    return _pooled(table) if place.name in POOLED else table
+
+
+def _pooled(table: Table) -> Table:
+    scenes = sorted({scene for runs in table.values() for scene, _ in runs})
+    pooled: Table = {policy: {} for policy in table}
+    for number, scene in enumerate(scenes):
+        seeds = {policy: {seed for place, seed in runs if place == scene} for policy, runs in table.items()}
+        common = sorted(set.intersection(*filter(None, seeds.values())))
+        for policy in (policy for policy, own in seeds.items() if own and common):
+            runs = [table[policy][scene, seed] for seed in common]
+            keys = [key for key in KEPT if all(key in run for run in runs)]
+            pooled[policy]["all", number] = {key: fmean(run[key] for run in runs) for key in keys}
+    return pooled
 
 
 def markdown(table: Table) -> str:

@@ -13,8 +13,8 @@ from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliabi
 
 # The gain of a view within NEAR_M (metres) and NEAR_DEG (degrees) of one of the last REMEMBERED chosen views is
 # reduced. The factor is 1 - FORGETTING^k for the k-th view before the newest. There is no reduction until more than FEW
-# views were chosen.
-NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 5, 0.95
+# views were chosen. The code waits for more than five poses, and its first three are not chosen.
+NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 2, 0.95
 
 
 @register_both("gauss_mi", unit="nats, mean over pixels")
@@ -72,7 +72,7 @@ def revisit_discount(
     """Return a factor on the gain: 1 - 0.95^k for a view that repeats the k-th view chosen before the newest one.
 
     A view repeats another one within 0.3 m and 10 degrees. The factor is 1 for a view that repeats none of the last
-    100, and until more than five views were chosen. The newest chosen view does not count.
+    100, and until more than two views were chosen. The newest chosen view does not count.
     """
     discount = np.ones(len(world_from_camera))
     if len(chosen) <= FEW:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("gauss_mi")
@@ -17,6 +20,13 @@ class GaussMI(Greedy):
     travel_term = "revisits discounted"
     source = "Xie et al., GauSS-MI, 2025"
     required_features = ("gauss_mi",)
+    # An image is taken where a path ends, and mapping goes on during the flight. The camera has 640 x 480 pixels and
+    # 106 x 90 degrees; here it has half as many along each side.
+    native_settings = replace(
+        SELECTED_VIEWS,
+        budget="640 x 480 at 106 x 90 degrees, 20 iterations a keyframe and more during the flight",
+        changes={"sensor.width": 320, "sensor.height": 240, "sensor.horizontal_fov_deg": 106.26},
+    )
 
 
 @POLICIES.register("gauss_mi_cov")

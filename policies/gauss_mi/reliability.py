@@ -4,6 +4,7 @@ A Gaussian has one log-odds of being correct for each of four horizontal view di
 view direction. The log-odds increase if the rendered map agrees with the keyframe, and decrease otherwise:
 
 - The loss of a pixel is L = 0.95 mean |I - C| + 0.05 |D - depth|, without the second term if no depth was measured.
+  The map is rendered over a white background, and its depth is the accumulated one: a hole counts as an error.
 - The vote of a pixel is -log max(1.7 L, 1e-4), which is positive for a loss below 0.59.
 - The vote for a Gaussian is 10 times the sum of vote times weight over pixels, times the share of the direction. Pixels
   count if the transmittance in front of the Gaussian exceeds 0.8. There is no vote if too few pixels count.
@@ -33,7 +34,8 @@ VOTE_FACTOR = 10.0
 CLEAR = 0.8  # a pixel counts if the transmittance in front of the Gaussian exceeds this
 MIN_PIXELS = 5  # minimum number of pixels for a vote, in an image of OF_PIXELS
 OF_PIXELS = 640 * 480
-LIMIT = 10.0  # largest absolute value of votes and log-odds
+LIMIT = 10.0  # largest absolute value of a vote
+MAX_LOG_ODDS = float(np.log(9999.0))  # probabilities stay between 0.0001 and 0.9999 after each vote
 
 
 class DirectionalReliability:
@@ -76,18 +78,17 @@ class DirectionalReliability:
         vote = VOTE_FACTOR * scale * np.where(seen.touches * scale >= MIN_PIXELS, seen.gathered, 0.0)
         shares = direction_shares(gaussians.parameters[:3, seen.indices].T, pose[:3, 3])
         votes = np.clip(vote[:, None] * shares, -LIMIT, LIMIT)
-        log_odds[seen.indices] = np.clip(log_odds[seen.indices] + votes, -LIMIT, LIMIT)
+        log_odds[seen.indices] = np.clip(log_odds[seen.indices] + votes, -MAX_LOG_ODDS, MAX_LOG_ODDS)
 
 
 def pixel_votes(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] float32
     """Return the vote of each pixel, -log max(1.7 L, 1e-4) with the loss L of the module's docstring.
 
-    It is positive if the rendering ``shown`` of the map agrees with the keyframe ``frame``. The rendered depth is the
-    accumulated depth over alpha.
+    It is positive if the rendering ``shown`` of the map agrees with the keyframe ``frame``.
     """
-    loss = COLOR_SHARE * np.abs(shown.color - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
-    depth = shown.depth / np.maximum(shown.alpha, 1e-6)
-    loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(depth - frame.depth), 0.0)
+    on_white = shown.color + (1.0 - shown.alpha[..., None])
+    loss = COLOR_SHARE * np.abs(on_white - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
+    loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(shown.depth - frame.depth), 0.0)
     return -np.log(np.maximum(LOSS_FACTOR * loss, MIN_LOSS)).astype(np.float32)
 
 

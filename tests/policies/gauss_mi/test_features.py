@@ -57,7 +57,8 @@ def test_revisits_by_hand() -> None:
     away = look_along(np.array([0.0, 0.31, 0.0]), np.array([1.0, 0.0, 0.0]))
     back = look_along(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
     candidates = np.stack([here, turned, away, back])
-    assert revisit_discount(candidates, np.stack([here] * 5)) == pytest.approx([1.0] * 4)  # too few
+    assert revisit_discount(candidates, np.stack([here] * FEW)) == pytest.approx([1.0] * 4)  # too few
+    assert revisit_discount(candidates, np.stack([here] * 3)) == pytest.approx([0.05, 0.05, 1.0, 1.0])
     past = np.stack([back, here] + [look_along(np.array([0.0, 0.0, 5.0]), np.array([1.0, 0.0, 0.0]))] * 4)
     assert revisit_discount(candidates, past) == pytest.approx([1 - 0.95**4, 1 - 0.95**4, 1.0, 1 - 0.95**5])
     long_ago = np.concatenate([past, np.repeat(past[-1:], 97, axis=0)])

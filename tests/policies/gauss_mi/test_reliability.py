@@ -47,9 +47,28 @@ def test_votes_of_pixels_by_hand():
     assert votes[0, 1] == pytest.approx(-np.log(1.7 * 0.95 * 0.3), rel=1e-5)
     assert votes[0, 2] == pytest.approx(-np.log(1.7 * 0.05 * 0.4), rel=1e-4)
     assert votes[0, 3] == pytest.approx(-np.log(1.7 * 0.95 * 1.0), rel=1e-5) and votes[0, 3] < 0
-    # Of a map that lets a tenth through, nine tenths of the depth are accumulated: the surface stands where it was.
-    veiled = pixel_votes(seen, Rendering(color, np.float32(0.9) * depth, np.full((24, 32), 0.9, np.float32)))
-    assert veiled == pytest.approx(votes, rel=1e-3)
+
+
+def test_a_hole_in_the_map_is_an_error() -> None:
+    """The code renders over white and does not divide the depth by alpha."""
+    seen = frame(26, depth=3.0)
+    for alpha, expected in ((0.3, -np.log(1.7 * (0.95 * 0.7 * (1 - 26 / 255) + 0.05 * 0.7 * 3))), (1.0, -np.log(1e-4))):
+        filled = np.full((24, 32), alpha, np.float32)
+        shown = Rendering(filled[..., None] * np.float32(26 / 255) * np.ones(3, np.float32), 3.0 * filled, filled)
+        assert pixel_votes(seen, shown) == pytest.approx(np.full((24, 32), expected), rel=1e-3)
+
+
+def test_a_contradicted_gaussian_remembers_the_order_of_its_votes() -> None:
+    """Votes of +10 and -10 leave -log r = 1.164 nats, and -10 and +10 0.374; never seen is 0.693."""
+    mapper = mapped(60)
+    middle = np.linalg.norm(mapper.map.means[:, 1:], axis=1) < 0.3
+    agrees, errs = frame(60), frame(255, depth=4.0)
+    surprises = []
+    for frames in ([agrees, errs], [errs, agrees]):
+        log_odds = DirectionalReliability(mapper.map).update(frames)[middle, 0]
+        surprises.append(np.logaddexp(0.0, -log_odds))
+    assert surprises[0] == pytest.approx(np.full(middle.sum(), 1.164), abs=1e-3)
+    assert surprises[1] == pytest.approx(np.full(middle.sum(), 0.374), abs=1e-3)
 
 
 def test_a_look_speaks_for_its_own_direction_and_errors_speak_against_it():

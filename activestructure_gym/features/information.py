@@ -2,8 +2,8 @@
 
 H is the Fisher information of images about the Gaussians of the map (`activestructure_gym.splatting.fisher`). It is
 J^T J summed over pixels and colours, where J is the derivative of the rendered colours. H_train sums all keyframes, and
-H_c is the information of one candidate; both use the candidates' camera. With ``of_depth``, J is the derivative of the
-rendered depth.
+H_c is the information of one candidate; both use the candidates' camera. In functions named "of_depth" or "depth", J is
+the derivative of the rendered depth.
 
 Means, log-scales, logits and colours have different units. Every entry is therefore divided by the median of H_train
 for its kind of parameter, called the unit of this kind. The prior lambda is the same fraction of the unit for all
@@ -75,11 +75,6 @@ def units(context: FeatureContext) -> np.ndarray:  # [4]
     return median_units(trained(context))
 
 
-def units_of_depth(context: FeatureContext) -> np.ndarray:  # [4]
-    """Return the unit of each kind of parameter, computed by `median_units` from H_train of the rendered depth."""
-    return median_units(trained_of_depth(context))
-
-
 def median_units(known: np.ndarray) -> np.ndarray:  # [N Gaussians, 24 columns] -> [4 kinds]
     """Return the unit of each kind of parameter: mean, log-scale, opacity logit and colour.
 
@@ -91,15 +86,13 @@ def median_units(known: np.ndarray) -> np.ndarray:  # [N Gaussians, 24 columns] 
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
 
 
-def diagonal_units(
-    context: FeatureContext, kinds: tuple[int, ...], *, of_depth: bool = False
-) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
+def diagonal_units(context: FeatureContext, kinds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
     """Return the columns of `ViewInformation.numbers` with the diagonal of the Fisher information, and their units.
 
     ``kinds`` selects the parameters from `MEAN`, `LOG_SCALE`, `LOGIT` and `COLOR`, which have P columns together. The
-    units are those of `median_units`, for the information of the rendered colours or, with ``of_depth``, of the depth.
+    units are those of `median_units`, for the information of the rendered colours.
     """
-    of_kind = context.once(units_of_depth if of_depth else units)
+    of_kind = context.once(units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
     return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
 
@@ -124,20 +117,16 @@ def diagonal_gain(
     context: FeatureContext,
     criterion: Callable[[np.ndarray, np.ndarray], np.ndarray],
     kinds: tuple[int, ...] = (MEAN, LOG_SCALE),
-    *,
-    of_depth: bool = False,
 ) -> np.ndarray:  # [K]
     """Return the sum of ``criterion(h + lambda, d)`` over all parameters, divided by the number of Gaussians.
 
     ``h`` and ``d`` [S, P] are the diagonals of H_train and H_c divided by the units of the parameters, for the S
     Gaussians that a candidate sees. A criterion must be 0 where ``d`` is 0, since the other Gaussians are left out.
-    ``kinds`` selects the parameters. With ``of_depth``, H is the information of the depth images.
+    ``kinds`` selects the parameters.
     """
-    columns, unit = diagonal_units(context, kinds, of_depth=of_depth)
-    known = trained_of_depth(context) if of_depth else trained(context)
-    prior = np.ascontiguousarray(known[:, columns] / unit + LAMBDA)
-    views = depth_informed_views(context) if of_depth else informed_views(context)
-    sums = [criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in views]
+    columns, unit = diagonal_units(context, kinds)
+    prior = np.ascontiguousarray(trained(context)[:, columns] / unit + LAMBDA)
+    sums = [criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in informed_views(context)]
     return np.array(sums) / max(1, len(prior))
 
 

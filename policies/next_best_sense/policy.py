@@ -11,9 +11,9 @@ from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 @POLICIES.register("next_best_sense")
 class NextBestSense(Greedy):
-    """Choose argmax 0.1 I_colour + I_depth, the published view selection, without a travel term.
+    """Choose argmax sum H_c / (H_train + lambda), H = 0.1 H_colour + H_depth per Gaussian, without a travel term.
 
-    I_colour and I_depth are the Fisher information of the candidate's colours and depth, relative to all keyframes.
+    H_colour and H_depth are the Fisher information of colours and depth, of the candidate and of all keyframes.
     """
 
     criterion = "Fisher information of a view, mainly of its depth, relative to that of all keyframes"
@@ -24,7 +24,7 @@ class NextBestSense(Greedy):
 
 @POLICIES.register("next_best_sense_cov")
 class NextBestSenseCov(Greedy):
-    """Choose argmax G_cov + lambda_o G_Q, where G_Q = 0.1 I_colour + I_depth, without a travel term.
+    """Choose argmax G_cov + lambda_o G_Q, where G_Q is the feature `next_best_sense`, without a travel term.
 
     G_cov is `hole_area`, and lambda_o the share of observed space around the agent (`adaptive`).
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.native_settings import SELECTED_VIEWS, NativeSettings
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS, SQUARE_CAMERA, NativeSettings
 
 
 @POLICIES.register("fisherrf")
@@ -17,7 +17,7 @@ class FisherRF(Greedy):
     criterion = "Fisher information of a view relative to that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
     required_features = ("fisherrf",)
-    native_settings = NativeSettings(budget=SELECTED_VIEWS.budget)
+    native_settings = SELECTED_VIEWS
 
 
 @POLICIES.register("fisherrf_cov")
@@ -45,10 +45,19 @@ class FisherRFPath(Greedy):
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)
+    # Every 4th frame is a keyframe, and 60 iterations follow every 10 frames.
     native_settings = NativeSettings(
         mapper="splatam",
-        iterations=60,
-        stages=(("frontier_facing?rows=192", "unsure_facing?apart_m=1&rows=64", "around?radius_m=1&rows=64"),),
+        keyframe_every=4,
+        iterations=24,
+        stages=(("frontier_facing?nearest_m=0.5&farthest_m=1&rows=256", "floor?yaws=8&rows=64"),),
         candidates=320,
+        changes=SQUARE_CAMERA
+        | {
+            "views.heights_m": (0.0,),
+            "mapper.isotropic": False,
+            "mapper.mean_rate": 1e-3,
+            "mapper.log_scale_rate": 1e-2,
+        },
         budget="2000 steps of 5 cm and 5 degrees, 800 x 800, 60 iterations",
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
 from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("view_angle")
@@ -18,6 +21,7 @@ class ViewAngle(Planner):
     travel_term = "none; ties by path length"
     source = "COVER, arXiv 2604.05259"
     required_features = ("view_angle",)
+    native_settings = replace(SELECTED_VIEWS, iterations=200, budget="10 random views, then one every 200 steps")
 
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; of equal ones the one with the fewest frames."""

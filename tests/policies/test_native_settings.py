@@ -54,7 +54,7 @@ def begin(
     return env.unwrapped, policy, env.reset(seed=0)[0]
 
 
-@pytest.mark.parametrize("name", ["popgs_logdet", "next_best_sense", "gavis"])
+@pytest.mark.parametrize("name", ["popgs_logdet", "next_best_sense", "gavis", "fisherrf", "view_angle"])
 def test_selectors_of_views_map_what_they_pick_and_nothing_on_the_way(name: str) -> None:
     env, policy, observation = begin(name)
     keyframes, before, longest, ended = 1, 1, 0, False
@@ -68,7 +68,7 @@ def test_selectors_of_views_map_what_they_pick_and_nothing_on_the_way(name: str)
 
 def test_rules_as_published_bring_their_schedule_and_hybrids_of_ours_bring_none() -> None:
     for name in POLICIES:
-        if name.startswith(("popgs_", "next_best_sense")):
+        if name.startswith(("popgs_", "next_best_sense", "fisherrf")) and name != "fisherrf_path":
             brought = native_settings_of(POLICIES.get(name), "native")
             assert (brought.overrides() == {}) == name.endswith("_cov"), name
             assert brought.iterations == (None if name.endswith("_cov") else 100)
@@ -80,8 +80,35 @@ def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its
     built = {name: mapper.iterations for name, mapper in found.items() if mapper.name == "splatam"}
     systems = ["activegamer", "activesplat", "gs_planner", "hgs_planner", *ladder]
     assert built == dict.fromkeys(systems, configure("default", {"mapper.name": "splatam"}).mapper.iterations) | {
-        "fisherrf_path": 60
+        "fisherrf_path": 24
     }
+
+
+def test_fisherrf_path_maps_every_4th_frame_with_60_iterations_every_10_frames() -> None:
+    config = configure("full", POLICIES.get("fisherrf_path").native_settings.overrides())
+    assert config.mapper.iterations / config.keyframe_every == 60 / 10 and config.keyframe_every == 4
+    mapper, sensor = config.mapper, config.sensor
+    assert (mapper.isotropic, mapper.mean_rate, mapper.log_scale_rate) == (False, 1e-3, 1e-2)
+    assert sensor.width == sensor.height and sensor.horizontal_fov_deg == 90.0
+
+
+def test_fisherrf_path_is_offered_views_of_the_frontier_and_level_ones_at_one_height() -> None:
+    env, policy, observation = begin("fisherrf_path")
+    height = observation["pose"][2]
+    for _ in range(3):
+        candidates = policy.candidates(observation)
+        facing, level = (candidates.source(name) for name in env.config.views.stages[0])
+        np.testing.assert_array_equal(facing | level, candidates.valid)
+        assert facing.any() and level.any()
+        np.testing.assert_allclose(candidates.xyz[candidates.valid, 2], height, atol=1e-6)
+        assert np.abs(candidates.view_direction[level, 2]).max() < 1e-6
+        observation, *_ = env.step(policy.act(observation))
+    env.close()
+
+
+def test_view_angle_maps_200_iterations_after_each_view() -> None:
+    brought = POLICIES.get("view_angle").native_settings
+    assert brought.goal_keyframes and brought.iterations == 200
 
 
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:

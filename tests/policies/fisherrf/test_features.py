@@ -10,7 +10,13 @@ import pytest
 from activestructure_gym.features.fisherrf import KINDS, TIMES, fisherrf
 from activestructure_gym.features.information import LAMBDA, diagonal_units
 from activestructure_gym.motion import PlannedPath
-from activestructure_gym.policies.fisherrf.features import END_WEIGHT, fisherrf_path, information_along
+from activestructure_gym.policies.fisherrf.features import (
+    END_WEIGHT,
+    HORIZON,
+    fisherrf_path,
+    information_along,
+    log_of_path,
+)
 from activestructure_gym.splatting.fisher import view_information
 
 
@@ -40,6 +46,22 @@ def test_the_sum_of_logarithms_by_hand(two_walls, looks) -> None:
     ])  # fmt: skip
     assert fisherrf_path(context)[:2] == pytest.approx(expected)
     assert fisherrf_path(context)[2] == 0.0  # shows nothing of the map: no goal
+
+
+def test_the_path_of_30_actions_weighs_a_fifth_against_30() -> None:
+    # Six keyframes in 30 actions with log I_a = 10 and log I_c = 11, against 8 and 11.04: the sums over actions are
+    # 6 x 10 / 30 + 30 x 11 = 332.0 and 6 x 8 / 30 + 30 x 11.04 = 332.8.
+    first, second = log_of_path(np.full(6, 10.0), 11.0), log_of_path(np.full(6, 8.0), 11.04)
+    assert 151 * np.array([first, second]) / 5 == pytest.approx([332.0, 332.8])
+    assert first < second
+
+
+def test_a_path_counts_up_to_its_sixth_keyframe(two_walls, looks) -> None:
+    _, west, north = looks
+    exact = context_of(two_walls, (west,), [[north] * (HORIZON - 1)])
+    longer = context_of(two_walls, (west,), [[north] * (HORIZON - 1) + [west, west]])
+    nothing = context_of(two_walls, (west,), [[north] * HORIZON])
+    assert fisherrf_path(exact)[0] == fisherrf_path(longer)[0] > fisherrf_path(nothing)[0] > 0.0
 
 
 def test_a_second_look_at_the_same_knows_the_first(two_walls, looks) -> None:

@@ -20,7 +20,7 @@ VIRTUAL_SHARE = 0.1  # maximum number of virtual Gaussians, as a share of the Ga
 MIN_VIRTUAL = 1000  # maximum number of virtual Gaussians in a map of less than 10,000 Gaussians (own choice)
 VIRTUAL_OPACITY_LOGIT = 0.0  # logit of the opacity 0.5 of virtual Gaussians (own choice)
 VIRTUAL_SIGMA = 0.35  # standard deviation of a virtual Gaussian, divided by their distance (own choice)
-KNOWN_VARIANCE = 0.01**2  # variance of a known colour channel in 0..1 ([nvf])
+KNOWN_VARIANCE = 0.01**2  # variance of a known colour channel in 0..1 ([nvf]: of the background)
 UNSEEN_VARIANCE = 1.0  # variance of an unknown colour channel ([nvf])
 # Distance up to which entropy counts less, divided by the diagonal of the workspace: 6 / 20.6 in the room of [nvf].
 NEAR_SHARE = 0.29
@@ -34,7 +34,7 @@ def gavis(context: FeatureContext) -> np.ndarray:  # [K]
     (`visibility`). q and q_0 are the variances of known and unknown colours. Virtual Gaussians with v = 0 fill
     unobserved space (`virtual_gaussians`), so that it does not count as free. `excess_entropy` bounds the entropy of a
     pixel from above, and `near_factor` reduces it near the camera. Source: [gavis], the mixture and the arg max of its
-    entropy; [nvf], the variances, the bound and the factor.
+    entropy; [nvf], the variances of background and unseen colours, the bound and the factor.
     """
     everything, real = with_virtual(context.mapper.map, context.volume)
     camera, render = context.camera, context.mapper.rasterizer.render
@@ -66,9 +66,9 @@ def excess_entropy(
     """Return an upper bound of the entropy of each pixel's mixture, minus the entropy of a known colour.
 
     The mixture has three parts: the known Gaussians with weight k = sum w v, unknown colours with weight
-    u = alpha - k, and a known background with weight 1 - alpha. The bound of [nvf] is the sum of -p log p over the
+    u = alpha - k, and a known background with weight 1 - alpha. The bound is the sum of -p log p over the
     three weights p, plus 3/2 (k log(q_k / q) + u log(q_0 / q)) for three channels. q_k is q plus the variance of the
-    brightness c over the known Gaussians.
+    brightness c over the known Gaussians. [nvf, code] has the same bound without the factor 1/2 of the logarithms.
     """
     known, first, second = (np.maximum(moments[..., i], 0.0) for i in range(3))
     weights = np.clip([known, alpha - known, 1.0 - alpha], 0.0, 1.0)

@@ -88,7 +88,7 @@ def clusters(
 def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panoramas [H, W] in 0..1, [H, W] metres
     """Return the measures of all clusters of open pixels in a panorama.
 
-    ``alpha`` is the rendered opacity; ``depth`` is in metres, and 0 where nothing is rendered.
+    ``alpha`` is the rendered opacity; ``depth`` is the median depth, and 0 where alpha stays below one half.
     """
     missing = 1.0 - alpha.astype(np.float64)
     pixel = DEG_PER_PIXEL**2

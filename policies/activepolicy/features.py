@@ -9,11 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.median_depth import median_depths
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.geometry import invert_rigid
-from activestructure_gym.mapping.frustum_culling import MapParts
-from activestructure_gym.splatting import passes
-from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 
 # Only a summary of the paper was available. It names these constants without values; all but the first are our choice.
 THRESHOLD = 0.25  # tau_u: pixels with a higher U count
@@ -37,21 +34,8 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     alpha = context.alpha
     covered = alpha > context.coverage_alpha
     mean = context.depth / np.maximum(alpha, 1e-6)
-    median = median_depths(context)
+    median = median_depths(context.mapper.map, context.camera, context.world_from_camera)
     return (~covered | (disagreement(mean, median, alpha) > THRESHOLD)).mean(axis=(1, 2))
-
-
-def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
-    """Return the median depth of every pixel: the depth of the Gaussian at which the transmittance falls to 0.5."""
-    camera, poses = context.camera, context.world_from_camera
-    parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
-    parameters = fitted(parameters)
-    result = np.zeros((len(poses), camera.height, camera.width), np.float32)
-    pooled = PooledWorkspace()
-    for image, pose in zip(result, invert_rigid(poses)):
-        pooled.workspace.render(parameters, count, camera, pose, keep=False)  # sorts the Gaussians for the next line
-        image[:] = passes.median_depth(pooled.workspace)
-    return result
 
 
 def disagreement(mean: np.ndarray, other: np.ndarray, alpha: np.ndarray) -> np.ndarray:  # [K, h, w] each -> U in 0..1

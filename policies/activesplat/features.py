@@ -9,13 +9,12 @@ from scipy.spatial.distance import squareform
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import solid_angles
+from activestructure_gym.features.median_depth import median_depths
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph, voronoi_node
+from activestructure_gym.features.voronoi_node import floor_graph, places, voronoi_node
 from activestructure_gym.motion import VoronoiGraph
-from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 
-RADIUS = 0.2  # metres, radius of the agent in ActiveSplat
 REGION_M = 2.0  # metres; groups of nodes with a larger average distance are different subregions
 APART_M = 1e3  # metres, path length between nodes that no path connects
 VIEW_OPEN = 0.3  # minimum 1 - opacity of a gap in a view
@@ -24,22 +23,23 @@ MIN_VIEW_DEG2 = 25.0  # square degrees; smaller gaps in a view are ignored
 
 @FEATURES.register(
     "activesplat",
-    columns=("information", "volume", "region", "view"),
-    unit=("rad^2 m deg^2", "rad^2 m", "index", "deg^2"),
-    low=(0.0, 0.0, -1.0, 0.0),
+    columns=("information", "volume", "region", "view", "x", "y"),
+    unit=("rad^2 m deg^2", "rad^2 m", "index", "deg^2", "m", "m"),
+    low=(0.0, 0.0, -1.0, 0.0, -np.inf, -np.inf),
 )
-def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Compute I, V and the subregion of the candidate's Voronoi node, and the gaps (deg^2) visible in its own image.
+def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 6]
+    """Compute I, V, subregion and position of the candidate's Voronoi node, and the gaps (deg^2) in its own image.
 
     I (rad^2 m deg^2) sums (hull volume) x (sum of 1 - opacity) over clusters of gaps in the node's panorama. V
     (rad^2 m) sums the hull volumes. Both are 0 without a node. The number of a subregion is valid in one step only; it
-    is -1 without a node. The last column sums 1 - opacity over the gaps of more than 25 square degrees in the image.
-    Source: [activesplat, code].
+    is -1 without a node. The column ``view`` sums 1 - opacity over the gaps of more than 25 square degrees in the image.
+    The last two columns are the node's position (m, world), or the candidate's own without a node. Source:
+    [activesplat, code].
     """
     information, volume = node_openings(context)
     region = regions(context.once(floor_graph)).astype(np.float64)
     of_node = [_of_node(context, information), _of_node(context, volume), _of_node(context, region, nothing=-1.0)]
-    return np.column_stack([*of_node, visible_gaps(context)])
+    return np.column_stack([*of_node, visible_gaps(context), places(context)[:, :2]])
 
 
 def visible_gaps(context: FeatureContext) -> np.ndarray:  # [K] square degrees
@@ -73,40 +73,27 @@ def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
     return fcluster(tree, REGION_M, criterion="distance").astype(np.int64)
 
 
-def has_full_turn(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] metres
-    """Return whether the keyframes within 0.5 m of ``place`` together show all 36 azimuth bins of 10 degrees."""
-    seen = np.zeros(36, dtype=bool)
-    bins = np.radians(10.0) * (np.arange(36) + 0.5)
-    for frame in keyframes:
-        pose, camera = frame.world_from_camera, frame.camera
-        if np.linalg.norm(pose[:2, 3] - place) <= NODE_REACH:
-            turned = (bins - np.arctan2(pose[1, 2], pose[0, 2]) + np.pi) % (2.0 * np.pi) - np.pi
-            seen |= np.abs(turned) <= np.arctan(0.5 * camera.width / camera.fx)
-    return bool(seen.all())
-
-
 def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
     """Return I and V (see `activesplat`) of each of the N Voronoi nodes, from panoramas of the map at the nodes.
 
-    They are 0 for nodes without candidates, for nodes within 0.4 m of obstacles, and where keyframes show all azimuths.
+    They are 0 for nodes without candidates. The original also sets them to 0 within 0.2 m of obstacles. All nodes of our
+    graph are farther away.
     """
-    graph, keyframes = context.once(floor_graph), context.mapper.keyframes
+    graph = context.once(floor_graph)
     information, volume = np.zeros(len(graph)), np.zeros(len(graph))
-    wanted = [
-        int(n)
-        for n in np.unique(context.once(voronoi_node))
-        if n >= 0 and graph.clearance[int(n)] > 2.0 * RADIUS and not has_full_turn(graph.nodes[int(n)], keyframes)
-    ]
-    if not wanted:
+    found = np.unique(context.once(voronoi_node)).astype(np.int64)
+    wanted = found[found >= 0]
+    if not len(wanted):
         return information, volume
-    height = keyframes[0].world_from_camera[2, 3]
+    height = context.mapper.keyframes[0].world_from_camera[2, 3]
     positions = np.column_stack([graph.nodes[wanted], np.full(len(wanted), height)])
-    images = context.mapper.render_depth_alpha(panorama.camera(), panorama.poses(positions))
-    depths, alphas = (panorama.side_by_side(image) for image in images)
+    camera, poses = panorama.camera(), panorama.poses(positions)
+    alphas = panorama.side_by_side(context.mapper.render_depth_alpha(camera, poses)[1])
+    depths = panorama.side_by_side(median_depths(context.mapper.map, camera, poses))
     for n, depth, alpha in zip(wanted, depths, alphas):
-        found = panorama.openings(alpha, depth)
-        information[n] = sum(opening.volume * opening.missing for opening in found)
-        volume[n] = sum(opening.volume for opening in found)
+        openings = panorama.openings(alpha, depth)
+        information[n] = sum(opening.volume * opening.missing for opening in openings)
+        volume[n] = sum(opening.volume for opening in openings)
     return information, volume
 
 

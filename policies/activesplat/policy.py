@@ -14,16 +14,18 @@ from activestructure_gym.policies.naruto.policy import forward
 from activestructure_gym.policies.native_settings import SPLATAM, SQUARE_CAMERA
 from activestructure_gym.policies.scored import record_scores
 
-UNARRIVED_M = 0.65  # metres from the path travelled (10 steps of 6.5 cm); a node farther away is unarrived
+# Metres (10 steps of 6.5 cm). A node farther from the path travelled is unarrived. In the agent's subregion, a node
+# nearer to a stop scores 0.
+UNARRIVED_M = 0.65
 AT_NODE = 0.5  # metres; a view or the agent within this distance is at a node
-FAILED_M = 0.3  # metres; a node with a view this near to a goal that was not reached has failed
+RADIUS = 0.1  # metres, radius of the agent
 ARRIVED_M = 0.15  # metres from the chosen view; farther away, the goal was not reached
 
 LOCAL_VIEWS = 5  # maximum number of local views at a stop
 LOCAL_M = 0.75  # metres from the stop to a local view; the original turns on the spot
 LOCAL_DEG2 = 100.0  # square degrees, minimum gaps in a local view
 LOCAL_TURN = np.cos(np.radians(15.0))  # cosine of the minimum turn to a local view
-STOP_M = 0.6  # metres (3 radii of the agent); a stop this near to an earlier one has no local views
+STOP_M = 3 * RADIUS  # metres; a stop this near to an earlier one has no local views
 
 LATE_AFTER = 3  # successive choices among nodes that are all arrived at or failed; then the late weights apply
 
@@ -40,8 +42,12 @@ class ActiveSplat(Planner):
     criterion = "integer score of Voronoi nodes by the missing parts of panoramas of the map"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
+    # Depth beyond 4 m is not used (`far`); `mapping_iters` is 2, and 10 for images of a higher resolution.
     native_settings = replace(
-        SPLATAM, changes=SQUARE_CAMERA, budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees"
+        SPLATAM,
+        iterations=2,
+        changes={**SQUARE_CAMERA, "sensor.max_range": 4.0},
+        budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
     )
     required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
@@ -53,10 +59,12 @@ class ActiveSplat(Planner):
         """Begin an episode with local views at the start, which replace the original's turn on the spot."""
         super().reset(seed)
         self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen view
-        self._failed = np.zeros((0, 3))  # metres, goals that were not reached
+        self._goal_node = np.zeros(2)  # metres, node of the last chosen view
+        self._failed = np.zeros((0, 2))  # metres, nodes that were not reached
         self._stop = np.zeros(0)  # [3] metres, current stop: the last goal that was not a local view
-        self._stops = np.zeros((0, 3))  # metres, earlier stops with local views
-        self._spent = np.zeros((0, 3))  # metres, all earlier stops
+        self._stop_node = np.zeros(2)  # metres, node of the current stop
+        self._viewed = np.zeros((0, 2))  # metres, nodes of earlier stops with local views
+        self._stops = np.zeros((0, 2))  # metres, nodes of all earlier stops
         self._local_views = 0  # number of local views at this stop
         self._idle = 0  # number of successive choices among nodes that are all arrived at or failed
         self._late = False  # whether the late weights apply
@@ -67,11 +75,12 @@ class ActiveSplat(Planner):
         candidates = self.candidates(observation)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:
-            self._failed = np.vstack([self._failed, self._goal])
+            self._failed = np.vstack([self._failed, self._goal_node])
         if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # first decision, or goal not reached
-            self._stop = here
+            self._stop, self._stop_node = here, here[:2]
         choice = self._decide(observation, candidates, candidates["activesplat_view"].astype(np.float64))
         self._goal = candidates.xyz[choice].astype(np.float64)
+        self._goal_node = _node_places(candidates)[choice]
         return choice
 
     def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:
@@ -86,7 +95,7 @@ class ActiveSplat(Planner):
         self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
         if not nodes.rows:  # no floor plan yet, or no candidate at a node
             choice = best_valid(np.where(valid, self.scores(show, observation), -np.inf), observation)
-            self._leave(xyz[choice])
+            self._leave(candidates, choice)
             return choice
         if self.travel == "shared":
             nodes = self._update_late(nodes)
@@ -95,36 +104,38 @@ class ActiveSplat(Planner):
                 # The gaps in a view add at most 1, so they decide between the views of one node.
                 gain[rows] = (0 if here else max(int(score), 0)) + show[rows] / max(float(show[rows].max()), 1e-12)
             choice = best_valid(self.scores(gain, observation), observation)
-            self._leave(xyz[choice])
+            self._leave(candidates, choice)
             return choice
         turn = candidates.view_direction.astype(np.float64) @ forward(observation["pose"][3:])
         local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
         local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
-        repeated = (_apart(self._stops, self._stop) <= STOP_M).any()
+        repeated = (_apart(self._viewed, self._stop_node) <= STOP_M).any()
         if self._local_views < LOCAL_VIEWS and local.any() and not repeated:
             self._local_views += 1
             self._trace["mode"] = "local"
             return best_valid(np.where(local, show, -np.inf), observation)
         nodes = self._update_late(nodes)
         scores = node_scores(nodes, self._late)
-        node = choose_node(nodes, scores, self.rng if self._late else None)
+        here = observation["pose"][:2].astype(np.float64)
+        node = choose_node(nodes, scores, here, self.rng if self._late else None)
         rows = nodes.rows[node]
         self._trace |= {"score": int(scores[node]), "region": int(nodes.region[node]), "late": self._late}
         choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
         record_scores(choice, np.where(np.isin(np.arange(len(show)), rows), show, -np.inf))
         if not repeated:
-            self._stops = np.vstack([self._stops, self._stop])
-        self._leave(xyz[choice], even_if_near=True)
+            self._viewed = np.vstack([self._viewed, self._stop_node])
+        self._leave(candidates, choice, even_if_near=True)
         return choice
 
-    def _leave(self, place: np.ndarray, *, even_if_near: bool = False) -> None:
-        """Make ``place`` [3] (metres) the new stop, and record the current stop as visited.
+    def _leave(self, candidates: Candidates, choice: int, *, even_if_near: bool = False) -> None:
+        """Make the view in row ``choice`` the new stop, and record the current stop as visited.
 
-        A place within LOCAL_M of the current stop is not a new stop unless ``even_if_near``.
+        A view within LOCAL_M of the current stop is not a new stop unless ``even_if_near``.
         """
+        place = candidates.xyz[choice].astype(np.float64)
         if even_if_near or _apart(place[None], self._stop)[0] > LOCAL_M:
-            self._spent = np.vstack([self._spent, self._stop])
-            self._stop, self._local_views = place, 0
+            self._stops = np.vstack([self._stops, self._stop_node])
+            self._stop, self._stop_node, self._local_views = place, _node_places(candidates)[choice], 0
 
     def _update_late(self, nodes: Nodes) -> Nodes:
         """Return ``nodes``, without failures if this is the third choice in a row without an open node.
@@ -142,29 +153,36 @@ class ActiveSplat(Planner):
         """Return the Voronoi nodes that have candidates in the rows ``valid`` [K] bool."""
         xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
         visited, horizon = candidates["visited_distance"].astype(np.float64), candidates["in_horizon"]
-        information, volume, region, _ = candidates.feature("activesplat").astype(np.float64).T
+        information, volume, region = candidates.feature("activesplat").astype(np.float64).T[:3]
         number = np.where(valid, np.round(candidates["voronoi_node"]), -1)
         rows = tuple(np.flatnonzero(number == n) for n in np.unique(number[number >= 0]))
         first = np.array([r[0] for r in rows], dtype=np.int64)
-        from_stop = _apart(xyz[:, :2], self._stop[:2])
+        from_stop, places = _apart(xyz[:, :2], self._stop[:2]), _node_places(candidates)[first]
+        stops = np.vstack([self._stops, self._stop_node])
+        stop = _within(places, stops, RADIUS)
         return Nodes(
             rows=rows,
-            information=information[first],
-            volume=volume[first],
+            places=places,
+            information=np.where(stop, 0.0, information[first]),
+            volume=np.where(stop, 0.0, volume[first]),
             unarrived=visited[first] > UNARRIVED_M,
             horizon=np.array([horizon[r].any() for r in rows], dtype=bool),
-            failed=np.array([self._has_failed(xyz[r]) for r in rows], dtype=bool),
+            failed=_within(places, self._failed, RADIUS),
             region=region[first],
             length=np.array([length[r].min() for r in rows]),
             here=np.array([np.minimum(length[r], from_stop[r]).min() <= AT_NODE for r in rows], dtype=bool),
-            spent=np.array([self._is_spent(xyz[r]) for r in rows], dtype=bool),
+            stop=stop,
+            near_stop=_within(places, stops, UNARRIVED_M),
         )
 
-    def _is_spent(self, positions: np.ndarray) -> bool:  # [n, 3]
-        return bool((np.linalg.norm((positions[:, None] - self._spent)[..., :2], axis=2) <= AT_NODE).any())
 
-    def _has_failed(self, positions: np.ndarray) -> bool:  # [n, 3]
-        return bool((np.linalg.norm(positions[:, None] - self._failed, axis=2) <= FAILED_M).any())
+def _node_places(candidates: Candidates) -> np.ndarray:  # [K, 2] metres
+    """Return the position of each candidate's Voronoi node, or its own without a node."""
+    return candidates.feature("activesplat")[:, 4:].astype(np.float64)
+
+
+def _within(places: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:  # [n, 2], [m, 2], metres -> [n] bool
+    return (np.linalg.norm(places[:, None] - others, axis=2) <= reach).any(axis=1)
 
 
 def _apart(places: np.ndarray, place: np.ndarray) -> np.ndarray:  # [n, d], [d] -> [n] metres

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.policies.anm_s.targets import next_target
 from activestructure_gym.policies.base import (
     POLICIES,
     Observation,
@@ -21,7 +22,6 @@ from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSe
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the path travelled (15 steps of 6.5 cm); a node farther away is unarrived
-DEFERRED_M = 200 * 0.065  # metres of path (200 steps); a farther node is visited after the nodes nearest to it
 AT_NODE = 0.5  # metres in the plane; a candidate or the agent within this distance is at a node
 FORGET_AFTER = 3  # successive choices among nodes that are all arrived at or failed; then failures are forgotten
 FACING = float(np.cos(np.radians(30.0)))  # minimum cosine between the view direction and the direction to a target
@@ -42,8 +42,8 @@ class AnmS(Planner):
       below the agent's head.
     - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.
 
-    Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. If the best
-    node is farther than 13 m, the node nearest to it within 13 m is visited first. At the node, views towards all its
+    Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. If the path
+    to the best node is longer than 13 m, a node on the way to it is visited first (`next_target`). At the node, views towards all its
     clusters follow. Further views show the ends of the branches of the Voronoi graph that were removed at the node.
 
     ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
@@ -154,19 +154,17 @@ class AnmS(Planner):
         rows = candidates.valid & ~candidates.revisit & ~at_current_pose(candidates) & (node >= 0)
         if not rows.any():
             return nearest_new(observation)
-        places, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        places, length = candidates.xyz[:, :2].astype(np.float64), candidates.path_length.astype(np.float64)
         away = rows & ~np.isin(node, node[rows & (self._at_stop(candidates) | (length <= AT_NODE))])
         rows = away if away.any() else rows
         self._forget(candidates, rows)
         score = self.node_score(candidates)
         if self.travel == "shared":
             value = (score - FAILED) * travel_discount(observation)  # shifted to be at least 0
+            best = best_valid(np.where(rows, value, -np.inf), observation)
         else:
-            value = score - 1e-4 * length  # paths are shorter than 1 km, so the length only breaks ties
-        best = best_valid(np.where(rows, value, -np.inf), observation)
-        if self.travel == "native" and length[best] > DEFERRED_M and (rows & (length <= DEFERRED_M)).any():
-            apart = np.linalg.norm(places - places[best], axis=1)
-            best = best_valid(np.where(rows & (length <= DEFERRED_M), -apart, -np.inf), observation)
+            offered, here = np.flatnonzero(rows), observation["pose"][:2].astype(np.float64)
+            best = int(offered[next_target(score[offered], length[offered], places[offered], here)])
         # A view without anything to look at has the cosine 0.
         looks = candidates[f"{self._feature}_looks"] > 0
         facing = np.where(looks, candidates[f"{self._feature}_facing"], -1.0)

@@ -97,3 +97,19 @@ def test_a_hull_needs_four_points_with_a_surface() -> None:
     mask, depth = np.zeros((75, 180), bool), np.zeros((75, 180), np.float32)
     mask[30:40, 50:70] = True
     assert hull_volume(mask, depth) == 0.0
+
+
+@pytest.mark.parametrize(("left", "right", "volume", "information"), [
+    ((3.0, 1.0), (3.0, 0.3), 0.0, 0),  # a flat wall, half of it without a median depth
+    ((2.0, 1.0), (4.0, 0.5001), 0.295, 133),  # a step of 2 m
+])  # fmt: skip
+def test_a_hole_of_12_degrees_before_surfaces_of_two_opacities(
+    left: tuple[float, float], right: tuple[float, float], volume: float, information: float
+) -> None:
+    """Surfaces are (depth, opacity); the depth is the median one, 0 where alpha is at most one half."""
+    rows, columns = np.indices((75, 180))
+    hole = np.hypot(rows - 37, columns - 90) * DEG_PER_PIXEL <= 12.0
+    depth, alpha = (np.where(columns < 90, *two) * ~hole for two in zip(left, right))
+    found = openings(alpha, np.where(alpha > 0.5, depth, 0.0))
+    assert sum(opening.volume for opening in found) == pytest.approx(volume, abs=5e-4)
+    assert sum(opening.volume * opening.missing for opening in found) == pytest.approx(information, abs=0.5)

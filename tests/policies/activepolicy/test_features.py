@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
@@ -15,7 +14,6 @@ from activestructure_gym.policies.activepolicy.features import (  # fmt: skip
     SENSITIVITY,
     THRESHOLD,
     disagreement,
-    median_depths,
 )
 from activestructure_gym.splatting import cpu
 
@@ -61,14 +59,6 @@ def test_disagreement_grows_with_the_ratio_and_stays_in_0_to_1() -> None:
     values = [disagreement(2.0 * image, factor * 2.0 * image, image)[0, 0, 0] for factor in (1.0, 1.05, 1.1, 1.3, 3.0)]
     assert (np.diff(values) > 0).all()
     assert 0.0 <= values[0] < values[-1] <= 1.0
-
-
-def test_median_depth_is_the_one_at_which_half_is_seen() -> None:
-    veiled = median_depths(context([(1.0, 0.3, 5.0), (3.0, 0.95, 5.0)]))
-    assert veiled.shape == (1, 24, 40)
-    assert veiled[0, 12, 20] == pytest.approx(3.0, rel=1e-3)
-    solid = median_depths(context([(1.0, 0.7, 5.0), (3.0, 0.95, 5.0)]))
-    assert solid[0, 12, 20] == pytest.approx(1.0, rel=1e-3)
 
 
 def test_what_is_not_covered_or_veiled_counts_and_a_wall_does_not() -> None:

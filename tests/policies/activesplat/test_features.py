@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,15 +12,27 @@ import pytest
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
-from activestructure_gym.policies.activesplat.features import MIN_VIEW_DEG2, has_full_turn, regions
+from activestructure_gym.policies.activesplat import features
+from activestructure_gym.policies.activesplat.features import MIN_VIEW_DEG2, regions
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views import panorama
 from activestructure_gym.volume import FREE, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
-NAMES = ("activesplat_information", "activesplat_volume", "activesplat_region", "activesplat_view")
+NAMES = tuple(f"activesplat_{name}" for name in ("information", "volume", "region", "view", "x", "y"))
 START = np.array([2.0, 2.0, 1.25])
 LEFT, RIGHT = np.array([2.0, 2.0, 1.25]), np.array([4.0, 2.0, 1.25])  # the two nodes of a room of 6 x 4 m
+
+
+@pytest.fixture(autouse=True)
+def _analytic_depth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map of `context` is a function that returns depth and opacity of every pixel."""
+
+    def median(gaussians: Callable, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
+        depth, alpha = gaussians(camera, poses)
+        return np.where(alpha > 0.5, depth, 0.0)
+
+    monkeypatch.setattr(features, "median_depths", median)
 
 
 def frame(place: np.ndarray, yaw: float) -> Frame:
@@ -31,22 +44,25 @@ def frame(place: np.ndarray, yaw: float) -> Frame:
 def context(
     is_open: Callable[[np.ndarray], np.ndarray],  # [..., 3] unit directions, world -> [...] bool
     places: tuple[np.ndarray, ...] = (LEFT, RIGHT, np.array([3.0, 0.5, 1.25])),
-    keyframes: list[Frame] | None = None,
+    east: tuple[float, float] = (3.0, 1.0),  # metres, opacity of the surface to the east
 ) -> FeatureContext:
-    """A map that is opaque in all directions but some, two metres away to the west and three to the east."""
+    """A map without surface in some directions; it is opaque and two metres away to the west."""
 
-    def render(camera: PinholeCamera, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def surface(camera: PinholeCamera, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rays = camera.rays() / np.linalg.norm(camera.rays(), axis=-1, keepdims=True)
         directions = np.einsum("kij,hwj->khwi", poses[:, :3, :3], rays)
-        alpha = np.where(is_open(directions), 0.0, 1.0).astype(np.float32)
-        return alpha * np.where(directions[..., 0] > 0, 3.0, 2.0).astype(np.float32), alpha
+        depth, alpha = (np.where(directions[..., 0] > 0, *two).astype(np.float32) for two in zip(east, (2.0, 1.0)))
+        return depth, np.where(is_open(directions), np.float32(0.0), alpha)
+
+    def render(camera: PinholeCamera, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        depth, alpha = surface(camera, poses)
+        return alpha * depth, alpha
 
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]]))
     volume.state[1:-1, 1:-1, 1:-1] = FREE
-    frames = [frame(START, 0.0)] if keyframes is None else keyframes
     return FeatureContext(
-        mapper=SimpleNamespace(render_depth_alpha=render, keyframes=frames), volume=volume, planes=None, camera=CAMERA,
-        bounds=np.zeros((2, 3)), coverage_alpha=0.5, max_range=10.0,
+        mapper=SimpleNamespace(map=surface, render_depth_alpha=render, keyframes=[frame(START, 0.0)]), volume=volume, planes=None,
+        camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(p, np.array([0.0, 1.0, 0.0])) for p in places]),
     )  # fmt: skip
 
@@ -56,7 +72,8 @@ def north(directions: np.ndarray) -> np.ndarray:
 
 
 def test_nodes_with_an_opening_count_and_views_without_a_node_do_not() -> None:
-    information, volume, region, view = evaluate_features(NAMES, context(north)).T
+    information, volume, region, view, x, y = evaluate_features(NAMES, context(north)).T
+    np.testing.assert_allclose([x[2], y[2]], [3.0, 0.5])  # no node: its own place
     assert information[0] == pytest.approx(information[1])  # the same panorama
     assert volume[0] > 0.1  # the outline lies at two depths
     rays = panorama.camera().rays() / np.linalg.norm(panorama.camera().rays(), axis=-1, keepdims=True)
@@ -80,24 +97,29 @@ def test_pathology_what_lies_above_or_below_the_panorama_is_ignored() -> None:
     assert within[0, 0] > 0
 
 
-def test_nodes_where_all_was_looked_at_or_near_an_obstacle_count_nothing() -> None:
-    turn = [frame(LEFT + [0.2, 0.0, 0.0], yaw) for yaw in np.radians([0.0, 80.0, 160.0, 240.0, 300.0])]
-    information = evaluate_features(NAMES, context(north, keyframes=turn))[:, 0]
-    assert information[0] == 0.0
-    assert information[1] > 0.0
-    # The same three frames of five leave a gap.
-    assert not has_full_turn(LEFT[:2], turn[:3])
-    assert not has_full_turn(LEFT[:2] + 1.0, turn)
+def test_surface_counts_at_its_median_depth_and_not_where_more_than_half_is_missing() -> None:
+    """The outline of the gap to the north is half to the west, half to the east."""
+
+    def volume(metres: float, alpha: float) -> float:
+        return float(evaluate_features(NAMES, context(north, east=(metres, alpha)))[0, 1])
+
+    step = volume(4.0, 1.0)
+    assert step > 0.1
+    assert volume(4.0, 0.5001) == pytest.approx(step)  # accumulated, both would be at 2 m
+    assert volume(2.0, 0.3) == 0.0  # accumulated, the eastern half would be at 0.6 m
+
+
+def test_a_node_with_little_room_to_either_side_counts() -> None:
     narrow = context(north)
     narrow.volume.state[:, 24:] = 0
     narrow.volume.state[:, :18] = 0  # a corridor 0.6 m wide: 0.3 m to either side
     # The only node of a corridor is somewhere in its middle.
-    middle = FeatureContext(**{**{f: getattr(narrow, f) for f in narrow.__dataclass_fields__},
-                            "world_from_camera": np.stack([look_along(np.array([x, 2.1, 1.25]), START)
-                                                           for x in np.arange(0.5, 6.0, 0.5)])})  # fmt: skip
-    columns = evaluate_features(("voronoi_node", *NAMES), middle)
-    assert (columns[:, 0] >= 0).any()
-    assert not columns[:, 1].any()
+    places = np.stack([look_along(np.array([x, 2.1, 1.25]), START) for x in np.arange(0.5, 6.0, 0.5)])
+    columns = evaluate_features(("voronoi_node", *NAMES), replace(narrow, world_from_camera=places))
+    at_node = columns[:, 0] >= 0
+    assert at_node.any() and (columns[at_node, 1] > 0).all()
+    assert np.abs(columns[at_node, 5] - places[at_node, 0, 3]).max() <= 0.5
+    assert np.ptp(columns[at_node, 5]) == 0.0  # the position of the node
 
 
 def test_subregions_by_hand() -> None:

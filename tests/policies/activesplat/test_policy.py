@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS
-from activestructure_gym.policies.activesplat.nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
+from activestructure_gym.policies.activesplat import nodes as module
+from activestructure_gym.policies.activesplat.nodes import RICH, Nodes, node_scores
 from activestructure_gym.policies.activesplat.policy import (
     LATE_AFTER,
     LOCAL_DEG2,
     LOCAL_VIEWS,
+    STOP_M,
     UNARRIVED_M,
     ActiveSplat,
 )
+from activestructure_gym.policies.anm_s.targets import DEFERRED_M
 from tests.policies.binding import bound, columns
 
 COLUMNS = columns(ActiveSplat)
@@ -25,6 +28,7 @@ AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 def nodes(count: int = 3, **changes: Any) -> Nodes:
     values: dict[str, Any] = {
         "rows": tuple(np.array([n]) for n in range(count)),
+        "places": np.column_stack([np.arange(1.0, count + 1.0), np.zeros(count)]),
         "information": np.zeros(count),
         "volume": np.zeros(count),
         "unarrived": np.ones(count, bool),
@@ -33,9 +37,15 @@ def nodes(count: int = 3, **changes: Any) -> Nodes:
         "region": np.ones(count),
         "length": np.arange(1.0, count + 1.0),
         "here": np.zeros(count, bool),
-        "spent": np.zeros(count, bool),
+        "stop": np.zeros(count, bool),
+        "near_stop": np.zeros(count, bool),
     }
     return Nodes(**{**values, **{name: np.array(value) for name, value in changes.items()}})
+
+
+def choose_node(known: Nodes, scores: np.ndarray, late: np.random.Generator | None = None) -> int:
+    """The choice of an agent at the origin."""
+    return module.choose_node(known, scores, np.zeros(2), late)
 
 
 def test_the_score_by_hand() -> None:
@@ -47,15 +57,25 @@ def test_the_score_by_hand() -> None:
     assert node_scores(known).tolist() == [45, 26, -40]
 
 
-def test_a_node_where_it_stopped_is_worth_nothing() -> None:
-    # In horizon and with all that is missing it would have 40 against 23 of one that nobody was at.
-    known = nodes(
-        2, information=[400.0, 40.0], volume=[4.0, 0.1], unarrived=[False, True], horizon=[True, False],
-        spent=[True, False],
-    )  # fmt: skip
-    assert node_scores(known).tolist() == [0, 23]
+def test_a_node_near_a_stop_counts_in_other_subregions_and_not_in_the_agents() -> None:
+    """B is 0.3 m from a stop and in the horizon, with 10 and 10 tenths of I and V; C is unarrived, with 2 and 2."""
+    known = {
+        "information": [500.0, 100.0, 0.0], "volume": [5.0, 1.0, 0.0], "unarrived": [False, True, False],
+        "horizon": [True, False, False], "near_stop": [True, False, True],
+    }  # fmt: skip
+    elsewhere = nodes(**known, region=[2, 3, 1], here=[False, False, True], length=[4.0, 5.0, 0.0])
+    assert node_scores(elsewhere).tolist() == [40, 26, 0]
+    assert choose_node(elsewhere, node_scores(elsewhere)) == 0
+    known["information"] = [500.0, 300.0, 0.0]
+    around = nodes(**known, region=[1, 1, 1], here=[False, False, True], length=[4.0, 5.0, 0.0])
+    assert node_scores(around).tolist() == [40, 34, 0]
+    assert choose_node(around, node_scores(around)) == 1
+
+
+def test_a_subregion_is_not_ranked_by_its_stops() -> None:
+    known = nodes(horizon=[True, False, False], stop=[True, False, False], region=[2, 3, 1], length=[2.0, 3.0, 1.0])
+    assert node_scores(known).tolist() == [30, 20, 20]
     assert choose_node(known, node_scores(known)) == 1
-    assert node_scores(known, late=True).tolist() == [0, 40]
 
 
 def test_the_late_score_by_hand() -> None:
@@ -76,8 +96,12 @@ def test_a_subregion_is_finished_before_the_next() -> None:
     scores = node_scores(known)
     assert scores.tolist() == [24, 40, 20]
     assert choose_node(known, scores) == 0
-    # Its rich node was visited, or is no longer rich, or failed.
-    for change in ({"unarrived": [False, True, True]}, {"information": [0.9 * RICH, 9.0 * RICH, 0.0]},
+    # A node that the path passed stays rich if the agent has not stopped near it: 4 against 20.
+    passed = nodes(information=[1.1 * RICH, 9.0 * RICH, 0.0], region=[1, 2, 1], unarrived=[False, True, False])
+    assert node_scores(passed).tolist() == [4, 40, 0]
+    assert choose_node(passed, node_scores(passed)) == 0
+    # The agent has stopped near its rich node, or it is no longer rich, or failed.
+    for change in ({"near_stop": [True, False, False]}, {"information": [0.9 * RICH, 9.0 * RICH, 0.0]},
                    {"failed": [True, False, False]}):  # fmt: skip
         changed = nodes(**{"information": [1.1 * RICH, 9.0 * RICH, 0.0], "region": [1, 2, 1], **change})
         assert choose_node(changed, node_scores(changed)) == 1
@@ -115,6 +139,13 @@ def test_ties_go_to_the_shortest_way_and_the_far_is_deferred() -> None:
     assert choose_node(alone, np.array([1, 2, 9])) == 2
 
 
+def test_the_subregion_is_chosen_first_however_far_it_is() -> None:
+    """B has 45 points at 14 m, C has none at 4 m, and each is alone in its subregion."""
+    known = nodes(places=[[14.0, 0.0], [4.0, 0.0], [0.0, 0.0]], length=[14.0, 4.0, 0.0], region=[2, 3, 1],
+                  here=[False, False, True])  # fmt: skip
+    assert choose_node(known, np.array([45, 0, 0])) == 0
+
+
 def observation(
     positions: list[tuple[float, float]],
     *,
@@ -124,8 +155,9 @@ def observation(
     information: list[float] | None = None,
     visited: list[float] | None = None,
     here: tuple[float, float] = (0.0, 0.0),
+    places: list[tuple[float, float]] | None = None,
 ) -> dict[str, np.ndarray]:
-    """The agent looks along +x."""
+    """The agent looks along +x. ``places`` are the nodes of the views, by default the views themselves."""
     count = len(positions)
     table = np.zeros((count, len(CANDIDATE_COLUMNS)), np.float32)
     table[:, :2] = positions
@@ -139,6 +171,8 @@ def observation(
         "activesplat_information": [1.0] * count if information is None else information,
         "activesplat_region": [1.0] * count,
         "activesplat_view": show,
+        "activesplat_x": [x for x, _ in places or positions],
+        "activesplat_y": [y for _, y in places or positions],
     }.items():
         features[:, COLUMNS.index(name)] = values
     return {
@@ -176,6 +210,18 @@ def test_it_looks_around_before_it_goes_on_but_not_for_ever() -> None:
     assert policy().act(poor) == 1
 
 
+def test_nothing_is_missing_at_a_stop_and_all_of_it_beside_one() -> None:
+    positions = [(2.09, 0.0), (2.11, 0.0), (2.64, 0.0), (2.66, 0.0)]
+    seen = observation(positions, node=[0, 1, 2, 3], show=[0.0] * 4, information=[9.0] * 4)
+    made = policy()
+    made._stop, made._stop_node, made._failed = np.zeros(3), np.array([2.0, 0.0]), np.array([[2.55, 0.0]])
+    found = made._nodes(made.candidates(seen), np.ones(4, bool))
+    assert found.information.tolist() == [0.0, 9.0, 9.0, 9.0]
+    assert found.stop.tolist() == [True, False, False, False]
+    assert found.near_stop.tolist() == [True, True, True, False]
+    assert found.failed.tolist() == [False, False, True, False]
+
+
 @pytest.mark.parametrize("travel", ["native", "shared"])
 def test_it_goes_on_to_where_it_has_not_stopped(travel: str) -> None:
     seen = observation(
@@ -209,11 +255,12 @@ def test_local_views_stay_around_the_stop() -> None:
     assert made.act(seen) == 2
 
 
-@pytest.mark.parametrize(("away", "mode"), [(0.55, "node"), (0.7, "local")])
+@pytest.mark.parametrize(("away", "mode"), [(STOP_M - 0.01, "node"), (STOP_M + 0.01, "local")])
 def test_a_stop_near_an_earlier_one_has_no_local_views(away: float, mode: str) -> None:
+    """The distance of 0.3 m is that of their nodes."""
     seen = observation(
-        [(0.3, 0.0), (away, 0.0), (5.0, 0.0)], node=[-1, 0, 1], show=[2 * LOCAL_DEG2, 0.0, 0.0],
-        looks=[BACK, AHEAD, AHEAD], information=[0.0, 9.0, 1.0],
+        [(0.3, 0.0), (0.6, 0.0), (5.0, 0.0)], node=[-1, 0, 1], show=[2 * LOCAL_DEG2, 0.0, 0.0],
+        looks=[BACK, AHEAD, AHEAD], information=[0.0, 9.0, 1.0], places=[(0.3, 0.0), (away, 0.0), (5.0, 0.0)],
     )  # fmt: skip
     made = policy()
     for expected in [0] * LOCAL_VIEWS + [1]:
@@ -236,7 +283,7 @@ def test_the_late_stage_begins_after_some_decisions_lasts_and_forgives() -> None
     positions = [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (4.0, 0.0)]
     seen = observation(positions, node=[0, 1, 2, 3], show=[0.0] * 4, visited=[0.0] * 4)
     made = policy()
-    made._failed = np.array([[4.0, 0.0, 0.0]])
+    made._failed = np.array([[4.0, 0.0]])
     chosen, late = [], []
     for _ in range(30):
         chosen.append(made.act(seen))

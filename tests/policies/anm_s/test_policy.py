@@ -10,7 +10,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies import make_policy
 from activestructure_gym.policies.activeinr import ActiveINR
 from activestructure_gym.policies.anm_s import AnmS
-from activestructure_gym.policies.anm_s.policy import ARRIVED_M, AT_NODE, DEFERRED_M, FORGET_AFTER
+from activestructure_gym.policies.anm_s.policy import ARRIVED_M, AT_NODE, FORGET_AFTER
+from activestructure_gym.policies.anm_s.targets import DEFERRED_M
 from activestructure_gym.policies.base import nearest_new
 from tests.policies.binding import bound, columns
 
@@ -116,13 +117,18 @@ def test_a_node_that_was_not_reached_has_failed() -> None:
 
 
 def test_targets_farther_than_13_m_wait_for_nodes_on_the_way() -> None:
+    """The score counts before the distance to the target, and nodes that lead away from it do not count."""
     rows = [
         node(0, 20 * X, unarrived=True, horizon=True, path=DEFERRED_M + 7.0),
         node(1, 10 * X, path=10.0),
         node(2, 2 * X, unarrived=True, path=2.0),
+        node(3, -2 * X, unarrived=True, horizon=True, clusters=1, path=DEFERRED_M + 9.0),
     ]
-    assert act(bound(AnmS()), rows) == 1
+    assert act(bound(AnmS()), rows[:3]) == 2
+    assert act(bound(AnmS()), rows[:2]) == 1
+    assert act(bound(AnmS()), rows[2:]) == 1
     rows[0]["path"] = DEFERRED_M - 0.1
+    del rows[3]
     assert act(bound(AnmS()), rows) == 0
     assert act(bound(AnmS()), [{**rows[0], "path": 20.0}]) == 0  # there is no other
 

@@ -32,8 +32,8 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 6]
 
     I (rad^2 m deg^2) sums (hull volume) x (sum of 1 - opacity) over clusters of gaps in the node's panorama. V
     (rad^2 m) sums the hull volumes. Both are 0 without a node. The number of a subregion is valid in one step only; it
-    is -1 without a node. The column ``view`` sums 1 - opacity over the gaps of more than 25 square degrees in the image.
-    The last two columns are the node's position (m, world), or the candidate's own without a node. Source:
+    is -1 without a node. The column ``view`` sums 1 - opacity over the gaps of more than 25 square degrees in the
+    image. The last two columns are the node's position (m, world), or the candidate's own without a node. Source:
     [activesplat, code].
     """
     information, volume = node_openings(context)
@@ -76,8 +76,8 @@ def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
 def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
     """Return I and V (see `activesplat`) of each of the N Voronoi nodes, from panoramas of the map at the nodes.
 
-    They are 0 for nodes without candidates. The original also sets them to 0 within 0.2 m of obstacles. All nodes of our
-    graph are farther away.
+    They are 0 for nodes without candidates. The original also sets them to 0 within 0.2 m of obstacles. All nodes of
+    our graph are farther away.
     """
     graph = context.once(floor_graph)
     information, volume = np.zeros(len(graph)), np.zeros(len(graph))

@@ -58,8 +58,8 @@ def choose_node(
     The agent's subregion is that of the nearest node. In it, nodes near stops score 0. Its nodes are eligible while one
     of them scores above 0 and has I >= `RICH`. Otherwise the nodes of the other subregion with the highest score above
     0 are eligible, or all nodes if there is none. Stops do not count for this. Nodes at the agent's position are
-    eligible only if there are no others. `next_target` chooses among the eligible nodes. With a generator ``late``, only
-    the score counts and ties are drawn.
+    eligible only if there are no others. `next_target` chooses among the eligible nodes. With a generator ``late``,
+    only the score counts and ties are drawn.
     """
     away = ~nodes.here if not nodes.here.all() else np.ones(len(scores), dtype=bool)
     current = nodes.region == nodes.region[np.argmin(nodes.length)]

@@ -43,8 +43,9 @@ class AnmS(Planner):
     - Failed: an earlier attempt did not reach it. Failures are forgotten if only arrived and failed nodes are left.
 
     Of equal nodes the one with the shortest path is chosen. The node at the agent's position is not a goal. If the path
-    to the best node is longer than 13 m, a node on the way to it is visited first (`next_target`). At the node, views towards all its
-    clusters follow. Further views show the ends of the branches of the Voronoi graph that were removed at the node.
+    to the best node is longer than 13 m, a node on the way to it is visited first (`next_target`). At the node, views
+    towards all its clusters follow. Further views show the ends of the branches of the Voronoi graph that were removed
+    at the node.
 
     ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
     without rendering. Source: [anm_s, code].

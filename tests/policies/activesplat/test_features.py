@@ -61,8 +61,9 @@ def context(
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]]))
     volume.state[1:-1, 1:-1, 1:-1] = FREE
     return FeatureContext(
-        mapper=SimpleNamespace(map=surface, render_depth_alpha=render, keyframes=[frame(START, 0.0)]), volume=volume, planes=None,
-        camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5, max_range=10.0,
+        mapper=SimpleNamespace(map=surface, render_depth_alpha=render, keyframes=[frame(START, 0.0)]),
+        volume=volume, planes=None, camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5,
+        max_range=10.0,
         world_from_camera=np.stack([look_along(p, np.array([0.0, 1.0, 0.0])) for p in places]),
     )  # fmt: skip
 

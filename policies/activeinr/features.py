@@ -17,9 +17,10 @@ KEPT = 0.8  # share of the surface that is clustered, the most uncertain part
 CEILING = 0.8  # metres below the top of the workspace; higher surface is left out, since a ceiling connects all walls
 MIN_TARGET_DISTANCE_M = 1.0  # metres from the agent; nearer targets are only used if all are nearer
 ONE_HEIGHT_M = 1e-3  # metres; candidates whose heights differ by less belong to a robot on wheels
-# Metres below a target of a robot on wheels that must not be occupied: 1.5 m less 0.4 m ([activeinr, code]).
-BODY_M = 1.1
-_SAMPLES = 10  # number of tested points over these metres
+# Metres above the bottom of the workspace: from a target of a robot on wheels down to this height, nothing may be
+# occupied ([activeinr, code], whose camera is at 1.25 m).
+FOOT_M = 0.4
+_SAMPLES = 10  # number of tested points over this range
 
 
 def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
@@ -47,7 +48,7 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
     inside = np.all((targets > low) & (targets < high), axis=1)
     for cluster in np.flatnonzero(
         preferred(
-            free(context.volume, targets, on_wheels),
+            free(context.volume, targets, context.bounds[0, 2] + FOOT_M if on_wheels else None),
             np.linalg.norm(targets - newest.world_from_camera[:3, 3], axis=1) > MIN_TARGET_DISTANCE_M,
             inside,
         )
@@ -61,16 +62,16 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
     return table
 
 
-def free(volume: VoxelVolume, targets: np.ndarray, on_wheels: bool) -> np.ndarray:  # [C, 3] metres -> [C] bool
+def free(volume: VoxelVolume, targets: np.ndarray, foot: float | None) -> np.ndarray:  # [C, 3] metres -> [C] bool
     """Return which targets are free: the agent's body there is not occupied, or without wheels, the voxel is free.
 
-    The body reaches from the target to `BODY_M` below it. Its voxels may be unknown, as in the original, which tests
-    the sign of the signed distance.
+    The body reaches from the target down to the height ``foot`` (metres, world); None without wheels. Its voxels may be
+    unknown, as in the original, which tests the sign of the signed distance.
     """
-    if not on_wheels:
+    if foot is None:
         return volume.state_at(targets) == FREE
     body = np.repeat(targets[:, None], _SAMPLES, axis=1)
-    body[:, :, 2] -= np.linspace(0.0, BODY_M, _SAMPLES)
+    body[:, :, 2] = np.linspace(targets[:, 2], np.minimum(foot, targets[:, 2]), _SAMPLES, axis=1)
     return (volume.state_at(body.reshape(-1, 3)).reshape(-1, _SAMPLES) != OCCUPIED).all(axis=1)
 
 

@@ -13,7 +13,7 @@ from activestructure_gym.features.uncertain_surface import Surface, by_proxy
 from activestructure_gym.features.voronoi_node import floor_graph
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
-from activestructure_gym.policies.activeinr.features import CEILING, preferred
+from activestructure_gym.policies.activeinr.features import CEILING, FOOT_M, free, preferred
 from activestructure_gym.policies.anm_s.features import count_views
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -178,6 +178,14 @@ def test_on_wheels_a_target_has_the_height_of_the_camera_and_room_for_the_body_b
         ctx.volume.state[50:53, 18:24, 7:9] = OCCUPIED  # the target is above it
         found = columns(ctx, "activeinr_proxy")[:, [0, 3]]
         np.testing.assert_allclose(found, np.column_stack([shares, heights]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("height", "blocked"), [(0.35, False), (0.45, True), (1.2, True)])
+def test_the_body_on_wheels_begins_40_cm_above_the_floor(height: float, blocked: bool) -> None:
+    """The camera is 1.25 m above the floor, so the body has 0.85 m; voxels are 0.1 m high."""
+    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.5]]))
+    volume.state[:, :, volume.voxel_of(np.array([1.0, 1.0, height]))[2]] = OCCUPIED
+    assert free(volume, np.array([[1.0, 1.0, 1.25]]), FOOT_M).tolist() == [not blocked]
 
 
 def test_wishes_that_nothing_fulfils_are_dropped_one_by_one() -> None:

@@ -15,49 +15,40 @@ from activestructure_gym.volume import FREE
 
 CLUSTER = 2.0  # metres, side of the cubes into which frontiers are cut (own choice)
 MIN_FRONTIER_VOXELS = 5  # minimum number of voxels of a frontier (own choice)
-NEAR = 3.0  # metres, largest distance from the agent to a near frontier (own choice)
 
 
 @FEATURES.register(
     "aiisrfe",
-    columns=("frontier", "near", "total", "uncertainty"),
-    unit=("index", "clusters", "clusters", "mean squared colour error"),
-    low=(-1.0, 0.0, 0.0, 0.0),
+    columns=("frontier", "uncertainty"),
+    unit=("index", "mean squared colour error"),
+    low=(-1.0, 0.0),
 )
-def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Compute the frontier that a candidate serves, the numbers of frontiers, and the mean colour uncertainty.
+def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
+    """Compute the frontier that a candidate serves, and the mean colour uncertainty that it sees.
 
     The columns are:
 
     - the index of the frontier, or -1;
-    - the number of frontiers near the agent;
-    - the number of all frontiers;
     - the mean over pixels of the uncertainty (mean squared colour error) of the visible surface.
 
     A frontier is a connected cluster of free voxels next to space that no keyframe has seen. The candidate that sees
-    most voxels of a frontier serves it; a frontier that no candidate sees is ignored. A frontier is near if its centre
-    is within 3 m of the agent. The uncertainty of a place is the mean squared error of its rendered colours. The
-    learned variance of colour in the original converges to this error. Source: [aiisrfe], by its abstract and a
-    summary.
+    most voxels of a frontier serves it; a frontier that no candidate sees is ignored. The uncertainty of a place is the
+    mean squared error of its rendered colours. The learned variance of colour in the original converges to this error.
+    Source: [aiisrfe], by its abstract and a summary.
     """
-    poses, keyframes = context.world_from_camera, context.mapper.keyframes
-    table = np.zeros((len(poses), 4))
+    poses = context.world_from_camera
+    table = np.zeros((len(poses), 2))
     table[:, 0] = -1.0
     voxels, cluster = frontiers(context)
     clusters = int(cluster.max(initial=-1)) + 1
     if len(poses) and clusters:
         counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
         counts[context.revisits] = 0  # revisits serve no frontier
-        served = counts.max(axis=0) > 0
-        middles = np.stack([voxels[cluster == c].mean(axis=0) for c in range(clusters)])
-        here = keyframes[-1].world_from_camera[:3, 3] if context.agent is None else context.agent.pose[:3, 3]
-        near = np.linalg.norm(middles - here, axis=1) <= NEAR
-        for c in np.flatnonzero(served)[::-1]:  # a candidate that would serve two frontiers gets the first
+        for c in np.flatnonzero(counts.max(axis=0) > 0)[::-1]:  # a candidate that would serve two frontiers gets the first
             table[counts[:, c].argmax(), 0] = c
-        table[:, 1], table[:, 2] = (near & served).sum(), served.sum()
     if len(poses):
         unsure = voxel_colour_errors(context.mapper, context.volume)
-        table[:, 3] = blended(context, _of_gaussians(context, unsure)).mean(axis=(1, 2))
+        table[:, 1] = blended(context, _of_gaussians(context, unsure)).mean(axis=(1, 2))
     return table
 
 

@@ -9,6 +9,7 @@ from activestructure_gym.policies.base import (
     Observation,
     best_valid,
     nearest_new,
+    patience,
     without_revisits,
 )
 from activestructure_gym.policies.candidates import Candidates
@@ -16,8 +17,11 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner.policy import shortest_tour
 from activestructure_gym.policies.native_settings import NativeSettings
 
-# Only frontiers are tasks while more than MANY_NEAR frontiers, and more than the share SHARE_NEAR of all, are near.
-MANY_NEAR, SHARE_NEAR = 3, 0.2
+NEAR_M = 1.0  # metres of path; a frontier is near if the path to its view is shorter
+# Only frontiers are tasks while at least MANY_NEAR frontiers, and at least the share SHARE_NEAR of all, are near.
+MANY_NEAR, SHARE_NEAR = 2, 0.15
+MIXED_PLANS = 2  # maximum number of successive plans with both kinds of tasks; then only frontiers are tasks
+SURFACE_M, ALL_SURFACE_M = 1.5, 4.0  # metres of path to a task for uncertain surface: with frontiers, without
 RECONSTRUCTIONS = 3  # maximum number of tasks for uncertain surface (own choice)
 APART_M = 1.0  # metres, minimum distance between the places of these tasks (own choice)
 EXECUTED_M = 5.0  # metres of the tour after which it is planned anew (own choice)
@@ -27,22 +31,25 @@ EXECUTED_M = 5.0  # metres of the tour after which it is planned anew (own choic
 class Aiisrfe(Planner):
     """Follow tour* = argmin length over the tasks: one view per frontier, and the views of the most uncertain surface.
 
-    While more than 3 frontiers, and more than 20 % of all, are near, only frontiers are tasks. Without frontiers, only
-    surface is. The tasks within the first 5 m of the tour are visited, then a new tour is planned.
+    While at least 2 frontiers, and at least 15 % of all, are near, only frontiers are tasks. Other plans have both
+    kinds, but only two in succession. Once no view of a frontier was left for some tables (`patience`), only surface is.
+    The tasks within the first 5 m of the tour are visited, then a new tour is planned.
 
-    With ``travel=shared`` there is no tour. The gain of a frontier's view is 1, and the gain of another view is its
-    uncertainty divided by the largest one; the score is gain times travel factor. The source is the abstract and a
-    summary of [aiisrfe], without equation numbers.
+    With ``travel=shared`` there is no tour, and each decision is a plan. The gain of a frontier's view is 1, and the
+    gain of a surface task is its uncertainty divided by the largest one; the score is gain times travel factor. Source:
+    [aiisrfe] and facts about its code.
     """
 
     criterion = "frontiers, and surface of uncertain colour"
     travel_term = "shortest tour of tasks"
     source = "by a digest of Zeng et al., ICRA 2024"
     required_features = ("aiisrfe",)
-    # As in the original, views are drawn for the tasks. Their numbers and distances are our choice.
+    # As in the original, views are drawn for the tasks, and depth beyond 6 m is not used. The numbers and distances of
+    # the views are our choice.
     native_settings = NativeSettings(
         stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),
         candidates=208,
+        changes={"sensor.max_range": 6.0},
     )
 
     def __init__(self, travel: Travel = "native") -> None:
@@ -50,8 +57,11 @@ class Aiisrfe(Planner):
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Begin without tasks."""
+        """Begin without tasks, in exploration."""
         super().reset(seed)
+        self._mode = "explore"  # tasks of the last plan: explore (frontiers), both, or reconstruct (surface)
+        self._mixed = 0  # number of successive plans with both kinds of tasks
+        self._without = 0  # number of successive tables without a view of a frontier
         self._left = np.zeros((0, 6))  # position (m) and view direction of the remaining tasks of the tour
 
     def act(self, observation: Observation) -> int:
@@ -60,21 +70,35 @@ class Aiisrfe(Planner):
         candidates = self.candidates(observation)
         new = candidates.valid & ~candidates.revisit
         frontier = new & (candidates["aiisrfe_frontier"] >= 0)
-        near, total = (float(candidates[f"aiisrfe_{name}"].max(initial=0.0)) for name in ("near", "total"))
-        explores = near > MANY_NEAR and near > SHARE_NEAR * total
-        uncertain = np.where(new, candidates["aiisrfe_uncertainty"], 0.0)
-        mode = "explore" if explores and frontier.any() else "both" if frontier.any() else "reconstruct"
+        length = candidates.path_length.astype(np.float64)
+        if self.travel == "shared" or not len(self._left):
+            self._mode = self._next_mode(frontier, length)
+        reach = {"explore": -1.0, "both": SURFACE_M, "reconstruct": ALL_SURFACE_M}[self._mode]
+        uncertain = np.where(new & (length <= reach), candidates["aiisrfe_uncertainty"], 0.0)
+        frontier &= self._mode != "reconstruct"
         if self.travel == "shared":
-            gain = np.where(
-                frontier, 1.0, 0.0 if mode == "explore" else uncertain / max(float(uncertain.max(initial=0.0)), 1e-12)
-            )
+            gain = np.where(frontier, 1.0, uncertain / max(float(uncertain.max(initial=0.0)), 1e-12))
             choice = best_valid(self.scores(gain, observation), observation)
         else:
             if not len(self._left):
-                self._left = self._tour(candidates, frontier, np.where(mode == "explore", 0.0, uncertain))
+                self._left = self._tour(candidates, frontier, uncertain)
             choice = self._next(candidates, new, observation)
-        self._trace = {"mode": mode, "left": len(self._left), "near": near, "total": total}
+        self._trace = {"mode": self._mode, "left": len(self._left)}
         return choice
+
+    def _next_mode(self, frontier: np.ndarray, length: np.ndarray) -> str:
+        """Return the tasks of the next plan: explore, both, or reconstruct.
+
+        ``frontier`` [K] bool are the views that serve frontiers, ``length`` [K] their path lengths in metres.
+        """
+        if self._without < patience(len(frontier)):
+            self._without = 0 if frontier.any() else self._without + 1
+        if not frontier.any() or self._without >= patience(len(frontier)):
+            return "reconstruct"
+        near, total = int((frontier & (length < NEAR_M)).sum()), int(frontier.sum())
+        explores = (near >= MANY_NEAR and near >= SHARE_NEAR * total) or self._mixed >= MIXED_PLANS
+        self._mixed = 0 if explores else self._mixed + 1
+        return "explore" if explores else "both"
 
     def _tour(self, candidates: Candidates, frontier: np.ndarray, uncertain: np.ndarray) -> np.ndarray:  # [t, 6]
         """Return the first tasks of the shortest tour: those within 5 m of path, and at least one.

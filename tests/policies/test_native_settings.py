@@ -78,9 +78,10 @@ def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its
     ladder = ["activestructure", *(f"activestructure-{rung}" for rung in "abcd")]
     found = {name: configure("full", POLICIES.get(name).native_settings.overrides()).mapper for name in POLICIES}
     built = {name: mapper.iterations for name, mapper in found.items() if mapper.name == "splatam"}
-    systems = ["activegamer", "activesplat", "gs_planner", "hgs_planner", *ladder]
+    systems = ["activegamer", "gs_planner", "hgs_planner", *ladder]
     assert built == dict.fromkeys(systems, configure("default", {"mapper.name": "splatam"}).mapper.iterations) | {
-        "fisherrf_path": 24
+        "fisherrf_path": 24,
+        "activesplat": 2,
     }
 
 
@@ -109,6 +110,12 @@ def test_fisherrf_path_is_offered_views_of_the_frontier_and_level_ones_at_one_he
 def test_view_angle_maps_200_iterations_after_each_view() -> None:
     brought = POLICIES.get("view_angle").native_settings
     assert brought.goal_keyframes and brought.iterations == 200
+
+
+def test_depth_ends_where_the_original_discards_it() -> None:
+    ranges = {name: configure("full", POLICIES.get(name).native_settings.overrides()).sensor.max_range
+              for name in ("activesplat", "aiisrfe", "anm_s", "activeinr")}  # fmt: skip
+    assert ranges == {"activesplat": 4.0, "aiisrfe": 6.0, "anm_s": 10.0, "activeinr": 10.0}
 
 
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:

@@ -42,7 +42,7 @@ class ActiveSplat(Planner):
     criterion = "integer score of Voronoi nodes by the missing parts of panoramas of the map"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
-    # Depth beyond 4 m is not used (`far`); `mapping_iters` is 2, and 10 for images of a higher resolution.
+    # Values of `config/datasets`: `far` is 4 m, and `mapping_iters` for 5 frames is 2 (10 at a higher resolution).
     native_settings = replace(
         SPLATAM,
         iterations=2,

@@ -44,9 +44,8 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
     if len(poses) and clusters:
         counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
         counts[context.revisits] = 0  # revisits serve no frontier
-        for c in np.flatnonzero(counts.max(axis=0) > 0)[
-            ::-1
-        ]:  # a candidate that would serve two frontiers gets the first
+        served = np.flatnonzero(counts.max(axis=0) > 0)
+        for c in served[::-1]:  # a candidate that would serve two frontiers gets the first
             table[counts[:, c].argmax(), 0] = c
     if len(poses):
         unsure = voxel_colour_errors(context.mapper, context.volume)

@@ -10,6 +10,8 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.volume import VoxelVolume
 
+# A pixel is covered as soon as a Gaussian adds to it, as in ActiveGS: less than the smallest alpha that is rendered, 1/255.
+ANY_ALPHA = 0.003
 _SIDE = 2  # voxels per side of a tested cell: 0.2 m at the default voxel size, the voxel size of ActiveGS
 
 
@@ -18,7 +20,7 @@ def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Return the share of all voxels that are unexplored and visible from the view ([active_gs, code]).
 
     A voxel is visible if its centre projects into the image, within the integration range of the volume and in front of
-    the rendered surface. A voxel is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored
+    the rendered surface. Any Gaussian in a pixel is surface. A voxel is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored
     voxels is tested once, at its centre.
     """
     return context.once(_shares)
@@ -26,18 +28,19 @@ def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 def _shares(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     centres, unknown, total = unknown_cells(context.volume)
-    seen = sums_in_front(centres, unknown, surface_within(context), context)
+    seen = sums_in_front(centres, unknown, surface_within(context, ANY_ALPHA), context)
     return seen[:, 0] / total
 
 
-def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 metres of depth
+def surface_within(context: FeatureContext, coverage_alpha: float) -> np.ndarray:  # [K, h, w] float32 metres of depth
     """Return the rendered depth of covered pixels and the integration range of other pixels; at most that range.
 
+    A pixel is covered if its alpha exceeds ``coverage_alpha``.
     The integration range is the largest depth that the volume integrates, at most the sensor's range.
     """
     reach = np.float32(min(context.max_range, context.volume.config.max_range))
     with np.errstate(divide="ignore", invalid="ignore"):
-        surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, reach)
+        surface = np.where(context.alpha > coverage_alpha, context.depth / context.alpha, reach)
     return np.minimum(surface, reach)
 
 

@@ -22,11 +22,13 @@ from activestructure_gym.mapping.frustum_culling import may_be_seen
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 
 DIRECTIONS = 128  # number of direction bins of the sphere, stored in 2 x 64 bits per Gaussian (as in COVER)
-REACH = 5.0  # metres; a keyframe from farther away adds nothing to `ViewDirections.nearness` (ActiveGS)
+REACH = 5.0  # metres of measured depth; keyframes count up to it in ActiveGS's `nearness` and `concentration`
 # A Gaussian is seen if it is at most _SLACK_M (metres) plus _SLACK_SHARE of the depth behind the measured surface.
 _SLACK_M = 0.05
 _SLACK_SHARE = 0.05
 _CELLS = 64  # number of cells per side of the table that maps a direction to its bin
+# Columns of the kernel's sums: count, sum of v, of products v v^T, and per side of the Gaussian nearness, count, sum of v.
+_V, _PRODUCTS, _SIDES = slice(1, 4), slice(4, 10), slice(10, 20)
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,10 @@ class ViewDirections:
     """
 
     count: np.ndarray  # [N] int32, number of keyframes that see it
-    # [N] float64, sum of max(0, 1 - distance / 5 m) max(0, n v). n is the normal of the side with the larger sum.
-    nearness: np.ndarray
-    concentration: np.ndarray  # [N] float64 0..1, length of the mean v; 1 if all directions are equal
+    nearness: np.ndarray  # [N] float64, sum of max(0, 1 - distance / 5 m) n v over the keyframes that face the front
+    # [N] float64 0..1, length of the mean v over the keyframes that face the front; 1 if all directions are equal
+    concentration: np.ndarray
+    normals: np.ndarray  # [N, 3] unit, world: n, of the front; 0 for isotropic Gaussians and if no keyframe faces it
     bins: np.ndarray  # [N, 2] uint64, bit set: bit b is 1 if a v is nearest to `fibonacci_directions(DIRECTIONS)[b]`
     sum: np.ndarray  # [N, 3] sum of v
     products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
@@ -49,24 +52,35 @@ class ViewDirections:
 def view_directions(mapper: KeyframeMapper) -> ViewDirections:
     """Return the `ViewDirections` of all Gaussians and keyframes.
 
-    A keyframe sees a Gaussian if its mean projects into the image and is not behind the surface measured there.
-    Isotropic Gaussians have no normal; n v is 1 for them.
+    A keyframe sees a Gaussian if its mean projects into the image and is not behind the surface measured there. It
+    faces the front if n v > 0 and this depth is below 5 m. The front is the side with the larger nearness. Isotropic
+    Gaussians have no normal; n v is 1 for them.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
-    normals = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
+    axes = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
     boxes = block_boxes(gaussians.parameters, count)
-    sums, bins = np.zeros((count, 12)), np.zeros((count, 2), np.uint64)
+    sums, bins = np.zeros((count, 20)), np.zeros((count, 2), np.uint64)
     for frame in mapper.keyframes:
         camera = frame.camera
         seen = may_be_seen(boxes, camera, frame.world_from_camera)
         eye = frame.world_from_camera[:3, 3].astype(np.float64)
         view = _View(invert_rigid(frame.world_from_camera), eye, camera.lens, frame.depth)
-        _add_view(_Gaussians(gaussians.parameters, count, normals, isotropic), seen, view, bin_table(), sums, bins)
-    number = sums[:, 0]
-    length = np.linalg.norm(sums[:, 3:6], axis=1) / np.maximum(number, 1.0)
-    nearness, keyframes = sums[:, 1:3].max(axis=1), len(mapper.keyframes)
-    return ViewDirections(number.astype(np.int32), nearness, length, bins, sums[:, 3:6], sums[:, 6:], keyframes)
+        _add_view(_Gaussians(gaussians.parameters, count, axes, isotropic), seen, view, bin_table(), sums, bins)
+    sides = sums[:, _SIDES].reshape(count, 2, 5)
+    back = sides[:, 1, 0] > sides[:, 0, 0]
+    front = np.where(back[:, None], sides[:, 1], sides[:, 0])
+    facing = np.maximum(front[:, 1], 1.0)
+    return ViewDirections(
+        count=sums[:, 0].astype(np.int32),
+        nearness=front[:, 0],
+        concentration=np.linalg.norm(front[:, 2:], axis=1) / facing,
+        normals=np.where(back[:, None], -axes, axes) * (front[:, 1:2] > 0),
+        bins=bins,
+        sum=sums[:, _V],
+        products=sums[:, _PRODUCTS],
+        keyframes=len(mapper.keyframes),
+    )
 
 
 def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
@@ -112,7 +126,7 @@ def _add_view(
     seen: np.ndarray,  # [blocks] bool: blocks of Gaussians that can be in the image
     view: _View,
     table: np.ndarray,  # [cells, cells] int64, see `bin_table`
-    sums: np.ndarray,  # [N, 12] in place: count, nearness on the side of n, on the other side, sum of v, of products
+    sums: np.ndarray,  # [N, 20] in place, columns as in `_SIDES`
     bins: np.ndarray,  # [N, 2] uint64, in place
 ) -> None:
     """Add one keyframe to the statistics of the Gaussians that it sees."""
@@ -138,20 +152,24 @@ def _add_view(
             x, y, z = eye[0] - x, eye[1] - y, eye[2] - z
             distance = np.sqrt(x * x + y * y + z * z)
             x, y, z = x / distance, y / distance, z / distance
-            near = max(0.0, 1.0 - distance / REACH)
-            cosine = 1.0 if isotropic else x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
             sums[i, 0] += 1.0
-            sums[i, 1] += near * max(0.0, cosine)
-            sums[i, 2] += near * max(0.0, -cosine)
-            sums[i, 3] += x
-            sums[i, 4] += y
-            sums[i, 5] += z
-            sums[i, 6] += x * x
-            sums[i, 7] += x * y
-            sums[i, 8] += x * z
-            sums[i, 9] += y * y
-            sums[i, 10] += y * z
-            sums[i, 11] += z * z
+            sums[i, 1] += x
+            sums[i, 2] += y
+            sums[i, 3] += z
+            sums[i, 4] += x * x
+            sums[i, 5] += x * y
+            sums[i, 6] += x * z
+            sums[i, 7] += y * y
+            sums[i, 8] += y * z
+            sums[i, 9] += z * z
+            cosine = 1.0 if isotropic else x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+            if measured < REACH and cosine != 0.0:
+                side = 10 if cosine > 0.0 else 15
+                sums[i, side] += max(0.0, 1.0 - distance / REACH) * abs(cosine)
+                sums[i, side + 1] += 1.0
+                sums[i, side + 2] += x
+                sums[i, side + 3] += y
+                sums[i, side + 4] += z
             total = abs(x) + abs(y) + abs(z)
             a, b = x / total, y / total
             if z < 0.0:

@@ -42,7 +42,8 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
     voxels, cluster = frontiers(context)
     clusters = int(cluster.max(initial=-1)) + 1
     if len(poses) and clusters:
-        counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
+        surface = surface_within(context, context.coverage_alpha)
+        counts = sums_in_front(voxels, np.ones(len(voxels)), surface, context, cluster)
         counts[context.revisits] = 0  # revisits serve no frontier
         served = np.flatnonzero(counts.max(axis=0) > 0)
         for c in served[::-1]:  # a candidate that would serve two frontiers gets the first

@@ -54,7 +54,7 @@ def counted(state: np.ndarray, pose: np.ndarray, reach: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("alpha", "depth", "reach"), [(0.0, 1.0, 1.7), (1.0, 0.9, 0.9), (0.7, 1.2, 1.2), (1.0, 3.0, 1.7)]
+    ("alpha", "depth", "reach"), [(0.0, 1.0, 1.7), (1.0, 0.9, 0.9), (0.1, 1.2, 1.2), (1.0, 3.0, 1.7)]
 )
 def test_the_share_is_counted_up_to_the_surface_or_the_range(alpha: float, depth: float, reach: float) -> None:
     state = np.random.default_rng(3).choice(np.array([UNKNOWN, FREE], np.uint8), (42, 41, 42))

@@ -65,17 +65,33 @@ def test_looks_from_several_sides() -> None:
     np.testing.assert_allclose(seen.nearness, [0.6 + 0.6 * c], rtol=1e-6)
     np.testing.assert_allclose(seen.concentration, [np.sqrt(0.75)], rtol=1e-6)
     assert sum(int(word).bit_count() for word in seen.bins[0]) == 2
-    # From behind: the side that was seen more counts.
+    # From behind: the side that was seen more is the front.
     frames += [frame([5, 0, 0], [-1, 0, 0], 3.0)]
-    np.testing.assert_allclose(view_directions(mapper_of([[2.0, 0.0, 0.0]], frames)).nearness, [0.9], rtol=1e-6)
+    seen = view_directions(mapper_of([[2.0, 0.0, 0.0]], frames))
+    np.testing.assert_allclose(seen.nearness, [0.9], rtol=1e-6)
+    np.testing.assert_allclose(seen.concentration, [np.sqrt(0.75)], rtol=1e-6)
+    np.testing.assert_allclose(seen.normals, [[-1.0, 0.0, 0.0]], atol=1e-6)
+    assert seen.count.tolist() == [3] and np.isclose(seen.sum[0, 0], -0.5)
     # A ball has no normal: the oblique look counts whole.
     balls = mapper_of([[2.0, 0.0, 0.0]], frames[:2], isotropic=True)
     np.testing.assert_allclose(view_directions(balls).nearness, [1.2], rtol=1e-6)
 
 
-def test_a_far_look_is_worth_nothing_but_is_one() -> None:
+def test_a_far_look_is_counted_and_leaves_the_confidence_as_it_is() -> None:
     seen = view_directions(mapper_of([[6.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 6.0)]))
-    assert (seen.count[0], seen.nearness[0]) == (1, 0.0)
+    assert (seen.count[0], seen.nearness[0], seen.concentration[0]) == (1, 0.0, 0.0) and not seen.normals.any()
+    c, s = np.cos(np.radians(80.0)), np.sin(np.radians(80.0))
+    far = frame([2 - 6 * c, -6 * s, 0], [c, s, 0], 6.0)
+    seen = view_directions(mapper_of([[2.0, 0.0, 0.0]], [frame([0, 0, 0], [1, 0, 0], 2.0), far]))
+    np.testing.assert_allclose((*seen.nearness, *seen.concentration), (0.6, 1.0))  # so C = 0.6
+    assert seen.count.tolist() == [2]
+
+
+def test_the_back_of_a_thin_panel_is_no_other_direction_of_its_front() -> None:
+    looks = [frame([-1.5, 0, 0], [1, 0, 0], 3.5), frame([6.0, 0, 0], [-1, 0, 0], 4.0)]
+    seen = view_directions(mapper_of([[2.0, 0.0, 0.0]], looks))
+    np.testing.assert_allclose((*seen.nearness, *seen.concentration), (0.3, 1.0))  # so C = 0.3
+    np.testing.assert_allclose(np.linalg.norm(seen.sum, axis=1), [0.0], atol=1e-12)
 
 
 def test_every_direction_finds_its_bin_or_a_neighbour(rng: np.random.Generator) -> None:

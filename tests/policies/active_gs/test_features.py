@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.view_directions import ViewDirections
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
+from activestructure_gym.policies.active_gs import features
 from activestructure_gym.policies.active_gs.features import gaussian_confidence
 from activestructure_gym.sensors import Frame
 from activestructure_gym.volume import FREE, UNKNOWN, VoxelVolume
@@ -22,6 +25,7 @@ def test_confidence_by_hand() -> None:
         count=np.array([0, 1, 2, 9], np.int32),
         nearness=np.array([0.0, 0.3, 0.3, 4.0]),
         concentration=np.array([0.0, 1.0, 0.5, 0.2]),
+        normals=np.zeros((4, 3)),
         bins=np.zeros((4, 2), np.uint64),
         sum=np.zeros((4, 3)),
         products=np.zeros((4, 6)),
@@ -63,6 +67,25 @@ def test_doubt_of_a_wall_falls_with_every_look(wall: Mapper) -> None:
         wall._store.append(again, new_share=0.0)
         looks.append(evaluate_features(("confidence",), context(wall, [straight]))[0, 0])
     assert looks[0] > looks[1] > looks[2]
+
+
+@pytest.mark.parametrize(
+    ("alpha", "metres", "doubt"),
+    [
+        (0.7, 4.0, 0.24),  # C = 0.7, since the confidence 1 is blended over 0
+        (0.3, 1.0, 0.14),  # any Gaussian in a pixel is surface
+        (0.7, 5.1, 0.0),
+        (0.0, 1.0, 0.5),
+    ],
+)
+def test_doubt_of_a_pixel_by_hand(monkeypatch: pytest.MonkeyPatch, alpha: float, metres: float, doubt: float) -> None:
+    monkeypatch.setattr(features, "view_directions", lambda mapper: None)
+    monkeypatch.setattr(features, "gaussian_confidence", lambda seen: np.ones(1))
+    monkeypatch.setattr(features, "blended", lambda context, values: context.alpha * values[0])
+    filled = np.full((1, 18, 32), alpha, np.float32)
+    mapper = SimpleNamespace(render_depth_alpha=lambda camera, poses: (metres * filled, filled))
+    step = context(mapper, [look_along(np.zeros(3), FORWARD)])  # type: ignore[arg-type]
+    assert evaluate_features(("confidence",), step)[0, 0] == pytest.approx(doubt, rel=1e-6)
 
 
 def test_unexplored_space_outweighs_doubt(wall: Mapper) -> None:

@@ -10,8 +10,7 @@ from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.volume import VoxelVolume
 
-# A pixel is covered as soon as a Gaussian adds to it, as in ActiveGS: less than the smallest alpha that is rendered, 1/255.
-ANY_ALPHA = 0.003
+ANY_ALPHA = 0.003  # any Gaussian covers a pixel, as in ActiveGS; the smallest alpha that is rendered is 1 / 255
 _SIDE = 2  # voxels per side of a tested cell: 0.2 m at the default voxel size, the voxel size of ActiveGS
 
 
@@ -20,8 +19,8 @@ def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Return the share of all voxels that are unexplored and visible from the view ([active_gs, code]).
 
     A voxel is visible if its centre projects into the image, within the integration range of the volume and in front of
-    the rendered surface. Any Gaussian in a pixel is surface. A voxel is unexplored if `VoxelVolume.unobserved` is True. A cell of 2 x 2 x 2 unexplored
-    voxels is tested once, at its centre.
+    the rendered surface. Any Gaussian in a pixel is surface. A voxel is unexplored if `VoxelVolume.unobserved` is True.
+    A cell of 2 x 2 x 2 unexplored voxels is tested once, at its centre.
     """
     return context.once(_shares)
 

@@ -27,7 +27,7 @@ REACH = 5.0  # metres of measured depth; keyframes count up to it in ActiveGS's 
 _SLACK_M = 0.05
 _SLACK_SHARE = 0.05
 _CELLS = 64  # number of cells per side of the table that maps a direction to its bin
-# Columns of the kernel's sums: count, sum of v, of products v v^T, and per side of the Gaussian nearness, count, sum of v.
+# Columns of the kernel's sums: count, sum of v, sum of products v v^T, and for both sides nearness, count and sum of v.
 _V, _PRODUCTS, _SIDES = slice(1, 4), slice(4, 10), slice(10, 20)
 
 

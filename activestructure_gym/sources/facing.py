@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from activestructure_gym.features.uncertain_surface import free_side
@@ -13,7 +14,6 @@ from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
 from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import VoxelVolume
-from activestructure_gym.volume.integration import FREE
 
 SIDE = 2  # voxels per side of a cell: 0.2 m at the default voxel size, the voxel size of ActiveGS
 _MAX_REGIONS = 1000  # maximum number of regions tested per decision, in order of priority
@@ -39,15 +39,22 @@ class Facing(Source):
         ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]", "apart_m": "[0, 100]"}
         check_ranges(self, {**ranges, "rows": f"[1, {MAX_ROWS}]"})
 
-    def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-        """Return which cells the views should face."""
+    def regions(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] int64, [M, 3]
+        """Return the cells of `SIDE` voxels that the views should face, and their normals.
+
+        Where the normal is 0, the mean direction to the empty ones of the 26 neighbours replaces it.
+        """
         raise NotImplementedError
 
     def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
         """Return centres and normals (towards free space) of the regions in order of priority: nearest first."""
         volume = context.volume
-        free = np.asarray(_coarse(volume.state == FREE).all(axis=-1))
-        centres, normals = _facing_free(self.regions(context), free, volume)
+        cells, normals = self.regions(context)
+        normals = np.where(normals.any(axis=1, keepdims=True), normals, _towards(cells, empty_cells(volume)))
+        length = np.linalg.norm(normals, axis=1)
+        kept = length > 1e-6
+        centres = volume.origin + (cells[kept] + 0.5) * SIDE * volume.voxel_size
+        normals = normals[kept] / length[kept, None]
         order = np.argsort(np.linalg.norm(centres - context.agent.pose[:3, 3], axis=1), kind="stable")
         return centres[order], normals[order]
 
@@ -92,11 +99,12 @@ class Facing(Source):
 @SOURCES.register("frontier_facing")
 @dataclass(frozen=True)
 class FrontierFacing(Facing):
-    """Propose views that face the frontier: unobserved space next to free space."""
+    """Propose views that face the frontier: empty space next to unobserved space."""
 
-    def regions(self, context: SourceContext) -> np.ndarray:
-        """Return which cells [X, Y, Z] are at least half unobserved."""
-        return frontier_cells(context.volume)
+    def regions(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:
+        """Return the frontier cells, without normals."""
+        cells = np.argwhere(frontier_cells(context.volume))
+        return cells, np.zeros(cells.shape)
 
 
 @SOURCES.register("unsure_facing")
@@ -124,14 +132,23 @@ def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] number of previ
     return rank
 
 
+def empty_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
+    """Return which cells have been observed and hold no occupied voxel.
+
+    A single keyframe is enough, as for a free voxel in [active_gs, code]. The state FREE needs more evidence.
+    """
+    return ~np.asarray(_coarse(volume.occupied | volume.unobserved).any(axis=-1))
+
+
 def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-    """Return which cells are at least half unobserved.
+    """Return which empty cells have a face in common with a cell that is at least half unobserved ([active_gs, code]).
 
     The outermost layer of voxels is outside the workspace and does not count as unobserved.
     """
     inner = np.zeros(volume.shape, dtype=bool)
     inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
-    return np.asarray(_coarse(inner).mean(axis=-1) >= 0.5)
+    unobserved = _coarse(inner).mean(axis=-1) >= 0.5
+    return np.asarray(empty_cells(volume) & ndimage.binary_dilation(unobserved))
 
 
 def camera_positions(context: SourceContext) -> np.ndarray:  # [P, 3] metres
@@ -158,24 +175,16 @@ def _coarse(grid: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [X / 2, Y / 2, Z / 
     return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, SIDE**3)
 
 
-def _facing_free(
-    cells: np.ndarray,  # [X, Y, Z] bool
-    free: np.ndarray,  # [X, Y, Z] bool
-    volume: VoxelVolume,
-) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
-    """Return the centres of ``cells`` next to free cells, and the mean direction to the free ones of 26 neighbours.
-
-    ``free`` are the completely free cells; they are no result themselves. Cells whose mean direction is 0 are left out.
-    """
-    at = np.argwhere(cells & ~free)
-    padded = np.pad(free, 1)
-    towards = np.zeros((len(at), 3))
+def _towards(
+    cells: np.ndarray,  # [M, 3] int64
+    empty: np.ndarray,  # [X, Y, Z] bool
+) -> np.ndarray:  # [M, 3]
+    """Return the sum of the unit directions from each cell to those of its 26 neighbours in ``empty``."""
+    padded = np.pad(empty, 1)
+    towards = np.zeros((len(cells), 3))
     for step in np.ndindex(3, 3, 3):
         offset = np.array(step) - 1
         if offset.any():
-            neighbour = padded[tuple((at + step).T)]
+            neighbour = padded[tuple((cells + step).T)]
             towards += neighbour[:, None] * (offset / np.linalg.norm(offset))
-    length = np.linalg.norm(towards, axis=1)
-    kept = length > 1e-6
-    centres = volume.origin + (at[kept] + 0.5) * SIDE * volume.voxel_size
-    return centres, towards[kept] / length[kept, None]
+    return towards

@@ -19,13 +19,14 @@ from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, facing, make_source
 from activestructure_gym.sources.facing import (
+    FrontierFacing,
     UnsureFacing,
     _rank_within,
     camera_positions,
     frontier_cells,
 )
 from activestructure_gym.sources.places import looking
-from activestructure_gym.volume import FREE
+from activestructure_gym.volume import FREE, VoxelVolume
 from tests.policies.test_contracts import make_scene, swap_truth
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
@@ -183,6 +184,23 @@ def test_views_of_the_frontier_face_unobserved_space_and_see_it() -> None:
         far = np.linalg.norm(away, axis=1)
         ahead = (far >= 0.3) & (far <= 2.0 + 1e-9) & (away @ pose[:3, 2] >= far * (1 - 1e-9))
         assert ahead.any() and volume.line_of_sight_free(pose[:3, 3], centres[ahead]).any()
+
+
+def test_a_frontier_is_the_last_empty_cell_before_unobserved_space(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place 1.9 m from it is near enough, though the unobserved cell behind it is 2.1 m away."""
+    volume = VoxelVolume(np.array([[-2.0] * 3, [2.0] * 3]))
+    volume.state[:30] = FREE  # cells 0 to 14
+    here = SimpleNamespace(pose=np.eye(4))
+    context: Any = SimpleNamespace(volume=volume, agent=here, rng=np.random.default_rng(0))
+    centres, normals = FrontierFacing().foremost(context)
+    np.testing.assert_allclose(centres[:, 0], volume.origin[0] + 14.5 * 0.2)
+    np.testing.assert_allclose(normals[0], [-1.0, 0.0, 0.0], atol=1e-12)
+    for away, rows in ((1.9, 1), (2.1, 0)):
+        place = centres[0] - [away, 0.0, 0.0]
+        monkeypatch.setattr(facing, "camera_positions", lambda context, place=place: place[None])
+        region = FrontierFacing(rows=1)
+        monkeypatch.setattr(FrontierFacing, "foremost", lambda self, context: (centres[:1], normals[:1]))
+        assert len(region.propose(context)) == rows
 
 
 def test_places_to_stand_keep_to_the_heights_of_cameras() -> None:

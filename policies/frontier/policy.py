@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from activestructure_gym.policies.active_gs.policy import ActiveGS
 from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.native_settings import NativeSettings
 
 
 @POLICIES.register("frontier")
@@ -14,9 +15,4 @@ class Frontier(ActiveGS):
     criterion = "visible unexplored voxels"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_features = ("unexplored",)
-    native_settings = NativeSettings(
-        stages=(("frontier_facing?rows=30", "around?rows=70"),),
-        candidates=100,
-        goal_keyframes=True,
-        budget=ActiveGS.native_settings.budget,
-    )
+    native_settings = replace(ActiveGS.native_settings, stages=(("frontier_facing?rows=30", "around?rows=70"),))

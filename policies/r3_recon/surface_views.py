@@ -1,9 +1,9 @@
 """Record which colours and directions the keyframes saw of every surface voxel of 5 cm, without the Gaussian map.
 
-A keyframe observes each voxel once if the surface point of any of its pixels is in the voxel. Its observation is the
-mean colour of these pixels, and the direction and distance from the voxel's centre to the camera. The record holds the
-number of views, the mean and spread of the colours, the directions in 64 bins, and the smallest distance. Source:
-[r3_recon, code].
+A voxel is in the record once the surface point of any pixel is in it. A keyframe with such a pixel observes the voxel
+if its centre projects into the image. The observation is the colour of the pixel there, and the direction and distance
+from the centre to the camera. The record holds the number of views, the mean and spread of the colours, the directions
+in 64 bins, and the smallest distance. Source: [r3_recon, code].
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class SurfaceViews:
         pose = frame.world_from_camera.astype(np.float64)
         points = frame.camera.backproject(frame.depth)[measured] @ pose[:3, :3].T + pose[:3, 3]
         voxels = np.floor(points / VOXEL).astype(np.int64) + _HALF
-        keys, which, pixels = np.unique(
-            (voxels[:, 0] << 42) | (voxels[:, 1] << 21) | voxels[:, 2], return_inverse=True, return_counts=True
-        )
-        rows = self._rows_of(keys)
-        colours = frame.rgb[measured] / 255.0
-        sums = [np.bincount(which.ravel(), colours[:, i], len(keys)) for i in range(3)]
-        seen = np.stack(sums, axis=1) / pixels[:, None]
+        rows = self._rows_of(np.unique((voxels[:, 0] << 42) | (voxels[:, 1] << 21) | voxels[:, 2]))
+        local = (self.centres[rows] - pose[:3, 3]) @ pose[:3, :3]
+        ahead = local[:, 2] > 1e-6
+        pixels = np.floor(frame.camera.project(local[ahead])).astype(np.int64)
+        inside = ((pixels >= 0) & (pixels < [frame.camera.width, frame.camera.height])).all(axis=1)
+        rows, (columns, lines) = rows[ahead][inside], pixels[inside].T
+        seen = frame.rgb[lines, columns] / 255.0
         self.views[rows] += 1.0
         before = seen - self.colour[rows]
         self.colour[rows] += before / self.views[rows, None]

@@ -7,7 +7,7 @@ import pytest
 
 from activestructure_gym.features import evaluate_features
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
-from activestructure_gym.policies.r3_recon.features import _surface_views, lost_renderability
+from activestructure_gym.policies.r3_recon.features import _surface_views, lost_renderability, surrounding
 from activestructure_gym.policies.r3_recon.surface_views import DIRECTIONS
 
 CAMERA = PinholeCamera.from_size(32, 24, 60.0)
@@ -21,7 +21,7 @@ def lost(voxels: list[tuple], poses: list[np.ndarray], surface: float = np.inf) 
     rest = np.array([voxel[2:] for voxel in voxels], float).reshape(-1, 2)
     shown = np.full((len(poses), CAMERA.height, CAMERA.width), surface, np.float32)
     known = (centres, bits, np.ascontiguousarray(rest[:, 0]), np.ascontiguousarray(rest[:, 1]))
-    return lost_renderability(known, np.array(poses), CAMERA.lens, shown, SIDES, 10.0)
+    return lost_renderability(known, np.array(poses), CAMERA.lens, shown, SIDES, surrounding(), 10.0)[:, 0]
 
 
 def view(side: int, distance: float, turned: float = 0.0) -> np.ndarray:
@@ -32,13 +32,19 @@ def view(side: int, distance: float, turned: float = 0.0) -> np.ndarray:
 
 
 def test_one_place_by_hand() -> None:
-    def rendered(certainty: float, nearest: float, distance: float, turned: float = 0.0) -> float:
-        return 1.0 - lost([([0, 0, 0], [7], certainty, nearest)], [view(7, distance, turned)])[0]
+    others = [side for side in range(64) if SIDES[side] @ SIDES[7] < -0.6]  # all around, and never the nearest
+
+    def rendered(certainty: float, nearest: float, distance: float, turned: float = 0.0, sides: list = others) -> float:
+        return 1.0 - lost([([0, 0, 0], [7, *sides], certainty, nearest)], [view(7, distance, turned)])[0]
 
     assert rendered(1.0, 2.0, 2.0) == pytest.approx(1.0)  # the same side and distance, one colour
     assert rendered(1.0, 2.0, 3.0) == pytest.approx(1.0)  # from farther away
     assert rendered(1.0, 2.0, 2.0, np.radians(60)) == pytest.approx(0.5)
-    assert rendered(1.0, 2.0, 2.0, np.radians(100)) == 0.0  # from behind
+    assert rendered(1.0, 2.0, 2.0, np.radians(100), []) == 0.0  # from behind
+    # Seen from one side alone: a and h are squared.
+    assert rendered(1.0, 2.0, 2.0, np.arccos(0.7), []) == pytest.approx(0.49)
+    assert rendered(0.5, 2.0, 2.0, np.arccos(0.7), []) == pytest.approx(0.25**0.51 * 0.49)
+    assert rendered(0.5, 2.0, 1.0, np.arccos(0.7), []) == pytest.approx(0.25**0.51 * 0.49 * 0.5 ** (1.0 - 0.49 * 0.25))
     # Colours that differ: h^(1 - a) a, and straight on nothing of it.
     assert rendered(0.25, 2.0, 2.0) == pytest.approx(1.0)
     assert rendered(0.25, 2.0, 2.0, np.radians(60)) == pytest.approx(0.25**0.5 * 0.5)
@@ -71,6 +77,14 @@ def test_many_places_against_plain_python(rng: np.random.Generator) -> None:
                 continue
             distance = np.linalg.norm(back)
             a = max([0.0, *(SIDES[sides] @ back / distance)])
+            if sides:
+                q = SIDES[sides[int((SIDES[sides] @ back).argmax())]]
+                axis = np.eye(3)[np.abs(q).argmin()]
+                u = axis - (axis @ q) * q
+                at = np.array([SIDES[side] for side in sides if SIDES[side] @ q < 1 - 1e-9]).reshape(-1, 3)
+                plane = at @ np.stack([u, np.cross(q, u)], axis=1)
+                if not ((plane > 0).any(axis=0) & (plane < 0).any(axis=0)).all():
+                    a, h = a * a, h * h
             s = max(0.0, 1.0 - distance / nearest)
             total += 1.0 - h ** (1 - a) * a * (1 - s) ** (1 - a * h)
         expected.append(total)
@@ -79,7 +93,10 @@ def test_many_places_against_plain_python(rng: np.random.Generator) -> None:
 
 def test_a_void_first_then_the_side_that_nobody_saw(two_walls, looks, frame_of) -> None:
     context = two_walls.context(*looks)
-    gains, unexplored = evaluate_features(("r3_recon", "unexplored"), context).T
+    gains, means, unexplored = evaluate_features(("r3_recon", "unexplored"), context).T
+    assert (
+        (means[:2] > 0).all() and (means <= 1).all() and means[2] == 0
+    )  # no voxel of surface is in sight in the north
     assert gains.argmax() == 2  # north: nobody looked there, and an unexplored voxel is worth 1000 of surface
     assert gains[2] == pytest.approx(unexplored[2], rel=1e-5)
     coarse = (np.array(two_walls.volume.shape) - 2).prod() * (0.1 / 0.2) ** 3
@@ -88,7 +105,7 @@ def test_a_void_first_then_the_side_that_nobody_saw(two_walls, looks, frame_of) 
 
     two_walls.know(FREE)
     beside = look_along(np.array([0.9, -1.2, 0.0]), np.array([0.5, 0.8, 0.0]))  # the east wall under a steep angle
-    straight, steep = evaluate_features(("r3_recon",), two_walls.context(looks[0], beside))[:, 0]
+    (straight, steep), means = evaluate_features(("r3_recon",), two_walls.context(looks[0], beside)).T
     visible = two_walls.context(looks[0], beside).episode(_surface_views).update(two_walls.mapper.keyframes)
     assert len(visible.centres) > 100 and 0.0 < straight
-    assert steep > straight
+    assert steep > straight and means[1] > means[0]

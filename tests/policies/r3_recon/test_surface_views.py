@@ -37,13 +37,22 @@ def test_two_looks_at_one_voxel_by_hand() -> None:
         voxels.update([first])
 
 
-def test_pixels_of_one_picture_are_one_look_with_their_mean_colour() -> None:
-    camera = PinholeCamera(2, 1, 200.0, 200.0, 1.0, 0.5)  # 1 cm between the pixels at 2 m
+def test_pixels_of_one_picture_are_one_look_with_the_colour_at_the_centre() -> None:
+    camera = PinholeCamera(2, 1, 200.0, 200.0, 0.9, 0.5)  # 1 cm between the pixels at 2 m; the centre is in the first
     pose = look_along(np.array([0.025, 0.025, 0.025]), np.array([1.0, 0.0, 0.0]))
-    rgb = np.array([[[0, 0, 0], [255, 0, 0]]], np.uint8)
+    rgb = np.array([[[51, 0, 0], [255, 0, 0]]], np.uint8)
     voxels = SurfaceViews().update([Frame(rgb, np.full((1, 2), 2.0, np.float32), pose, camera)])
     assert voxels.views.tolist() == [1.0] and voxels.spread[0] == 0
-    assert voxels.colour[0] == pytest.approx([0.5, 0.0, 0.0])
+    assert voxels.colour[0] == pytest.approx([0.2, 0.0, 0.0])
+
+
+def test_a_voxel_whose_centre_is_beside_the_picture_is_known_and_not_seen() -> None:
+    camera = PinholeCamera(1, 1, 200.0, 200.0, -1.0, 0.5)  # the pixel is 1.5 cm beside the centre of the voxel
+    pose = look_along(np.array([0.025, 0.025, 0.025]), np.array([1.0, 0.0, 0.0]))
+    rgb = np.zeros((1, 1, 3), np.uint8)
+    voxels = SurfaceViews().update([Frame(rgb, np.full((1, 1), 2.0, np.float32), pose, camera)])
+    assert voxels.centres == pytest.approx(np.array([[2.025, 0.025, 0.025]]))
+    assert voxels.views.tolist() == [0.0] and voxels.directions.tolist() == [0]
 
 
 def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generator) -> None:
@@ -59,16 +68,19 @@ def test_many_looks_one_by_one_are_those_of_all_together(rng: np.random.Generato
         voxels.update(frames[:number])
     seen: dict[tuple, list] = {}
     for frame in frames:
-        pose, here = frame.world_from_camera, {}
+        pose = frame.world_from_camera
         points = camera.backproject(frame.depth) @ pose[:3, :3].T + pose[:3, 3]
-        for point, colour in zip(points.reshape(-1, 3), frame.rgb.reshape(-1, 3)):
-            here.setdefault(tuple(np.floor(point / VOXEL).astype(int)), []).append(colour / 255.0)
-        for voxel, colours in here.items():
-            seen.setdefault(voxel, []).append(np.mean(colours, axis=0))
+        for voxel in {tuple(np.floor(point / VOXEL).astype(int)) for point in points.reshape(-1, 3)}:
+            column, line = camera.project(((np.array(voxel) + 0.5) * VOXEL - pose[:3, 3]) @ pose[:3, :3])
+            colours = seen.setdefault(voxel, [])
+            if 0 <= column < 24 and 0 <= line < 18:
+                colours.append(frame.rgb[int(line), int(column)] / 255.0)
     assert len(seen) == len(voxels.centres)
     for row, centre in enumerate(voxels.centres):
         colours = np.array(seen[tuple(np.floor(centre / VOXEL).astype(int))])
-        assert voxels.views[row] == len(colours) and voxels.colour[row] == pytest.approx(colours.mean(axis=0))
+        assert voxels.views[row] == len(colours)
+        if len(colours):
+            assert voxels.colour[row] == pytest.approx(colours.mean(axis=0))
         spread = colours.var(axis=0, ddof=1).sum() if len(colours) > 1 else 0.0
         assert voxels.spread[row] == pytest.approx(spread, abs=1e-12)
     assert max(voxels.views) > 1

@@ -19,12 +19,13 @@ INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # 3.06 m^2, sigma of a place that
 FLOOR = 0.01  # m^2, minimum sigma
 POOL = 4000  # maximum number of voxels from which targets are chosen, the most uncertain ones
 TARGETS = 300  # maximum number of targets
-POOL_SHARE = 0.035  # maximum size of the pool as a share of all voxels: 4000 of the 80 x 48 x 30 voxels of room0
+POOL_SHARE = POOL / (81 * 51 * 32)  # maximum size of the pool as a share of all voxels, as in room0: 3.0 %
 TARGET_SHARE = 0.075  # maximum number of targets as a share of the pool
 MIN_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_M = 0.5, 2.0  # metres between a goal and a target that it sees
 SAMPLES = 30  # number of points between goal and target that must be free
 LOOKS = 2  # keyframes within 2 m that see an unmeasured place before its sigma is `FLOOR`
 LISTED = 10  # maximum number of targets in the look-at list
+DRAW = np.uint64(0x9E3779B9)  # turns the keys that break ties at the pool's edge into independent keys for the draw
 
 
 @dataclass(frozen=True)
@@ -93,15 +94,15 @@ def uncertainty(
 ) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
     """Return the V free voxels next to a voxel that is not free, and the uncertainty sigma (m^2) of each.
 
-    sigma is the mean squared depth error of the pixels on the nearby surface, at least `FLOOR`. These are the pixels in
-    the voxel, in its non-free neighbours and in the non-free neighbours of those. The second ring is needed because a
-    voxel that the surface only touches can stay unknown. Without such pixels, sigma is the mean error of all pixels if
-    one of these voxels is occupied. Otherwise it is `INITIAL` = softplus(3) + 0.01.
+    sigma is the mean squared depth error of all pixels, at least `FLOOR`, where the nearby surface is measured. This
+    surface is the voxel, its non-free neighbours and the non-free neighbours of those. The second ring is needed
+    because a voxel that the surface only touches can stay unknown. The surface is measured if it has a pixel or an
+    occupied voxel. Otherwise sigma is `INITIAL` = softplus(3) + 0.01.
 
-    This approximates [naruto, code], which learns sigma = softplus(u) + 0.01 by one step of rate 1 per keyframe. Its
-    loss is (D - D_measured)^2 / (2 U) + 1/2 log U with U = sum w^2 sigma over a ray. If all weight of a ray is at one
-    place, the learned sigma converges to the mean squared error of the rendered depth. It stays at `INITIAL` where no
-    ray has measured.
+    This approximates [naruto, code], which learns sigma = softplus(u) + 0.01 with the loss E / (2 U) + 1/2 log U. U is
+    sum w^2 sigma over a ray. E is the mean of (D - D_measured)^2 over all rays of the batch, since the code broadcasts
+    the errors over all rays. If all weight of a ray is at one place, the learned sigma converges to E. It stays at
+    `INITIAL` where no ray has measured.
     """
     free = volume.state == FREE
     voxels = np.argwhere(free & (_neighbour_sum((~free).astype(np.float64)) > 0))
@@ -112,18 +113,17 @@ def uncertainty(
         behind = np.where(free, 0.0, behind + _neighbour_sum(behind))
         return np.asarray(values[at] + _neighbour_sum(behind)[at])
 
-    seen = around(pixels)
-    mean = errors.sum() / max(pixels.sum(), 1.0)
-    unmeasured = np.where(around(volume.occupied.astype(np.float64)) > 0, max(mean, FLOOR), INITIAL)
-    return voxels, np.where(seen > 0, np.maximum(around(errors) / np.maximum(seen, 1.0), FLOOR), unmeasured)
+    mean = float(errors.sum() / max(pixels.sum(), 1.0))
+    measured = around(pixels + volume.occupied) > 0
+    return voxels, np.where(measured, max(mean, FLOOR), INITIAL)
 
 
 def looked_at(keyframes: Sequence[Frame], volume: VoxelVolume, places: np.ndarray) -> np.ndarray:  # [P, 3] -> [P] int64
     """Return the number of keyframes that see each place from within 2 m, counted up to `LOOKS`.
 
-    In [naruto, code] each keyframe teaches sigma in two steps of rate 1. So a place that two keyframes looked at has a
-    small sigma, whether or not its surface was measured. Without this rule, the agent would return to such a place for
-    ever.
+    This rule is ours. In [naruto, code] each keyframe changes u in two steps of rate 1, so two keyframes lower it from
+    3 to about -1, a sigma of 0.32. A place that rays only cross changes less. Without the rule, the agent would return
+    to a place that no ray measures for ever.
     """
     counts = np.zeros(len(places), np.int64)
     for frame in keyframes:
@@ -156,13 +156,15 @@ def chosen(
 ) -> np.ndarray:  # [T] rows
     """Return the rows of the voxels that become targets, the most uncertain first.
 
-    They are a random part of the most uncertain voxels, which changes with the number of ``keyframes``. A hash of the
-    voxel's index and of this number replaces random numbers, so that all features of a decision have the same targets.
+    They are a random part of the most uncertain voxels, which changes with the number of ``keyframes``. Hashes of the
+    voxel's index and of this number replace random numbers, so that all features of a decision have the same targets.
+    The ties at the edge of the pool and the draw from it have independent hashes.
     """
     key = _scrambled(voxel_ids.astype(np.uint64) ^ _scrambled(np.array([keyframes], np.uint64)))
     pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
     candidates = np.lexsort((key, -sigma))[:pool]
-    kept = candidates[np.argsort(key[candidates])][: min(TARGETS, int(np.ceil(TARGET_SHARE * pool)))]
+    drawn = np.argsort(_scrambled(key[candidates] ^ DRAW))[: min(TARGETS, int(np.ceil(TARGET_SHARE * pool)))]
+    kept = candidates[drawn]
     return kept[np.lexsort((key[kept], -sigma[kept]))]
 
 
@@ -179,8 +181,8 @@ def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.
     distance = np.linalg.norm(places[:, None] - targets, axis=2)
     seen = (distance > MIN_TARGET_DISTANCE_M) & (distance < MAX_TARGET_DISTANCE_M)
     place, target = np.nonzero(seen)
-    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
-    samples = places[place][:, None] * (1.0 - share) + targets[target][:, None] * share  # [pairs, 30, 3]
-    free = volume.state_at(samples.reshape(-1, 3)).reshape(-1, SAMPLES) == FREE
-    seen[place, target] = free.all(axis=1)
+    for share in np.linspace(0.0, 1.0, SAMPLES):
+        free = volume.state_at(places[place] * (1.0 - share) + targets[target] * share) == FREE
+        seen[place[~free], target[~free]] = False
+        place, target = place[free], target[free]
     return seen

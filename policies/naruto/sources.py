@@ -12,7 +12,7 @@ from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Sourc
 from activestructure_gym.sources.facing import camera_positions
 from activestructure_gym.sources.places import looking
 
-_MAX_PLACES = 600  # maximum number of places whose score is computed; of more places, every n-th is used
+_MAX_PLACES = 10_000  # maximum number of places whose score is computed; of more places, every n-th is used
 
 
 @SOURCES.register("targets")

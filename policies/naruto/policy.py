@@ -28,8 +28,8 @@ class Naruto(Planner):
     """Choose g* = argmax S(g), where S(g) is the sum of sigma(t) over the targets t seen from g ([naruto]).
 
     sigma(t) is the mean squared error of the rendered depth of all pixels, and 3.06 m^2 where no ray has measured. The
-    300 targets are a part of the 4000 most uncertain places in front of surfaces. A target is seen from 0.5 to 2 m if 30
-    samples in between are free (feature ``naruto``). There is no travel term. There are two stages:
+    300 targets are a part of the 4000 most uncertain places in front of surfaces. A target is seen from 0.5 to 2 m if
+    30 samples in between are free (feature ``naruto``). There is no travel term. There are two stages:
 
     - goal: at g*, the candidate that faces the most uncertain target;
     - look: at g*, the candidate with the smallest rotation that faces a remaining target of the look-at list (feature

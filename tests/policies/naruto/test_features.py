@@ -151,7 +151,7 @@ def test_equals_are_spread_over_the_volume() -> None:
 
 
 def test_uncertain_places_have_their_even_share_of_the_targets() -> None:
-    # 3.026 % of 76,670 voxels are a pool of 2,320, and 7.5 % of these 174 targets. Of 12 uncertain places, 0.9 are targets.
+    # 3.026 % of 76,670 voxels are a pool of 2,320, and 7.5 % of these are 174 targets. The even share of 12 is 0.9.
     sigma = np.where(np.arange(7600) % 633 == 5, INITIAL, FLOOR)
     assert (sigma == INITIAL).sum() == 12
     kept = [chosen(np.arange(7600), sigma, 76670, keyframes) for keyframes in range(400)]

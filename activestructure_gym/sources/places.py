@@ -9,8 +9,8 @@ import numpy as np
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MAX_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.once_free import once_free
 from activestructure_gym.views import CandidatePool, ViewConfig
-from activestructure_gym.volume import VoxelVolume
 
 _TRIES = 16  # positions drawn per row, since most are in walls or unknown space
 
@@ -29,7 +29,8 @@ class Lattice(Source):
     directions: int = 5
     heights_m: tuple[float, ...] = (0.0,)  # metres above the start camera
     from_floor: bool = False  # whether heights are above the floor of the workspace instead
-    from_occupied_m: float = 0.0  # metres, minimum distance to occupied voxels; unknown space may be nearer
+    # Metres from surface at which a position must once have been free (`once_free`); 0 = no such test
+    from_occupied_m: float = 0.0
     rows: int = 1024
 
     def __post_init__(self) -> None:
@@ -58,7 +59,7 @@ class Lattice(Source):
         layout = self._layout(context.pool.config, camera_m)
         pool = CandidatePool(context.start, context.bounds, layout, seed, clearance_m=context.clearance_m)
         if self.from_occupied_m:
-            pool.close(_distance_to_occupied(context.volume, pool.positions) < self.from_occupied_m)
+            pool.close(~once_free(context, pool.positions, self.from_occupied_m))
         for stop in context.agent.stops:
             pool.mark_visited(stop)
         table = pool.offer(
@@ -69,17 +70,6 @@ class Lattice(Source):
             room=min(context.room, self.rows),
         )
         return Proposals(table.world_from_camera)
-
-
-def _distance_to_occupied(volume: VoxelVolume, positions: np.ndarray) -> np.ndarray:  # [P, 3] -> [P] metres
-    """Return the distance from each position to the centre of the nearest occupied voxel, up to a voxel's diagonal."""
-    from scipy.ndimage import distance_transform_edt
-
-    distance = distance_transform_edt(~volume.occupied) if volume.occupied.any() else np.full(volume.shape, np.inf)
-    inside = volume.contains(positions)
-    found = np.full(len(positions), np.inf)
-    found[inside] = distance[tuple(volume.voxel_of(positions[inside]).T)] * volume.voxel_size
-    return found
 
 
 @SOURCES.register("around")

@@ -18,9 +18,10 @@ POOL_SHARE = 0.005  # share of the pixels: a view with fewer uncovered pixels le
 GOOD_PSNR = 34.0  # dB; post-refinement ends when 90 % of the keyframes exceed it
 
 # Candidate sources in the native setup, one per stage ([activegamer, code]); heights are above the floor.
+ROWS = (512, 1024)  # largest number of views that a lattice offers; of more it offers a random draw
 SOURCES = (
-    "lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&from_occupied_m=0.3&rows=512",
-    "lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&from_occupied_m=0.3&rows=1024",
+    f"lattice?spacing_m=1&directions=5&heights_m=1.75&from_floor=true&from_occupied_m=0.3&rows={ROWS[0]}",
+    f"lattice?spacing_m=0.5&directions=15&heights_m=1,2.5&from_floor=true&from_occupied_m=0.3&rows={ROWS[1]}",
     "stay",
 )
 END = "finish"  # source of the row that ends the episode, offered with the last stage
@@ -78,10 +79,11 @@ class ActiveGAMER(Planner):
         iterations=15,
         stages=((SOURCES[0],), (SOURCES[1],), (SOURCES[2], END)),
         candidates=1027,
-        # A view is 0.3 m from known surface (`SOURCES`), the original's value for Matterport3D's houses; for Replica's
-        # rooms it has 0.5 m. Unknown space may be nearer, so the agent itself needs 0.1 m only.
+        # A view was once found free 0.3 m from surface (`SOURCES`), the original's value for Matterport3D's houses; for
+        # Replica's rooms it has 0.5 m. Surface and unknown space may be nearer, so the agent itself needs 0.1 m only.
         clearance_m=0.1,
-        changes={"motion.min_clearance": 0.1},
+        # The camera looks along the motion on paths of more than 36 points, 0.1 m apart.
+        changes={"motion.min_clearance": 0.1, "motion.look_ahead_above": 3.6},
         budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)",
     )
 
@@ -127,10 +129,9 @@ class ActiveGAMER(Planner):
             # The table lists the keyframe with the lowest PSNR first. The original uses no distance factor here.
             nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
             return best_valid(revisits * nearness, observation)
-        # The original ends a stage as soon as no view exceeds POOL_SHARE. This pool is a random part of a larger one,
-        # so the stage goes on for several decisions (`patience`).
-        rich = pool & (gain >= POOL_SHARE)
-        scored = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
+        # The original ends a stage as soon as its pool is empty. This pool is a random part of a larger one, so the
+        # stage goes on for several decisions (`patience`).
+        scored = pool if pool.any() else valid & ~revisits if (valid & ~revisits).any() else valid
         scores = np.where(scored, self._scores(observation, gain, scored), -np.inf)
         choice = best_valid(scores, observation)
         self._trace |= {"uncovered": float(gain[choice]), "score": float(scores[choice])}
@@ -141,22 +142,24 @@ class ActiveGAMER(Planner):
     def _act_on_lattices(self, observation: Observation, candidates: Candidates) -> int:
         """Return the choice in the native setup, where each stage has its own lattice as the pool.
 
-        A view leaves the pool of its stage if its own share of uncovered pixels is below POOL_SHARE.
+        The choice is among all views that no earlier decision removed. Then views with less than POOL_SHARE uncovered
+        pixels are removed. A full table is a random draw, so the stage goes on for several decisions (`patience`). If
+        the table is not full, an empty pool ends the stage immediately.
         """
         gain, valid = candidates["uncovered"].astype(np.float64), candidates.valid
         if self._stage < 2 and self._active == self._stage:
-            pool = valid & candidates.source(SOURCES[self._stage])
+            offered = valid & candidates.source(SOURCES[self._stage])
             names = np.round(100.0 * np.hstack([candidates.xyz, candidates.view_direction])).astype(np.int64)
             keys = [tuple(name) for name in names.tolist()]
-            self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
-            rich = pool & np.array([key not in self._pruned for key in keys], dtype=bool)
-            best = float(gain[rich].max(initial=0.0))
-            self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
-            self._lowest = min(self._lowest, best)
-            if rich.any() and self._stagnant < STAGNATION:
-                scores = np.where(rich, self._scores(observation, gain, rich), -np.inf)
+            pool = offered & np.array([key not in self._pruned for key in keys], dtype=bool)
+            drawn = int(offered.sum()) >= ROWS[self._stage]
+            late = self._ended(gain[pool], patience(ROWS[self._stage]) if drawn else STAGNATION)
+            if (pool.any() or drawn) and not late:
+                scored = pool if pool.any() else offered
+                scores = np.where(scored, self._scores(observation, gain, scored), -np.inf)
                 choice = best_valid(scores, observation)
-                self._trace = {"stage": STAGES[self._stage], "pool": int(rich.sum()), "uncovered": float(gain[choice])}
+                self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
+                self._trace = {"stage": STAGES[self._stage], "pool": int(pool.sum()), "uncovered": float(gain[choice])}
                 return choice
             self._stage += 1
             self._begin_stage()

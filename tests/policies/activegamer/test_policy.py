@@ -18,6 +18,7 @@ from activestructure_gym.policies.activegamer.policy import (
     coarse_views,
     travel_factor,
 )
+from activestructure_gym.policies.activegamer.policy import ROWS as ROWS_OFFERED
 from activestructure_gym.policies.base import patience
 from activestructure_gym.policies.scored import recorded_scores
 from tests.policies.binding import bound
@@ -133,15 +134,25 @@ def test_poor_views_leave_the_pool_and_never_return() -> None:
     assert made.act(grown) == 0
 
 
-def test_a_poor_pool_gives_way_to_what_else_is_on_offer() -> None:
-    poor = 0.9 * POOL_SHARE
+def test_poor_views_are_scored_once_and_then_leave_the_pool() -> None:
+    """Views at 1, 5 and 9 m with 2, 3 and 0.4 % score 0.370, 0.546 and 0.001; without the last, 0.393 and 0.011."""
+    gain, places = [0.02, 0.03, 0.004], [(1.0, 0, 0), (5.0, 0, 0), (9.0, 0, 0)]
+    columns, table = lattice_views(1, [(place[0], share) for place, share in zip(places, gain)])
+    native = on_lattices(columns)
+    native._stage = native._active = 1
+    for made, seen in ((policy(), observation(gain, places)), (native, table)):
+        for choice, wanted in ((1, [0.37025, 0.54557, 0.00136]), (0, [0.39281, 0.01079, -np.inf])):
+            with recorded_scores() as compared:
+                assert made.act(seen) == choice
+            np.testing.assert_allclose(compared[-1].scores[:3], wanted, atol=1e-5)
+
+
+def test_a_poor_pool_earns_one_move_and_an_empty_one_gives_way_to_what_else_is_on_offer() -> None:
     # Both stand for one view of the coarse lattice, row 0 nearer to it: the pool is row 0 alone.
-    made = policy(stage=0)
-    assert made.act(observation([poor, 0.9], [(1.0, 0, 0), (1.3, 0, 0)])) == 1
-    assert made.trace()["pool"] == 1
-    # A poor view of the pool is not gone to for being near where a rich one is there.
-    made = policy()
-    assert made.act(observation([poor, 2 * POOL_SHARE], [(0, 0, 0), (50.0, 0, 0)])) == 1
+    made, seen = policy(stage=0), observation([0.9 * POOL_SHARE, 0.9], [(1.0, 0, 0), (1.3, 0, 0)])
+    for choice, pool in ((0, 1), (1, 0)):
+        assert made.act(seen) == choice
+        assert made.trace()["pool"] == pool
 
 
 def test_stages_change_when_the_pool_is_empty_and_refinement_takes_the_worst_keyframe() -> None:
@@ -237,13 +248,26 @@ def test_a_poor_view_does_not_prune_the_one_beside_it() -> None:
     assert policy.act(again) == 1
 
 
+@pytest.mark.parametrize(
+    ("rows", "moves"), [(ROWS_OFFERED[0] - 1, 1), (ROWS_OFFERED[0], patience(ROWS_OFFERED[0]) - 1)]
+)
+def test_a_full_table_is_a_draw_and_needs_several_decisions_to_end_a_stage(rows: int, moves: int) -> None:
+    columns, poor = lattice_views(0, [(float(n), 0.001) for n in range(rows)])
+    policy = on_lattices(columns)
+    for _ in range(moves):
+        assert policy.act(poor) < rows and policy.trace()["stage"] == "coarse"
+    assert policy.act(poor) == rows  # asks for the fine stage
+
+
 def test_stages_follow_each_other_and_refinement_stands_still() -> None:
     columns, empty = lattice_views(0, [(1.0, 0.001)])
     policy = on_lattices(columns)
-    assert policy.act(empty) == 1  # the coarse pool is empty at once: asks for the fine one
+    assert policy.act(empty) == 0  # one last move, from which there may be new free places
+    assert policy.act(empty) == 1  # the coarse pool is empty: asks for the fine one
     _, fine = lattice_views(1, [(1.0, 0.001), (2.0, 0.3)])
     assert policy.act(fine) == 1 and policy.trace()["stage"] == "fine"
     _, poor = lattice_views(1, [(2.0, 0.0)])
+    assert policy.act(poor) == 0
     assert policy.act(poor) == 2  # asks for post-refinement
     for _ in range(3):
         _, stay = lattice_views(2, [(0.0, 0.0)])

@@ -71,8 +71,9 @@ def interpolate(
     """Return one pose per frame, each within the step and turn limits; all positions are on the path.
 
     The number of frames is minimal: the larger of the numbers of steps and turns. If turns take longer, half of the
-    waiting is at the start and half at the end, as in ActiveGAMER. On paths longer than ``look_ahead_above``, the
-    camera looks along the motion as far as this number allows; on shorter paths it turns evenly.
+    waiting is at the start and half at the end; ActiveGAMER waits at the end only. On paths longer than
+    ``look_ahead_above``, the camera looks along the motion as far as this number allows; on shorter paths it turns
+    evenly.
 
     With ``look_at``, the camera turns to the point before the first step and keeps it on the optical axis. The agent
     waits if the direction to the point changes faster than the camera can turn. At the goal, the camera turns to the

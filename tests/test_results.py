@@ -299,8 +299,9 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"
     alone = difference("ladder_2000.csv", full, rung, "psnr").removeprefix("+")
     assert f"visible planes costs 0.7 dB, and the phases then gain {alone} dB" in text
-    cost = difference("phases_2000.csv", *planes[:0:-1], "psnr").removeprefix("+")
-    assert f"terms and phases cost {cost} dB of PSNR**, over four scenes" in text
+    change = difference("phases_2000.csv", *planes[1:], "psnr")
+    assert f"PSNR changes by {change} dB in [ten other scenes]" in text
+    assert len(script["read"](script["PLACE"].with_name("phases_2000.csv"))["activestructure"]) == 10
     assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
     houses = difference("procthor.csv", "activestructure", "unknown_volume", "observed_area")
     assert f"In the houses exploration changes by {houses} points." in text

@@ -46,7 +46,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
     "depth_l1_cm": ("Depth (cm) ↓", 2, min),
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
-# Files of few runs on many scenes, which are the sample: intervals are over the scenes, with the mean of a scene's seeds.
+# Files of few runs on many scenes, which are the sample: intervals are over the means of the scenes.
 POOLED = (
     "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv", "learned_300.csv", "learned_2000.csv"
 )  # fmt: skip
@@ -71,22 +71,20 @@ README_ROWS = {  # rows of README's table: policy and its description
 _FULL, _UNSEEN, _REVISITS = "activestructure", "activestructure?discovery=unseen", "revisits=true"
 PHASES = {  # tables of the phases by file: pairs of policies
     "phases_300.csv": (
-        ("unknown_volume", "hole_area"),
+        (_FULL, "unknown_volume"),
+        (_UNSEEN, "unseen"),
+        (_FULL, "hole_area"),
+        ("unseen", "hole_area"),
         ("unseen", "unknown_volume"),
-        (f"{_FULL}?{_REVISITS}", "unknown_volume"),
-        (f"{_UNSEEN}&{_REVISITS}", "unseen"),
+    ),
+    "phases_2000.csv": (
+        (_FULL, "unknown_volume"),
+        (_UNSEEN, _FULL),
     ),
     "phases_rooms.csv": (
         (f"{_FULL}?{_REVISITS}", "unknown_volume"),
         (_FULL, "unknown_volume"),
-        (f"{_UNSEEN}&{_REVISITS}", "unknown_volume"),
-        (_UNSEEN, "unknown_volume"),
         (_FULL, f"{_FULL}?{_REVISITS}"),
-    ),
-    "phases_2000.csv": (
-        (_FULL, f"{_FULL}?{_REVISITS}"),
-        (_FULL, "unknown_volume"),
-        (_UNSEEN, _FULL),
     ),
 }
 _DEFAULT, _LONG = "learned:d300@44f39cb9", "learned:long@66bb1ce7"  # trained on `default`, 300 and 2,000 frames

@@ -90,5 +90,5 @@ SPLATAM = NativeSettings(mapper="splatam", iterations=15, budget="2000 frames of
 
 # Settings of planners whose papers select views one by one from a given data set; the shared pool replaces the data
 # set. No frame is mapped along the path, and each view gets 100 iterations before the next selection
-# (`interval_epochs`, [fisherrf, code]). The original code runs 100 iterations per view held, so that its rounds grow.
+# (`interval_epochs`, [fisherrf, code]). The original code runs 100 iterations per view held, so its rounds grow.
 SELECTED_VIEWS = NativeSettings(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")

@@ -2,7 +2,7 @@
 
 The information about a Gaussian is a block: the sum over pixels and colour channels of J^T J. J is the derivative of a
 rendered colour by the Gaussian's mean (metres, world) and log-scales. Information-based planners compare it between a
-candidate and the keyframes ([fisherrf]; [popgs] suggests geometry, and without the rotation is our choice).
+candidate and the keyframes ([fisherrf]; [popgs] suggests geometry; omitting the rotation is our choice).
 """
 
 from __future__ import annotations

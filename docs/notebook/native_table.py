@@ -200,8 +200,8 @@ def _until(row: dict[str, str], end: float) -> tuple[float, float]:
 
 
 def drawn() -> str:
-    """Return charts of planners and their chance over the frames as SVG text, for the scene with most runs."""
-    ((most, _),) = Counter(row["scene"] for row in rows()).most_common(1)
+    """Return charts of planners and chance over the frames as SVG text, for the scene with most runs of chance."""
+    ((most, _),) = Counter(row["scene"] for row in rows() if row["policy"].startswith(FLOOR)).most_common(1)
     runs, charts = by_policy([row for row in rows() if row["scene"] == most]), []
     for policy in sorted(name.removeprefix(FLOOR) for name in runs if name.startswith(FLOOR)):
         lines = [

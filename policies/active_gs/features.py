@@ -32,6 +32,6 @@ def gaussian_confidence(seen: ViewDirections) -> np.ndarray:  # [N] 0..1
     """Return the confidence C = min(e^(1 - |mean v|) s, 1) of each Gaussian.
 
     v is the unit direction to a keyframe that faces the Gaussian's front within 5 m. s is the sum of
-    (1 - distance / 5 m) n v over these keyframes, where n is the Gaussian's normal (`ViewDirections.nearness`).
+    max(0, 1 - distance / 5 m) n v over these keyframes, where n is the Gaussian's normal (`ViewDirections.nearness`).
     """
     return np.minimum(np.exp(1.0 - seen.concentration) * seen.nearness, 1.0)

@@ -79,7 +79,7 @@ class ActiveGAMER(Planner):
         iterations=15,
         stages=((SOURCES[0],), (SOURCES[1],), (SOURCES[2], END)),
         candidates=1027,
-        # A view was once found free 0.3 m from surface (`SOURCES`), the original's value for Matterport3D's houses; for
+        # A place must once have been free 0.3 m from surface, the original's value for Matterport3D's houses; for
         # Replica's rooms it has 0.5 m. Surface and unknown space may be nearer, so the agent itself needs 0.1 m only.
         clearance_m=0.1,
         # The camera looks along the motion on paths of more than 36 points, 0.1 m apart.

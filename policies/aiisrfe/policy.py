@@ -32,8 +32,8 @@ class Aiisrfe(Planner):
     """Follow tour* = argmin length over the tasks: one view per frontier, and the views of the most uncertain surface.
 
     While at least 2 frontiers, and at least 15 % of all, are near, only frontiers are tasks. Other plans have both
-    kinds, but only two in succession. Once no view of a frontier was left for some tables (`patience`), only surface
-    is. The tasks within the first 5 m of the tour are visited, then a new tour is planned.
+    kinds, but only two in succession. Once no view of a frontier was left for some tables (`patience`), all tasks
+    are surface. The tasks within the first 5 m of the tour are visited, then a new tour is planned.
 
     With ``travel=shared`` there is no tour, and each decision is a plan. The gain of a frontier's view is 1, and the
     gain of a surface task is its uncertainty divided by the largest one; the score is gain times travel factor. Source:
@@ -42,7 +42,7 @@ class Aiisrfe(Planner):
 
     criterion = "frontiers, and surface of uncertain colour"
     travel_term = "shortest tour of tasks"
-    source = "by a digest of Zeng et al., ICRA 2024"
+    source = "by a digest of Zeng et al., ICRA 2024, with constants of its code"
     required_features = ("aiisrfe",)
     # As in the original, views are drawn for the tasks, and depth beyond 6 m is not used. The numbers and distances of
     # the views are our choice.

@@ -13,7 +13,7 @@ from activestructure_gym.policies.gauss_mi.reliability import DirectionalReliabi
 
 # The gain of a view within NEAR_M (metres) and NEAR_DEG (degrees) of one of the last REMEMBERED chosen views is
 # reduced. The factor is 1 - FORGETTING^k for the k-th view before the newest. There is no reduction until more than FEW
-# views were chosen. The code waits for more than five poses, and its first three are not chosen.
+# views were chosen. The code requires more than five poses; its first three are not chosen.
 NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 2, 0.95
 
 

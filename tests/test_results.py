@@ -301,7 +301,7 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     assert f"visible planes costs 0.7 dB, and the phases then gain {alone} dB" in text
     change = difference("phases_2000.csv", *planes[1:], "psnr")
     assert f"PSNR changes by {change} dB in [ten scenes]" in text
-    assert f"`unseen` (ours) has {difference('phases_300.csv', 'unseen', 'hole_area', 'psnr')} dB" in text
+    assert f"`unseen` has {difference('phases_300.csv', 'unseen', 'hole_area', 'psnr')} dB" in text
     assert len(script["read"](script["PLACE"].with_name("phases_2000.csv"))["activestructure"]) == 10
     assert f"has {difference('procthor.csv', 'activestructure', 'hole_area', 'psnr')} dB" in text
     calm = difference("phases_rooms.csv", "activestructure", "activestructure?revisits=true", "psnr")

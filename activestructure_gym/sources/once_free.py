@@ -10,7 +10,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.sources.base import SourceContext
 from activestructure_gym.volume import VoxelVolume
 
-UNTESTED, FREE, NEAR, SURFACE = range(4)  # states of a voxel; all but the first are permanent
+UNTESTED, FOUND_FREE, FOUND_NEAR, FOUND_SURFACE = range(4)  # states of a voxel; all but the first are permanent
 
 
 def decide_voxels(
@@ -32,24 +32,30 @@ def decide_voxels(
     depth = frame.depth[v, u]
     before = np.where(depth > 0, depth - points[:, 2], -np.inf)  # metres in front of the surface
     tested = tuple(index[before > gap_m].T)
-    surface = state == SURFACE
+    surface = state == FOUND_SURFACE
     if surface.any():
         metres = distance_transform_edt(~surface)[tested] * volume.voxel_size
-        state[tested] = np.where(metres > gap_m + 1e-6, FREE, NEAR)
+        state[tested] = np.where(metres > gap_m + 1e-6, FOUND_FREE, FOUND_NEAR)
     else:
-        state[tested] = FREE
-    state[tuple(index[np.abs(before) < volume.voxel_size].T)] = SURFACE
+        state[tested] = FOUND_FREE
+    state[tuple(index[np.abs(before) < volume.voxel_size].T)] = FOUND_SURFACE
 
 
 def once_free(context: SourceContext, positions: np.ndarray, gap_m: float) -> np.ndarray:  # [P, 3] -> [P] bool
-    """Return which positions are in voxels that a keyframe has found free, whatever later ones have shown."""
+    """Return which positions are in voxels that a keyframe has found free, whatever later ones have shown.
+
+    An untested voxel counts if it is at least ``gap_m`` from all occupied voxels. Such voxels are around the start,
+    where the agent stands but no image looks.
+    """
     volume, frames = context.volume, context.mapper.keyframes
     new = (np.full(volume.shape, UNTESTED, np.uint8), 0)
     state, known = context.mapper.memory.get(("once_free", gap_m), new)
     for frame in frames[known:]:
         decide_voxels(state, volume, frame, gap_m)
     context.mapper.memory["once_free", gap_m] = state, len(frames)
+    apart = distance_transform_edt(~volume.occupied) * volume.voxel_size if volume.occupied.any() else np.inf
+    free_now = (state == FOUND_FREE) | ((state == UNTESTED) & (apart >= gap_m))
     inside = volume.contains(positions)
     free = np.zeros(len(positions), bool)
-    free[inside] = state[tuple(volume.voxel_of(positions[inside]).T)] == FREE
+    free[inside] = free_now[tuple(volume.voxel_of(positions[inside]).T)]
     return free

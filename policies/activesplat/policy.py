@@ -59,7 +59,7 @@ class ActiveSplat(Planner):
         """Begin an episode with local views at the start, which replace the original's turn on the spot."""
         super().reset(seed)
         self._goal: np.ndarray | None = None  # [3] metres, position of the last chosen view
-        self._goal_node = np.zeros(2)  # metres, node of the last chosen view
+        self._goal_node: np.ndarray | None = None  # [2] metres, node of the last chosen view; None for a local view
         self._failed = np.zeros((0, 2))  # metres, nodes that were not reached
         self._stop = np.zeros(0)  # [3] metres, current stop: the last goal that was not a local view
         self._stop_node = np.zeros(2)  # metres, node of the current stop
@@ -74,13 +74,15 @@ class ActiveSplat(Planner):
         observation = self.only_views(observation)
         candidates = self.candidates(observation)
         here = observation["pose"][:3].astype(np.float64)
-        if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:
+        missed = self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M
+        if missed and self._goal_node is not None:
             self._failed = np.vstack([self._failed, self._goal_node])
+            self._stop, self._stop_node = here, here[:2]
         if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # first decision, or goal not reached
             self._stop, self._stop_node = here, here[:2]
         choice = self._decide(observation, candidates, candidates["activesplat_view"].astype(np.float64))
         self._goal = candidates.xyz[choice].astype(np.float64)
-        self._goal_node = _node_places(candidates)[choice]
+        self._goal_node = None if self._trace["mode"] == "local" else _node_places(candidates)[choice]
         return choice
 
     def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:

@@ -32,7 +32,7 @@ class Aiisrfe(Planner):
     """Follow tour* = argmin length over the tasks: one view per frontier, and the views of the most uncertain surface.
 
     While at least 2 frontiers, and at least 15 % of all, are near, only frontiers are tasks. Other plans have both
-    kinds, but only two in succession. Once no view of a frontier was left for some tables (`patience`), all tasks
+    kinds, but only two in succession. Once no view of a frontier was left for some plans (`patience`), all tasks
     are surface. The tasks within the first 5 m of the tour are visited, then a new tour is planned.
 
     With ``travel=shared`` there is no tour, and each decision is a plan. The gain of a frontier's view is 1, and the
@@ -61,7 +61,7 @@ class Aiisrfe(Planner):
         super().reset(seed)
         self._mode = "explore"  # tasks of the last plan: explore (frontiers), both, or reconstruct (surface)
         self._mixed = 0  # number of successive plans with both kinds of tasks
-        self._without = 0  # number of successive tables without a view of a frontier
+        self._without = 0  # number of successive plans without a view of a frontier
         self._left = np.zeros((0, 6))  # position (m) and view direction of the remaining tasks of the tour
 
     def act(self, observation: Observation) -> int:

@@ -80,8 +80,8 @@ def targets_from(mapper: KeyframeMapper, volume: VoxelVolume, positions: np.ndar
 
 def learned_uncertainty(mapper: KeyframeMapper, volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray]:
     """Return the result of `uncertainty`; sigma is `FLOOR` at unmeasured places that `LOOKS` keyframes looked at."""
-    voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
-    unmeasured = np.flatnonzero(sigma >= INITIAL)
+    voxels, sigma, measured = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
+    unmeasured = np.flatnonzero(~measured)
     looks = looked_at(mapper.keyframes, volume, volume.center_of(voxels[unmeasured]))
     sigma[unmeasured[looks >= LOOKS]] = FLOOR
     return voxels, sigma
@@ -91,8 +91,8 @@ def uncertainty(
     volume: VoxelVolume,
     errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of the pixels in each voxel
     pixels: np.ndarray,  # [X, Y, Z] number of these pixels
-) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
-    """Return the V free voxels next to a voxel that is not free, and the uncertainty sigma (m^2) of each.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V], measured [V] bool
+    """Return the V free voxels next to a voxel that is not free, the uncertainty sigma (m^2), and which are measured.
 
     sigma is the mean squared depth error of all pixels, at least `FLOOR`, where the nearby surface is measured. This
     surface is the voxel, its non-free neighbours and the non-free neighbours of those. The second ring is needed
@@ -115,7 +115,7 @@ def uncertainty(
 
     mean = float(errors.sum() / max(pixels.sum(), 1.0))
     measured = around(pixels + volume.occupied) > 0
-    return voxels, np.where(measured, max(mean, FLOOR), INITIAL)
+    return voxels, np.where(measured, max(mean, FLOOR), INITIAL), measured
 
 
 def looked_at(keyframes: Sequence[Frame], volume: VoxelVolume, places: np.ndarray) -> np.ndarray:  # [P, 3] -> [P] int64

@@ -35,12 +35,14 @@ def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> 
     assert stages == (brought.stages or (("pool",),))
     policy.reset(0)
     observation, info = env.reset(seed=0)
+    start, moved = observation["pose"].copy(), 0.0
     for _ in range(60):
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        moved = max(moved, float(np.abs(observation["pose"] - start).max()))
         assert not info["invalid_action"]
         if terminated or truncated:
             break
-    assert info["frames"] > 1
+    assert info["frames"] > 1 and moved > 0.1
     env.close()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.sources.once_free import FREE, NEAR, SURFACE, UNTESTED, decide_voxels
+from activestructure_gym.sources.once_free import FOUND_FREE, FOUND_NEAR, FOUND_SURFACE, UNTESTED, decide_voxels
 from activestructure_gym.volume import VoxelVolume
 
 
@@ -25,17 +25,19 @@ def test_voxels_are_decided_by_the_first_image_that_tests_them() -> None:
 
     # A wall 3 m ahead, looking along x: it is the image's own surface, so 0.4 m in front of it is free.
     decide_voxels(state, volume, seen((0, 0, 0), (1, 0, 0), 3.0), 0.3)
-    assert [at(x, 0, 0) for x in (2.6, 2.8, 3.0, 3.2)] == [FREE, UNTESTED, SURFACE, UNTESTED]
-    assert at(2.0, 0, 1.9) == FREE and at(1.7, 0, 1.9) == at(2.0, 0, 2.1) == UNTESTED  # the edge of the image is z = x
+    assert [at(x, 0, 0) for x in (2.6, 2.8, 3.0, 3.2)] == [FOUND_FREE, UNTESTED, FOUND_SURFACE, UNTESTED]
+    assert (
+        at(2.0, 0, 1.9) == FOUND_FREE and at(1.7, 0, 1.9) == at(2.0, 0, 2.1) == UNTESTED
+    )  # the edge of the image is z = x
 
     # A ceiling 2.1 m above: the place 0.2 m below it was free and stays so.
     decide_voxels(state, volume, seen((2.0, 0, 0), (0, 0, 1), 2.1), 0.3)
-    assert at(2.0, 0, 2.1) == SURFACE and at(2.0, 0, 1.9) == FREE and at(1.7, 0, 1.9) == UNTESTED
+    assert at(2.0, 0, 2.1) == FOUND_SURFACE and at(2.0, 0, 1.9) == FOUND_FREE and at(1.7, 0, 1.9) == UNTESTED
 
     # Its neighbour, tested later, is 0.2 m from known surface. It is never free afterwards.
     for _ in range(2):
         decide_voxels(state, volume, seen((1.7, -2.0, 1.9), (0, 1, 0), 4.0), 0.3)
-        assert at(1.7, 0, 1.9) == NEAR and at(1.7, 0, 1.7) == FREE
+        assert at(1.7, 0, 1.9) == FOUND_NEAR and at(1.7, 0, 1.7) == FOUND_FREE
 
 
 def test_a_pixel_without_a_return_decides_nothing() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, row_columns
+from activestructure_gym.policies import make_env_and_policy
 from activestructure_gym.policies.activegamer.policy import (
     COARSE_DIRECTIONS,
     END,
@@ -282,3 +283,17 @@ def test_stages_follow_each_other_and_refinement_stands_still() -> None:
     assert policy.act(good) == 3 and policy.trace()["stage"] == "end"  # the original's run is done
     good["action_mask"][3] = 0
     assert policy.act(good) == 0  # not yet offered
+
+
+@pytest.mark.parametrize("scene", ["box", "room"])
+def test_exploration_begins_around_the_start_although_no_image_shows_it(scene: str) -> None:
+    small = {"sensor": {"width": 48, "height": 27}, "mapper.iterations": 1}
+    env, policy = make_env_and_policy("activegamer", scene, setup="native", preset="fast", config=small)
+    policy.reset(0)
+    observation, _ = env.reset(seed=0)
+    start = observation["pose"].copy()
+    choice = policy.act(observation)
+    assert policy.trace()["stage"] == "coarse" and policy.trace()["pool"] > 0
+    observation, *_ = env.step(choice)
+    assert np.abs(observation["pose"] - start).max() > 0.1
+    env.close()

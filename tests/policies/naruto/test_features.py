@@ -77,7 +77,7 @@ NOTHING = mapper()
 
 
 def sigma_at(volume: VoxelVolume, shown: Shown, voxel: tuple) -> float:
-    voxels, sigma = uncertainty(volume, *voxel_sums(shown, volume, squared_depth_error))
+    voxels, sigma, _ = uncertainty(volume, *voxel_sums(shown, volume, squared_depth_error))
     (row,) = np.flatnonzero((voxels == voxel).all(axis=1))
     return float(sigma[row])
 
@@ -87,7 +87,7 @@ def test_near_the_surface_are_the_free_voxels_beside_one_that_is_not() -> None:
     volume.state[volume.state == OCCUPIED] = UNKNOWN
     volume.state[5, 5, 5] = UNKNOWN
     none = np.zeros(volume.shape)
-    voxels, sigma = uncertainty(volume, none, none)
+    voxels, sigma, _ = uncertainty(volume, none, none)
     assert (volume.state[tuple(voxels.T)] == FREE).all()
     # A shell of 10^3 - 8^3 voxels and the six around the unknown one; nothing was ever seen there.
     assert len(voxels) == 1000 - 512 + 6
@@ -122,6 +122,15 @@ def test_every_measured_place_has_the_mean_error_of_all_pixels() -> None:
         assert sigma_at(volume, shown, voxel) == pytest.approx(0.2502, rel=1e-5)
     assert sigma_at(volume, shown, (10, 1, 10)) == INITIAL
     assert sigma_at(volume, mapper(good, good), (1, 10, 10)) == FLOOR
+
+
+def test_a_measured_place_is_never_settled_however_large_its_error() -> None:
+    volume = box((2.0, 2.0, 2.0))
+    eye = volume.center_of(np.array([10, 10, 10])).tolist()
+    wrong = look(eye, [-1, 0, 0], 0.95, 2.95)
+    voxels, sigma = learned_uncertainty(mapper(wrong, wrong), volume)
+    (row,) = np.flatnonzero((voxels == (1, 10, 10)).all(axis=1))
+    assert sigma[row] == pytest.approx(4.0) and sigma[row] > INITIAL
 
 
 def test_targets_are_of_the_most_uncertain_and_the_same_whatever_their_order(rng: np.random.Generator) -> None:

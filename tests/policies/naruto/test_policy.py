@@ -182,7 +182,8 @@ def test_in_the_native_setup_it_turns_in_place_and_looks_at_a_target_on_the_way(
         assert (cosine > 0.999).all()
         choice = policy.act(observation)
         in_place = np.linalg.norm(rows.xyz[choice] - observation["pose"][:3]) < 1e-3
-        turned, walked = turned + in_place, walked + (facing[choice] and not in_place)
+        turned += in_place and policy.trace()["looked_at"] > 0
+        walked += facing[choice] and not in_place
         observation, _, terminated, truncated, _ = env.step(choice)
         if terminated or truncated:
             break

@@ -156,7 +156,8 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
         length = np.sqrt(squared)
         strength = np.maximum(np.einsum("ij,ij->i", towards, samples.normals[near]) / length, 0)
         if point.facing is not None:
-            strength *= np.maximum(-(towards @ point.facing.astype(np.float32)) / length, 0)
+            # einsum, since a matrix product rounds differently on other processors, which would change the scene.
+            strength *= np.maximum(-np.einsum("ij,j->i", towards, point.facing.astype(np.float32)) / length, 0)
         elevation = 0.5 - 0.5 * towards[:, 2] / length  # direction from the light to the sample: 0 is down, 1 is up
         strength *= 1 - (1 - point.upward) * elevation
         strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: avoids the singularity next to it
@@ -234,7 +235,7 @@ def _expose(irradiance: np.ndarray, area: np.ndarray) -> np.ndarray:
     light^(1/2.2), only light is converted.
     """
     share = area / area.sum()
-    luminance = irradiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+    luminance = np.einsum("ij,j->i", irradiance, np.array([0.2126, 0.7152, 0.0722], dtype=np.float32))
     key = np.exp((share * np.log(luminance + 1e-3)).sum())
     tone = (share[:, None] * irradiance).sum(axis=0)
     balance = np.sqrt(tone / tone.mean())

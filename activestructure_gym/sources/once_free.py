@@ -45,7 +45,7 @@ def once_free(context: SourceContext, positions: np.ndarray, gap_m: float) -> np
     """Return which positions are in voxels that a keyframe has found free, whatever later ones have shown.
 
     An untested voxel counts if it is at least ``gap_m`` from all occupied voxels. Such voxels are around the start,
-    where the agent stands but no image looks.
+    which no image shows.
     """
     volume, frames = context.volume, context.mapper.keyframes
     new = (np.full(volume.shape, UNTESTED, np.uint8), 0)

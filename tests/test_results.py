@@ -298,7 +298,9 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     assert "In hotel_room it is {:+.1f} dB in the older runs, {:+.1f} dB in these".format(*glazed) in page
     ours = ("unknown_volume", "activestructure", "learned")
     values = [difference("headline.csv", name, "hole_area", key) for name in ours for key in ("observed_area", "psnr")]
-    assert not any("[-" in value for value in values) and "are better than `hole_area`** in exploration and PSNR" in text
+    assert (
+        not any("[-" in value for value in values) and "are better than `hole_area`** in exploration and PSNR" in text
+    )
     rung, full = "activestructure-d?discovery=hole_area", "activestructure?discovery=hole_area&revisits=true"
     alone = difference("ladder_2000.csv", full, rung, "psnr").removeprefix("+")
     assert f"visible planes costs 0.7 dB, and the phases then gain {alone} dB" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import multiprocessing
 import os
@@ -19,6 +20,13 @@ from activestructure_gym.compiling.locks import Locks
 from activestructure_gym.geometry.camera import Lens
 
 needs_locks = pytest.mark.skipif(locks.fcntl is None, reason="no locks between processes here")
+
+
+class AnyModule(set[str]):
+    """Contain every name, so that the kernels of all features are listed."""
+
+    def __contains__(self, name: object) -> bool:
+        return True
 
 
 def text_of(kind: types.Type) -> str:
@@ -44,6 +52,14 @@ def test_every_line_of_the_list_names_a_kernel_and_types_of_arguments() -> None:
         signature = signature_of(each.arguments)
         assert ", ".join(map(text_of, signature)) == each.arguments
         assert len(signature) == kernel.py_func.__code__.co_argcount, each
+
+
+def test_every_listed_kernel_takes_as_many_arguments_as_its_line_has() -> None:
+    listed = listed_kernels(AnyModule())
+    assert any("policies" in each.module for each in listed)
+    for each in listed:
+        kernel = getattr(importlib.import_module(each.module), each.function)
+        assert len(inspect.signature(kernel.py_func).parameters) == len(signature_of(each.arguments)), each
 
 
 def test_a_line_gives_the_types_of_a_call() -> None:

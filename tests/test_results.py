@@ -139,6 +139,29 @@ def test_completion_by_the_papers_protocols_is_that_of_the_runs() -> None:
         assert f"| `{planner}` | `{protocol}` | {' | '.join(cells)} |" in told, planner
 
 
+def test_what_is_said_of_the_apartment_is_that_of_its_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    told = " ".join((ROOT / "docs" / "notebook" / "native.md").read_text().split())
+    runs = {row["policy"]: row for row in script["rows"]() if row["scene"] == "apartment?rooms=3&seed=14"}
+
+    def lead(name: str) -> float:
+        floor = runs.get(script["FLOOR"] + name, runs["random"])
+        return float(script["_until"](runs[name], 2000)[0] - script["_until"](floor, 2000)[0])
+
+    def at(name: str, frame: float) -> str:
+        return "{:.1f} %, chance {:.1f} %".format(
+            *(script["_until"](runs[one], frame)[0] for one in (name, script["FLOOR"] + name))
+        )
+
+    assert f"`active_gs` ends {lead('active_gs'):.1f} points above chance" in told
+    above = [lead(name) for name in ("gs_planner", "activegamer", "unseen", "unknown_volume", "learned", "hole_area")]
+    assert f"end {min(above):.1f} to {max(above):.1f} points above chance" in told
+    assert f"At frame 400 `anm_s` has {at('anm_s', 400)}." in told
+    assert f"At frame 500 `activesplat` has {at('activesplat', 500)}." in told
+    assert f"`anm_s` is {-lead('anm_s'):.1f} points below" in told
+    assert f"`naruto` ends {-lead('naruto'):.1f} points below chance" in told
+
+
 @pytest.mark.parametrize("runs", ["benchmark.csv", "headline.csv", "procthor.csv"])
 def test_the_tables_of_results_are_those_of_their_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))

@@ -317,6 +317,15 @@ def test_a_node_that_was_not_reached_has_failed_also_under_another_number() -> N
     assert len(made._failed) == 0
 
 
+def test_the_stop_after_a_missed_node_is_where_the_agent_stands() -> None:
+    """A is missed by 0.3 m. B is 0.45 m from A, where no stop was, and 0.75 m from the agent, so it counts."""
+    positions = [(2.0, 0.0), (2.45, 0.0), (5.0, 0.0)]
+    options = {"node": [0, 1, 2], "show": [0.0] * 3}
+    made = policy()
+    assert made.act(observation(positions, **options, information=[9.0, 5.0, 1.0])) == 0
+    assert made.act(observation(positions, **options, information=[9.0, 5.0, 1.0], here=(1.7, 0.0))) == 1
+
+
 def test_shared_travel_weighs_the_score_by_the_frames() -> None:
     positions = [(1.0, 0.0), (1.0, 0.1), (9.0, 0.0)]
     seen = observation(

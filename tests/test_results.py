@@ -76,6 +76,31 @@ def test_chance_of_a_planner_by_hand() -> None:
     assert len(cells) == 4, "chance with the settings of a planner has no row"
 
 
+def test_a_table_by_scene_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+
+    def run(policy: str, scene: str, observed: int) -> dict[str, str]:
+        usual = {"seed": "0", "ended_frame": "", "budget": "400", "curve": f"50 60 70 {observed}"}
+        return usual | {"policy": policy, "scene": scene, "observed": str(observed)}
+
+    lines = [
+        run("naruto", "x", 80), run("random?views_of=naruto", "x", 70),
+        run("naruto", "y", 90), run("random?views_of=naruto", "y", 94),
+        run("gavis", "x", 85), run("hole_area", "y", 60), run("random", "y", 50),
+    ]  # fmt: skip
+    lines += [run(name, "y", 50) for name in ("frontier", "rt_guide")]  # y has most planners, so it comes first
+    heads, _, *body = script["by_scene"](lines).splitlines()
+    assert heads == "| planner | `y` | `x` | minus chance, mean of the scenes |"
+    assert body == [
+        "| `naruto` | 90.0 (-4.0) | 80.0 (+10.0) | +3.0 [-4.0, 10.0] |",
+        "| `hole_area` | 60.0 (+10.0) |  | +10.0 |",
+        "| `frontier` | 50.0 |  |  |",
+        "| `random` | 50.0 |  |  |",
+        "| `rt_guide` | 50.0 |  |  |",
+        "| `gavis` |  | 85.0 |  |",
+    ]
+
+
 def test_every_threshold_that_is_a_guess_is_there() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "thresholds.py"))
     told = (ROOT / "docs" / "notebook" / "native.md").read_text()

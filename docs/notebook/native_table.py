@@ -4,12 +4,12 @@
     python docs/notebook/native_table.py runs/native [MORE]    # add these runs to native.csv first
     python docs/notebook/native_table.py --file paper.csv      # read another file of this folder
 
-A table has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and seed) that all
-policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes, this interval
-is from one difference to the other. *Minus chance* compares with random choice under the same native settings
-(`chance_of`), at the frame at which the planner ended. A file without such runs has differences to ``BASELINE``. "–"
-means that no run reached a level, or that no run ended early; if only some did, their number is given. A second table
-has the phases of the policies with phases. The native settings of the policies are printed below.
+The table of a scene has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and
+seed) that all policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes,
+this interval is from one difference to the other. *Minus chance* compares with random choice under the same native
+settings (`chance_of`), at the frame at which the planner ended. A file without such runs has differences to
+``BASELINE``. "–" means that no run reached a level, or that no run ended early; if only some did, it says how many.
+A second table has the phases of the policies with phases. The native settings of the policies are printed below.
 """
 
 from __future__ import annotations
@@ -239,17 +239,60 @@ def phases(lines: Sequence[dict[str, str]]) -> str:
     return "\n".join(text) + "\n"
 
 
+def by_scene(lines: Sequence[dict[str, str]]) -> str:
+    """Return a table of the observed shares in each scene as Markdown, with the differences to chance in brackets.
+
+    The last column has the mean difference over all episodes with chance, and its interval over these. Planners come in
+    the order of the first scene, the one with most planners.
+    """
+    runs: dict[str, Runs] = {}
+    for row in lines:
+        runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
+    planners = [policy for policy in runs if not policy.startswith(FLOOR)]
+    scenes = [scene for scene, _ in Counter(scene for name in planners for scene, _ in runs[name]).most_common()]
+    text = [
+        f"| planner | {' | '.join(f'`{scene}`' for scene in scenes)} | minus chance, mean of the scenes |",
+        "|---|" + "---:|" * (len(scenes) + 1),
+    ]
+
+    def height(policy: str) -> list[float]:
+        own = runs[policy]
+        return [-_mean(_in(own, scene), "observed") if _in(own, scene) else 0.0 for scene in scenes]
+
+    for policy in sorted(planners, key=lambda policy: (height(policy), policy)):
+        floors = runs.get(chance_of(policy, runs), {})
+        cells = []
+        for scene in (*scenes, None):
+            own = runs[policy] if scene is None else _in(runs[policy], scene)
+            common = {("any", number): one for number, one in enumerate(sorted(own.keys() & floors.keys()))}
+            less = minus_chance(*({one: of[common[one]] for one in common} for of in (own, floors)))[0]
+            if scene is None:
+                cells.append(less)
+            elif own:
+                cells.append(f"{_mean(own, 'observed'):.1f}" + (f" ({less})" if less else ""))
+            else:
+                cells.append("")
+        text.append(f"| `{policy}` | " + " | ".join(cells) + " |")
+    return "\n".join(text) + "\n"
+
+
+def _in(own: Runs, scene: str) -> Runs:
+    return {one: row for one, row in own.items() if one[0] == scene}
+
+
 def tables(place: Path = PLACE) -> dict[str, str]:
     """Return the tables of a CSV file as Markdown by name of their scenes.
 
-    There is one table if the same policies have played all scenes, else one per scene.
+    If the same policies have played all scenes, there is one table. Otherwise there are the table `by_scene` and one
+    with all measures of the scene with most planners.
     """
     lines, groups = rows(place), dict[str, list[dict[str, str]]]()
     for row in lines:
         groups.setdefault(row["scene"], []).append(row)
+    every, most = ", ".join(groups), max(groups, key=lambda scene: len(groups[scene]))
     if len({frozenset(row["policy"] for row in group) for group in groups.values()}) == 1:
-        groups = {", ".join(groups): lines}
-    return {scenes: "\n".join(filter(None, (markdown(group), phases(group)))) for scenes, group in groups.items()}
+        return {every: "\n".join(filter(None, (markdown(lines), phases(lines))))}
+    return {every: by_scene(lines), most: "\n".join(filter(None, (markdown(groups[most]), phases(groups[most]))))}
 
 
 def native_settings() -> str:

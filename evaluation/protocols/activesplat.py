@@ -27,6 +27,7 @@ _RANGES = {
     "surface_samples": "[1, 5000000]",
     "threshold_m": "(0, 1000]",
     "farthest_m": "(0, 1000]",
+    "range_m": "(0, 1000]",
     "image_width": "[2, 4096]",
 }
 
@@ -99,18 +100,22 @@ class ActiveSplatProtocol:
         Metres. The completion ratio counts distances strictly below it.
     farthest_m
         Metres. Larger distances count as this one in ``completion_cm``.
+    range_m
+        Metres of depth. Surface farther away is not seen, whatever the range of the planner's sensor was: the original
+        draws frames with its simulator's range, and lets its planner use less of it.
     image_width
         Width of the drawn images in pixels, with the sensor's field of view and aspect ratio. The default is the
         original's: half of its sensor's 256 pixels.
     """
 
     name: ClassVar[str] = "activesplat"
-    version: ClassVar[int] = 1  # increase it when the same frames would get other numbers
+    version: ClassVar[int] = 2  # increase it when the same frames would get other numbers
 
     surface_samples: int = 200_000
     scanned: bool = True
     threshold_m: float = 0.05
     farthest_m: float = 1.0
+    range_m: float = 10.0
     image_width: int = 128
 
     def __post_init__(self) -> None:
@@ -144,10 +149,10 @@ class ActiveSplatProtocol:
         }
 
     def seen(self, scene: Scene, path: CameraPath) -> Iterator[np.ndarray]:  # [n, 3] metres each
-        """Yield the points that each frame of the path saw, one per pixel with a surface within the sensor's range."""
+        """Yield the points that each frame of the path saw, one per pixel with a surface within `range_m`."""
         height = max(1, round(self.image_width * path.camera.height / path.camera.width))
         rays = path.camera.resized(self.image_width, height).rays().reshape(-1, 3)
         for pose in path.all_poses:
             depth = scene.raycaster.cast(pose[:3, 3], rays @ pose[:3, :3].T).distance.astype(np.float64)
-            hit = depth <= path.max_range
+            hit = depth <= self.range_m
             yield transform_points(pose, rays[hit] * depth[hit, None])

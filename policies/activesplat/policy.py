@@ -42,9 +42,12 @@ class ActiveSplat(Planner):
     criterion = "integer score of Voronoi nodes by the missing parts of panoramas of the map"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
-    # Values of `config/datasets`: `far` is 4 m, and `mapping_iters` for 5 frames is 2 (10 at a higher resolution).
+    # Values of `config/datasets`: `far` is 4 m, and `mapping_iters` for 5 frames is 2 (10 at a higher resolution). The
+    # camera goes to nodes at one height, and tilts in steps of 15 degrees up to 45.
     native_settings = replace(
         SPLATAM,
+        stages=(("nodes?rows=476", *(f"turns?count=12&pitch_deg={pitch}" for pitch in (0, 30, -30))),),
+        candidates=512,
         iterations=2,
         changes={**SQUARE_CAMERA, "sensor.max_range": 4.0},
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",

@@ -71,8 +71,11 @@ def test_all_frames_count_and_the_accuracy_is_that_of_the_last_one() -> None:
     assert one["completion_ratio"] < found["completion_ratio"]
 
 
-def test_surface_beyond_the_range_of_the_sensor_is_not_seen() -> None:
-    found = SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(3.0))), path_of(AHEAD, reach=2.0))
+def test_surface_within_10_m_is_seen_whatever_the_planner_s_range() -> None:
+    truth = SMALL.truth(GroundTruth(walls(3.0)))
+    near, far = (SMALL.evaluate(GaussianMap(), truth, path_of(AHEAD, reach=reach)) for reach in (2.0, 10.0))
+    assert near == far and near["completion_ratio"] > 90.0
+    found = SMALL.evaluate(GaussianMap(), SMALL.truth(GroundTruth(walls(10.5))), path_of(AHEAD, reach=20.0))
     assert found["completion_ratio"] == 0.0 and found["completion_cm"] == 100.0
     assert found["accuracy_cm"] is None and "saw nothing" in found["notes"]["accuracy_cm"]
 

@@ -9,7 +9,8 @@ seed) that all policies have played. Differences are paired by episode, with 95 
 this interval is from one difference to the other. *Minus chance* compares with random choice under the same native
 settings (`chance_of`), at the frame at which the planner ended. A file without such runs has differences to
 ``BASELINE``. "–" means that no run reached a level, or that no run ended early; if only some did, it says how many.
-A second table has the phases of the policies with phases. The native settings of the policies are printed below.
+A second table has the phases of the policies with phases. The native settings of the policies are printed below, and
+completion ratios by the protocols of papers beside published ones.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from activestructure_gym.evaluation.report.charts.episode_series import bands
 from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, standalone
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import PLANNING, value_of
+from activestructure_gym.evaluation.report.tables.published import PUBLISHED
 from activestructure_gym.evaluation.statistics.paired import paired_difference
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.specs import Spec
@@ -56,8 +58,14 @@ SHOWN = {  # columns by metric: heading, decimals
     "ended_frame": ("ended at frame", 0),
     "keyframes": ("keyframes", 0),
 }
+OF_PAPERS = {  # planners with a published completion ratio: protocol, system in `PUBLISHED`
+    "activegamer": ("activegamer", "ActiveGAMER"),
+    "activesplat": ("activesplat", "ActiveSplat"),
+    "anm_s": ("activesplat", "ANM-S"),
+    "naruto": ("naruto", "NARUTO"),
+}
 STORED = (  # further columns of native.csv
-    "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres", "decision_s", "run_s",
+    "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres", "decision_s", "run_s",
 )  # fmt: skip
 PHASES = {  # columns of the second table: heading, decimals
     "phase_2": ("phase II at frame", 0),
@@ -276,6 +284,31 @@ def by_scene(lines: Sequence[dict[str, str]]) -> str:
     return "\n".join(text) + "\n"
 
 
+def of_papers(lines: Sequence[dict[str, str]]) -> str:
+    """Return a table of the completion ratios by the protocols of papers as Markdown, of chance in brackets.
+
+    The last columns have the averages in [activestructure]; "–" means that the system did not complete every scene.
+    """
+    ratios = {
+        (row["policy"], row["scene"], key): f"{float(row[key]):.1f}"
+        for row in lines
+        for key in SHOWN
+        if key.endswith("/completion_ratio") and row[key]
+    }
+    scenes = [scene for scene, _ in Counter(scene for policy, scene, _ in ratios if policy in OF_PAPERS).most_common()]
+    heads = [f"`{scene}`" for scene in scenes] + [table.dataset.title for table in PUBLISHED]
+    text = [f"| planner | protocol | {' | '.join(heads)} |", "|---|---|" + "---:|" * len(heads)]
+    for policy, (protocol, system) in OF_PAPERS.items():
+        key, cells = f"{protocol}/completion_ratio", []
+        for scene in scenes:
+            chance = ratios.get((FLOOR + policy, scene, key), "")
+            cells.append(ratios.get((policy, scene, key), "") + (f" ({chance})" if chance else ""))
+        printed = [table.values[system]["C.R."][-1] for table in PUBLISHED]
+        cells += ["–" if value is None else f"{value:.2f}" for value in printed]
+        text.append(f"| `{policy}` | `{protocol}` | " + " | ".join(cells) + " |")
+    return "\n".join(text) + "\n"
+
+
 def _in(own: Runs, scene: str) -> Runs:
     return {one: row for one, row in own.items() if one[0] == scene}
 
@@ -352,7 +385,7 @@ def main(words: Sequence[str]) -> None:
     for scenes, table in tables(place).items():
         print(f"{scenes}:\n\n{table}")
     if place == PLACE:
-        print(native_settings(), end="")
+        print(f"{native_settings()}\n{of_papers(rows())}", end="")
         PICTURE.write_text(drawn(), encoding="utf-8")
 
 

@@ -107,8 +107,9 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "views": {"scoring_scale": 0.25, **_FINE_POOL},
         "motion": _CLOSE_BY,
     },
-    # The paper's sensor, frame budget and iterations (Sec. 4.1). Every pixel can seed a Gaussian. The optimiser renders
-    # 300 x 170 pixels, and seeds are spaced for that size (docs/notebook/performance.md).
+    # The paper's field of view and frame budget (Sec. 4.1), ActiveGAMER's image size and iterations. Every pixel can seed
+    # a Gaussian. The optimiser renders 300 x 170 pixels, and seeds are spaced for that size
+    # (docs/notebook/performance.md).
     "paper": {
         "frame_budget": 2000,
         "sensor": {"width": 1200, "height": 680, "supersample": 1},

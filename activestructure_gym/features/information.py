@@ -9,7 +9,7 @@ Means, log-scales, logits and colours have different units. Every entry is there
 for its kind of parameter, called the unit of this kind. The prior lambda is the same fraction of the unit for all
 kinds.
 
-Sources: [fisherrf], [popgs]; range of lambda: docs/notebook/lab_notes.md.
+Sources: [fisherrf], [popgs].
 """
 
 from __future__ import annotations

@@ -60,12 +60,12 @@ OF_PAIRS = {
 README_ROWS = {  # rows of README's table: policy and its description
     f"{REFERENCE}oracle": "one-step choice with ground truth",
     "unknown_volume": "ours",
-    "activestructure": "the paper's planes and phases on `unknown_volume`",
+    "activestructure": "planes and phases on `unknown_volume`",
     "learned": "ours, trained on procedural apartments",
     "hole_area": "ours",
     "gs_planner": "published",
     "active_gs": "published",
-    "fisherrf": "published",
+    "fisherrf": "published, without its frontier goals",
     "random": "",
 }
 _FULL, _UNSEEN, _REVISITS = "activestructure", "activestructure?discovery=unseen", "revisits=true"

@@ -129,8 +129,9 @@ def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without
 def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, cap]
     """Return rho_c of Eq. 12 = cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the n visible planes).
 
-    ``cap`` is rho_max, and Phi_c is `view_surprise`. The paper only states that rho_c increases with the number and
-    quality of the visible tracked planes and decreases with their surprise.
+    ``cap`` is rho_max, and Phi_c is `view_surprise`. The paper only states that rho_c grows with the visible
+    tracked planes and inversely with their structural deficit. Quality and surprise, the factors of the deficit, stand
+    for it here.
     """
     count = planes.visible.sum(axis=1)
     surprise = view_surprise(planes)

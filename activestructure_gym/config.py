@@ -107,8 +107,8 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "views": {"scoring_scale": 0.25, **_FINE_POOL},
         "motion": _CLOSE_BY,
     },
-    # The paper's field of view and frame budget (Sec. 4.1), ActiveGAMER's image size and iterations. Every pixel can seed
-    # a Gaussian. The optimiser renders 300 x 170 pixels, and seeds are spaced for that size
+    # The paper's field of view and frame budget (Sec. 4.1), and ActiveGAMER's image size and iterations. The optimiser
+    # renders 300 x 170 pixels, and seeds are spaced for that size: every pixel can seed a Gaussian
     # (docs/notebook/performance.md).
     "paper": {
         "frame_budget": 2000,

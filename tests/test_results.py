@@ -171,7 +171,8 @@ def test_what_is_said_of_the_paper_s_size_is_that_of_its_runs() -> None:
     assert f"bring {both(full, plain, '+.2f')}** (E minus E with" in told
     assert f"A minus D is {less(a, d, 11):.2f} and {less(a, d, 12):.2f} dB" in told
     pairs = [("room?seed=11", "0"), ("room?seed=12", "0"), ("room?seed=12", "1")]
-    lines = {(row["policy"], row["scene"], row["seed"]): row for row in script["rows"](script["PLACE"].with_name("paper.csv"))}
+    rows = script["rows"](script["PLACE"].with_name("paper.csv"))
+    lines = {(row["policy"], row["scene"], row["seed"]): row for row in rows}
     phases, settled = ([f"{float(lines[full, *pair][key]):.0f}" for pair in pairs] for key in ("phase_2", "settled"))
     assert f"Phase II begins at frame {phases[0]}, {phases[1]} and {phases[2]}" in told
     assert f"From frame {settled[0]}, {settled[1]} and {settled[2]} on E scores views as A does" in told

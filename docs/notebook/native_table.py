@@ -65,7 +65,8 @@ OF_PAPERS = {  # planners with a published completion ratio: protocol, system in
     "naruto": ("naruto", "NARUTO"),
 }
 STORED = (  # further columns of native.csv
-    "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres", "decision_s", "run_s",
+    "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres",
+    "decision_s", "run_s",
 )  # fmt: skip
 PHASES = {  # columns of the second table: heading, decimals
     "phase_2": ("phase II at frame", 0),

@@ -10,7 +10,7 @@ this interval is from one difference to the other. *Minus chance* compares with 
 settings (`chance_of`), at the frame at which the planner ended. A file without such runs has differences to
 ``BASELINE``. "–" means that no run reached a level, or that no run ended early; if only some did, it says how many.
 A second table has the phases of the policies with phases. The native settings of the policies are printed below, and
-completion ratios by the protocols of papers beside published ones.
+completion ratios by the protocols of papers with published ones.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, c
     """Return rho_c of Eq. 12 = cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the n visible planes).
 
     ``cap`` is rho_max, and Phi_c is `view_surprise`. The paper only states that rho_c grows with the visible
-    tracked planes and inversely with their structural deficit. Quality and surprise, the factors of the deficit, stand
-    for it here.
+    tracked planes and inversely with their structural deficit. Here quality and surprise, the factors of the
+    deficit, take its place.
     """
     count = planes.visible.sum(axis=1)
     surprise = view_surprise(planes)

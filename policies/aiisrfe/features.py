@@ -14,7 +14,7 @@ from activestructure_gym.features.voxel_errors import voxel_colour_errors
 from activestructure_gym.volume import FREE
 
 CLUSTER = 2.0  # metres, side of the cubes into which frontiers are cut (own choice)
-MIN_FRONTIER_VOXELS = 5  # minimum number of voxels of a frontier (own choice)
+MIN_FRONTIER_VOXELS = 50  # minimum number of voxels of a frontier, as in the code
 
 
 @FEATURES.register(
@@ -57,7 +57,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
 def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F] cluster
     """Return the centres of the F frontier voxels, and the index of the cluster of each.
 
-    A cluster is the part of a connected frontier (26 neighbours) in a cube of 2 m, with at least five voxels.
+    A cluster is the part of a connected frontier (26 neighbours) in a cube of 2 m, with at least 50 voxels.
     """
     volume = context.volume
     wanted = context.once(target_voxels)

@@ -47,7 +47,7 @@ class Aiisrfe(Planner):
     # As in the original, views are drawn for the tasks, and depth beyond 6 m is not used. The numbers and distances of
     # the views are our choice.
     native_settings = NativeSettings(
-        stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),
+        stages=(("frontier_facing?per_region=3&apart_m=2&rows=144", "unsure_facing?apart_m=1&rows=64"),),
         candidates=208,
         changes={"sensor.max_range": 6.0},
     )

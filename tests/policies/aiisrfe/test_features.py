@@ -29,9 +29,17 @@ def test_a_frontier_is_free_space_beside_the_unseen_cut_into_cubes(two_walls) ->
     assert (state == FREE).all() and len(voxels) == 30 * 6 * 6 - 28 * 4 * 4  # the hull of the corridor
     cubes = np.floor((voxels - volume.origin) / 2.0)
     for c in range(cluster.max() + 1):
-        assert len(np.unique(cubes[cluster == c], axis=0)) == 1 and (cluster == c).sum() >= 5
+        assert len(np.unique(cubes[cluster == c], axis=0)) == 1 and (cluster == c).sum() >= 50
     two_walls.know(FREE)
     assert len(frontiers(two_walls.context())[0]) == 0
+
+
+@pytest.mark.parametrize(("side", "found"), [(3, 0), (4, 56)])  # 27 voxels, and 64 of which 56 are at the surface
+def test_a_frontier_of_few_voxels_is_none(two_walls, side: int, found: int) -> None:
+    two_walls.know(UNKNOWN)
+    two_walls.volume.state[2 : 2 + side, 2 : 2 + side, 2 : 2 + side] = FREE
+    two_walls.volume.weight[2 : 2 + side, 2 : 2 + side, 2 : 2 + side] = 1
+    assert len(frontiers(two_walls.context())[0]) == found
 
 
 def test_every_frontier_in_sight_has_the_view_that_sees_most_of_it(two_walls, looks) -> None:

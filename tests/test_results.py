@@ -121,6 +121,29 @@ def test_a_table_of_papers_by_hand() -> None:
     ]
 
 
+def test_our_columns_of_table_3_are_those_of_the_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    page = (ROOT / "docs" / "notebook" / "ablation.md").read_text(encoding="utf-8")
+    told = " ".join(page.split())
+    ladder = script["read"](script["PLACE"].with_name("ladder_pixels_2000.csv"))
+    native = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    paper = native["by_policy"](native["rows"](native["PLACE"].with_name("paper.csv")))
+
+    def mean(name: str, key: str, *, without: str = "-") -> float:
+        of = {cell: run[key] for cell, run in ladder[name].items() if not cell[0].startswith(without)}
+        return float(script["_mean"](of))
+
+    names = ("pixel_only", *LADDER[1:])
+    large = [float(np.mean([float(row["psnr"]) for row in paper[name].values()])) for name in LADDER]
+    small = [mean(name, "psnr") for name in names]
+    for letter, name, ours, theirs in zip("ABCDE", names, small, large):
+        (row,) = (line for line in page.splitlines() if line.startswith(f"| {letter} |") and line.count("|") == 8)
+        assert row.endswith(f"| {mean(name, 'completion_ratio'):.1f} | {ours:.2f} | {theirs:.2f} |")
+    assert f"{small[4] - small[3]:+.2f} and {large[4] - large[3]:+.2f} dB here" in told
+    calm = [mean(name, "psnr", without="hotel_room") for name in names]
+    assert f"the steps to C and D cost {calm[1] - calm[2]:.2f} and {calm[2] - calm[3]:.2f} dB" in told
+
+
 def test_every_threshold_that_is_a_guess_is_there() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "thresholds.py"))
     told = (ROOT / "docs" / "notebook" / "native.md").read_text()

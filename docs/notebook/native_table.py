@@ -212,7 +212,7 @@ def drawn() -> str:
     """Return charts of planners and chance over the frames as SVG text, for the scene with most runs of chance."""
     ((most, _),) = Counter(row["scene"] for row in rows() if row["policy"].startswith(FLOOR)).most_common(1)
     runs, charts = by_policy([row for row in rows() if row["scene"] == most]), []
-    for policy in sorted(name.removeprefix(FLOOR) for name in runs if name.startswith(FLOOR)):
+    for policy in sorted(name for name in runs if FLOOR + name in runs):
         lines = [
             Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0)[:, _FIRST:])
             for index, name in enumerate((policy, FLOOR + policy))

@@ -8,9 +8,9 @@ The table of a scene has a row per policy by decreasing observed share. Numbers 
 seed) that all policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes,
 this interval is from one difference to the other. *Minus chance* compares with random choice under the same native
 settings (`chance_of`), at the frame at which the planner ended. A file without such runs has differences to
-``BASELINE``. "–" means that no run reached a level, or that no run ended early; if only some did, it says how many.
-A second table has the phases of the policies with phases. The native settings of the policies are printed below, and
-completion ratios by the protocols of papers with published ones.
+``BASELINE``. "–" means that no run ended early; if only some did, it says how many.
+A second table has the phases of the policies with phases, and a third one completion ratios by the protocols of papers,
+with published ones.
 """
 
 from __future__ import annotations
@@ -54,9 +54,7 @@ SHOWN = {  # columns by metric: heading, decimals
     "activegamer/completion_ratio": ("of ActiveGAMER (%) ↑", 1),
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1),
     "psnr": ("PSNR (dB) ↑", 2),
-    "frames_to_80": ("frames to 80 %", 0),
     "ended_frame": ("ended at frame", 0),
-    "keyframes": ("keyframes", 0),
 }
 OF_PAPERS = {  # planners with a published completion ratio: protocol, system in `PUBLISHED`
     "activegamer": ("activegamer", "ActiveGAMER"),
@@ -65,8 +63,8 @@ OF_PAPERS = {  # planners with a published completion ratio: protocol, system in
     "naruto": ("naruto", "NARUTO"),
 }
 STORED = (  # further columns of native.csv
-    "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95", "decisions", "metres",
-    "decision_s", "run_s",
+    "frames_to_80", "keyframes", "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95",
+    "decisions", "metres", "decision_s", "run_s",
 )  # fmt: skip
 PHASES = {  # columns of the second table: heading, decimals
     "phase_2": ("phase II at frame", 0),
@@ -79,8 +77,7 @@ PHASES = {  # columns of the second table: heading, decimals
     "deficient": ("at the end", 1),
 }
 DIFFERENCES = {"observed": ("observed", 1), "psnr": ("PSNR", 2)}
-CHANCE = ("observed minus chance", "exploration minus chance")
-_LEVELS = ("frames_to_80", "ended_frame")  # a run without a value did not get there; other values were not measured
+CHANCE = "exploration minus chance"
 _COUNTED = ("keyframes", "decision_s", "run_s")  # not metrics of the run
 NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 COLUMNS = (*SHOWN, *STORED, *PHASES, "budget", "curve")
@@ -152,13 +149,13 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
     floors = {policy: chance_of(policy, runs) for policy in runs}
     has_chance = any(floors.values())
     differences = {} if has_chance or BASELINE not in runs else DIFFERENCES
-    heads += CHANCE if has_chance else [f"{name} minus `{BASELINE}`" for name, _ in differences.values()]
+    heads += [CHANCE] if has_chance else [f"{name} minus `{BASELINE}`" for name, _ in differences.values()]
     text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
         if policy.startswith(FLOOR):
             continue
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
-        cells += minus_chance(runs[policy], runs.get(floors[policy])) if has_chance else []
+        cells += minus_chance(runs[policy], runs.get(floors[policy]))[1:] if has_chance else []
         cells += [_difference(runs, policy, key, digits) for key, (_, digits) in differences.items()]
         mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
@@ -273,7 +270,8 @@ def by_scene(lines: Sequence[dict[str, str]]) -> str:
         cells = []
         for scene in (*scenes, None):
             own = runs[policy] if scene is None else _in(runs[policy], scene)
-            common = {("any", number): one for number, one in enumerate(sorted(own.keys() & floors.keys()))}
+            both = sorted(one for one in own.keys() & floors.keys() if own[one]["curve"])
+            common = {("any", number): one for number, one in enumerate(both)}
             less = minus_chance(*({one: of[common[one]] for one in common} for of in (own, floors)))[0]
             if scene is None:
                 cells.append(less)
@@ -329,21 +327,6 @@ def tables(place: Path = PLACE) -> dict[str, str]:
     return {every: by_scene(lines), most: "\n".join(filter(None, (markdown(groups[most]), phases(groups[most]))))}
 
 
-def native_settings() -> str:
-    """Return a Markdown table of the policies' native settings and their papers' budgets.
-
-    Policies with equal settings share a row.
-    """
-    users: dict[str, list[str]] = {}
-    for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
-        users.setdefault(POLICIES.get(name).native_settings.describe(), []).append(f"`{name}`")
-    text = "| planners | settings | budget in the paper |\n|---|---|---|\n"
-    for settings, names in sorted(users.items(), key=lambda one: one[1]):
-        ours, _, budget = settings.partition("; budget in its paper: ")
-        text += f"| {', '.join(names)} | {ours} | {budget} |\n"
-    return text
-
-
 def _mean(own: Runs, key: str) -> float:
     return mean([float(row[key]) for row in own.values() if row[key]])
 
@@ -351,7 +334,7 @@ def _mean(own: Runs, key: str) -> float:
 def _shown(own: Runs, key: str, digits: int) -> str:
     reached = sum(bool(row[key]) for row in own.values())
     if not reached:
-        return "–" if key in _LEVELS else ""
+        return "–" if key == "ended_frame" else ""
     text = f"{_mean(own, key):,.{digits}f}"
     return text if reached == len(own) else f"{text} ({reached} of {len(own)})"
 
@@ -386,7 +369,7 @@ def main(words: Sequence[str]) -> None:
     for scenes, table in tables(place).items():
         print(f"{scenes}:\n\n{table}")
     if place == PLACE:
-        print(f"{native_settings()}\n{of_papers(rows())}", end="")
+        print(of_papers(rows()), end="")
         PICTURE.write_text(drawn(), encoding="utf-8")
 
 

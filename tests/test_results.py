@@ -202,6 +202,46 @@ def test_what_is_said_of_the_paper_s_size_is_that_of_its_runs() -> None:
     assert best == {11: full, 12: a}
 
 
+def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    told = " ".join((ROOT / "docs" / "notebook" / "native.md").read_text(encoding="utf-8").split())
+    scenes = ("apartment?rooms=3&seed=14", "houses_20_house_5")
+    runs = {(row["policy"], row["scene"]): row for row in script["rows"]() if row["scene"] in scenes}
+
+    def spread(*names: str) -> list[float]:
+        leads = []
+        for name in names:
+            chance = script["chance_of"](name, {policy for policy, _ in runs})
+            for scene in (scene for scene in scenes if (name, scene) in runs and (chance, scene) in runs):
+                end = float(runs[name, scene]["ended_frame"] or runs[name, scene]["budget"])
+                leads.append(
+                    script["_until"](runs[name, scene], end)[0] - script["_until"](runs[chance, scene], end)[0]
+                )
+        assert len(leads) >= len(names)
+        return [min(leads), max(leads)]
+
+    low, high = spread("active_gs", "frontier", "r3_recon")
+    assert f"end {low:.1f} to {high:.1f} points above chance** on their short moves" in told
+    low, high = spread("hole_area", "unknown_volume", "unseen", "learned")
+    assert f"Our planners of unseen space end {low:.1f} to {high:.1f} points above chance**" in told
+    low, high = spread("naruto", "activesplat", "anm_s", "activeinr", "aiisrfe")
+    assert f"end {low:+.1f} to {high:+.1f} points from chance on their views**" in told
+
+    def observed(name: str, scene: str) -> str:
+        return f"{float(runs[name, scene]['observed']):.1f} %"
+
+    chance = observed(script["FLOOR"] + "naruto", scenes[1])
+    assert f"observes {chance} of the house, plain `random` {observed('random', scenes[1])}" in told
+    informed = [name for name in ("gauss_mi", "next_best_sense", "fisherrf", "gavis", "view_angle", "fisherrf_path")
+                if (name, scenes[0]) in runs]  # fmt: skip
+    shares = sorted(observed(name, scenes[0]) for name in informed)
+    both = f"`random` {observed('random', scenes[0])} and `hole_area` {observed('hole_area', scenes[0])}"
+    assert (
+        f"observes {shares[0].removesuffix(' %')} to {shares[-1]} of the apartment after 2,000 frames**, {both}" in told
+    )
+    assert observed("fisherrf_path", scenes[0]) == shares[-1] and "The highest is `fisherrf_path`" in told
+
+
 @pytest.mark.parametrize("runs", ["benchmark.csv", "headline.csv", "procthor.csv"])
 def test_the_tables_of_results_are_those_of_their_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))

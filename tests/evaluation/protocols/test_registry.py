@@ -35,8 +35,8 @@ def test_a_plug_in_has_the_name_that_it_is_asked_for_by(plug_in, monkeypatch):
         protocol_from(parameters, "run")
     monkeypatch.setenv("ASG_TRUST_CODE", "1")
     assert protocol_from(parameters, "run") == get_protocol(plug_in)
-    ones = ", ".join(f"'{name}' version 1" for name in ("activesplat", "naruto", "offline"))
-    known = f"this version knows 'activegamer' version 2, {ones}, 'standard' version 5"
+    ones = ", ".join(f"'{name}' version 1" for name in ("naruto", "offline"))
+    known = f"this version knows 'activegamer' version 2, 'activesplat' version 2, {ones}, 'standard' version 5"
     with pytest.raises(InputError, match=f"version 1, {known}"):
         protocol_from(parameters | {"version": 1}, "run")
 

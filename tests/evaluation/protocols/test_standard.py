@@ -193,7 +193,7 @@ def test_a_surface_of_too_many_blocks_is_refused_before_the_first_frame(monkeypa
 
 def test_a_protocol_is_read_as_it_was_written_and_no_other_version_is():
     assert protocol_from(PROTOCOL.parameters()) == PROTOCOL
-    ones = ", ".join(f"'{name}' version 1" for name in ("activesplat", "naruto", "offline"))
-    known = f"this version knows 'activegamer' version 2, {ones}, 'standard' version 5"
+    ones = ", ".join(f"'{name}' version 1" for name in ("naruto", "offline"))
+    known = f"this version knows 'activegamer' version 2, 'activesplat' version 2, {ones}, 'standard' version 5"
     with pytest.raises(InputError, match=f"made with protocol 'standard' version 4, {known}"):
         protocol_from(PROTOCOL.parameters() | {"version": 4})

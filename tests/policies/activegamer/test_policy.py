@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_COLUMNS, row_columns
+from activestructure_gym.geometry import look_along
 from activestructure_gym.policies import make_env_and_policy
 from activestructure_gym.policies.activegamer.policy import (
     COARSE_DIRECTIONS,
@@ -290,7 +291,10 @@ def test_exploration_begins_around_the_start_although_no_image_shows_it(scene: s
     small = {"sensor": {"width": 48, "height": 27}, "mapper.iterations": 1}
     env, policy = make_env_and_policy("activegamer", scene, setup="native", preset="fast", config=small)
     policy.reset(0)
-    observation, _ = env.reset(seed=0)
+    drawn = env.reset(seed=0)[0]["pose"][:3].astype(float)
+    # 0.25 m below the coarse lattice, which would be out of reach of a low camera.
+    start_pose = look_along(np.array([*drawn[:2], 1.5]), np.array([1.0, 0.0, 0.0]))
+    observation, _ = env.reset(seed=0, options={"start_pose": start_pose})
     start = observation["pose"].copy()
     choice = policy.act(observation)
     assert policy.trace()["stage"] == "coarse" and policy.trace()["pool"] > 0

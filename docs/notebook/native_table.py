@@ -222,13 +222,18 @@ def drawn() -> str:
 
 def by_policy(lines: Sequence[dict[str, str]]) -> dict[str, Runs]:
     """Return the lines of a CSV file by policy and episode, for the episodes that all policies have played."""
-    runs: dict[str, Runs] = {}
-    for row in lines:
-        runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
+    runs = _grouped(lines)
     common = set.intersection(*map(set, runs.values()))
     if not common:
         raise InputError(f"no scene and seed has runs of all policies: {', '.join(runs)}")
     return {policy: {one: row for one, row in own.items() if one in common} for policy, own in runs.items()}
+
+
+def _grouped(lines: Sequence[dict[str, str]]) -> dict[str, Runs]:
+    runs: dict[str, Runs] = {}
+    for row in lines:
+        runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
+    return runs
 
 
 def phases(lines: Sequence[dict[str, str]]) -> str:
@@ -251,9 +256,7 @@ def by_scene(lines: Sequence[dict[str, str]]) -> str:
     The last column has the mean difference over all episodes with chance, and its interval over these. Planners come in
     the order of the first scene, the one with most planners.
     """
-    runs: dict[str, Runs] = {}
-    for row in lines:
-        runs.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = row
+    runs = _grouped(lines)
     planners = [policy for policy in runs if not policy.startswith(FLOOR)]
     scenes = [scene for scene, _ in Counter(scene for name in planners for scene, _ in runs[name]).most_common()]
     text = [

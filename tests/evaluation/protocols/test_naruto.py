@@ -126,3 +126,4 @@ def test_equal_corners_of_triangles_are_one() -> None:
     corners, faces = _merged(triangles)
     assert len(corners) == len(np.unique(triangles.reshape(-1, 3), axis=0))
     assert np.array_equal(corners[faces], triangles)
+    assert len(_merged(np.array([[[0.0, 1.0, 2.0], [-0.0, 1.0, 2.0], [0.0, -1.0, 2.0]]]))[0]) == 2  # -0.0 equals 0.0

@@ -54,7 +54,7 @@ def observable_surface_of(
 
 
 def _compute(scene: Scene, space: FreeSpace, samples: int, viewpoints: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(int(scene.content_hash[16:32], 16))
+    rng = np.random.default_rng(int(scene.draw_key[16:32], 16))
     points, normals, area = uniform_samples(scene.mesh.vertices, scene.mesh.faces, samples, rng)
     roomiest = float(space.clearance.max())
     eyes = space.sample_positions(viewpoints, rng, min_clearance=min(VIEW_CLEARANCE, 0.8 * roomiest))
@@ -99,7 +99,7 @@ def first_in_sight(
     for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):
         inside = np.flatnonzero(in_view(index, positions))
         if len(inside):
-            visible = inside[~scene.raycaster.occluded(eye, positions[inside], margin=margin)]
+            visible = inside[~scene.truth_caster.occluded(eye, positions[inside], margin=margin)]
             seen_by[waiting[visible]] = index
             unseen = np.ones(len(waiting), dtype=bool)
             unseen[visible] = False

@@ -21,11 +21,11 @@ _HEADINGS = 72  # number of tested headings, 5 degrees apart
 def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 4] world_from_camera
     """Choose up to 16 level poses far apart, each facing the most open direction.
 
-    The choice is deterministic. The first position is drawn with the hash of the scene's content as seed, and each next
+    The choice is deterministic. The first position is drawn with the scene's `draw_key` as seed, and each next
     one is the farthest from all chosen positions.
     """
     places = _places(space)
-    rng = np.random.default_rng(int(scene.content_hash[:16], 16))
+    rng = np.random.default_rng(int(scene.draw_key[:16], 16))
     chosen = [int(rng.integers(len(places)))]
     distance = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(START_POSES, len(places)):
@@ -79,7 +79,7 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
     angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
     # A ray without a hit leaves the scene through a window or hole, where there is nothing to map.
-    distance = scene.raycaster.cast(position, directions).distance
+    distance = scene.truth_caster.cast(position, directions).distance
     view = np.where(np.isfinite(distance), np.minimum(distance, _VIEW_RANGE), 0.0)
     half = _HEADINGS // 12
     around = np.concatenate([view[-half:], view, view[:half]])

@@ -46,8 +46,8 @@ def tracer_in_use() -> tuple[str, str]:
     return EMBREE, f"{SWITCH}={asked}" if asked else "default"
 
 
-def _make_tracer(vertices: np.ndarray, faces: np.ndarray) -> Tracer:
-    if tracer_in_use()[0] == EMBREE:
+def _make_tracer(vertices: np.ndarray, faces: np.ndarray, name: str) -> Tracer:
+    if name == EMBREE:
         from activestructure_gym.scenes.embree import EmbreeTracer
 
         return EmbreeTracer(vertices, faces)
@@ -60,22 +60,26 @@ class RayCaster:
     """Hold a bounding volume hierarchy of one mesh; read-only, shared by all sensors of a process.
 
     The hierarchy is not pickled; it is rebuilt in another process. Both tracers release the GIL while they cast, so two
-    Python threads share the work.
+    Python threads share the work. ``tracer`` is `EMBREE` or `NUMBA`; None is that of `tracer_in_use`. Hits of `NUMBA` are
+    equal on every processor, those of Embree are not: at edges they depend on its vector instructions.
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2) -> None:
+    def __init__(
+        self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2, tracer: str | None = None
+    ) -> None:
         self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)  # [V, 3]
         self._faces = np.ascontiguousarray(faces, dtype=np.int32)  # [F, 3]
         self._threads = threads
+        self._asked = tracer
         self._build()
 
     def _build(self) -> None:
-        self._tracer = _make_tracer(self._vertices, self._faces)
+        self._tracer = _make_tracer(self._vertices, self._faces, self._asked or tracer_in_use()[0])
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_vertices": self._vertices, "_faces": self._faces, "_threads": self._threads}
+        return {"_vertices": self._vertices, "_faces": self._faces, "_threads": self._threads, "_asked": self._asked}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.scenes.raycaster import RayCaster
+from activestructure_gym.scenes.raycaster import NUMBA, RayCaster, tracer_in_use
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes.loaders.sequence import PosedSequence
@@ -95,15 +95,23 @@ class Scene:
     evaluation_views: PosedSequence | None = None  # recorded views that belong to the scene, for evaluation
     notes: tuple[str, ...] = field(default=())  # messages of the loader to the user (scale check, dropped parts)
     inside: tuple[float, float, float] | None = None  # metres: a point in the free-space region to use
+    generated: bool = False  # ``source`` names a generator of this package and all its arguments
 
     def __getstate__(self) -> dict[str, Any]:
-        # The ray caster is rebuilt on first use; the small caches are pickled.
-        return {key: value for key, value in self.__dict__.items() if key != "raycaster"}
+        # Ray casters are rebuilt on first use; the small caches are pickled.
+        return {key: value for key, value in self.__dict__.items() if key not in ("raycaster", "truth_caster")}
 
     @cached_property
     def raycaster(self) -> RayCaster:
         """Return the ray caster of the mesh, which is built on first use."""
+        if tracer_in_use()[0] == NUMBA:
+            return self.truth_caster
         return RayCaster(self.mesh.vertices, self.mesh.faces)
+
+    @cached_property
+    def truth_caster(self) -> RayCaster:
+        """Return the ray caster of ground truth, whose hits are equal on every processor; `raycaster` is faster."""
+        return RayCaster(self.mesh.vertices, self.mesh.faces, tracer=NUMBA)
 
     @cached_property
     def bounds(self) -> np.ndarray:  # [2, 3] float64 metres
@@ -112,7 +120,7 @@ class Scene:
 
     @cached_property
     def content_hash(self) -> str:
-        """Return the SHA-256 of geometry, appearance and region: the key of every cache and every result."""
+        """Return the SHA-256 of geometry, appearance and region, in hex: the key of every cache and every result."""
         digest = hashlib.sha256()
         mesh = self.mesh
         for array in (mesh.vertices, mesh.faces, mesh.colors, mesh.uv, mesh.face_texture, *mesh.textures):
@@ -123,3 +131,14 @@ class Scene:
         if self.inside is not None:  # as above
             digest.update(str(("inside", self.inside)).encode())
         return digest.hexdigest()
+
+    @cached_property
+    def draw_key(self) -> str:
+        """Return the SHA-256, in hex, that seeds starts, held-out views and surface samples of the scene.
+
+        It is `content_hash`. Of a generated scene it is the hash of ``source`` and ``inside``, since the last bits of
+        its colours differ between processors.
+        """
+        if not self.generated:
+            return self.content_hash
+        return hashlib.sha256(str((self.source, self.inside)).encode()).hexdigest()

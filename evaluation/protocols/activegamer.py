@@ -265,7 +265,7 @@ def even_samples(known: GroundTruth, count: int, *, scanned: bool) -> np.ndarray
         import trimesh
 
         mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
-        seed = int(scene.content_hash[32:40], 16)
+        seed = int(scene.draw_key[32:40], 16)
         # trimesh warns on every scene that fewer points fit than requested, which is expected for this method.
         log = logging.getLogger("trimesh")
         level = log.level

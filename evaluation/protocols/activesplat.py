@@ -56,7 +56,7 @@ def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTr
     scene = known.scene
 
     def compute() -> dict[str, np.ndarray]:
-        rng = np.random.default_rng(int(scene.content_hash[40:48], 16))
+        rng = np.random.default_rng(int(scene.draw_key[40:48], 16))
         points = uniform_samples(scene.mesh.vertices, scene.mesh.faces, count, rng)[0]
         return {"points": (scanned_points(known, points, rng) if scanned else points).astype(np.float32)}
 

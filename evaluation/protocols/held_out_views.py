@@ -95,7 +95,7 @@ def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
 
 
 def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
-    seed = int(known.scene.content_hash[:16], 16)
+    seed = int(known.scene.draw_key[:16], 16)
     positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
     # Directions are uniform on a band of the unit sphere. The height of such a point is uniform (Archimedes).
     height = np.sin(np.radians(_MAX_PITCH_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]

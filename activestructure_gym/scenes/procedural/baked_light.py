@@ -85,6 +85,11 @@ def bake_light(
     return factor.astype(np.float32)
 
 
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [N, 3] and [N, 3] or [3] -> [N]
+    """Return dot products, added in a fixed order; those of NumPy round differently on other processors."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
 def _fill(values: np.ndarray, known: np.ndarray, faces: np.ndarray) -> None:
     """Set the light ``values`` [V, 3] of vertices inside furniture to that of near vertices of the same surface.
 
@@ -152,12 +157,11 @@ def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np
     for point in points:
         target = point.position.astype(np.float32)
         towards = target - samples.points[near]
-        squared = np.einsum("ij,ij->i", towards, towards)
+        squared = _dot(towards, towards)
         length = np.sqrt(squared)
-        strength = np.maximum(np.einsum("ij,ij->i", towards, samples.normals[near]) / length, 0)
+        strength = np.maximum(_dot(towards, samples.normals[near]) / length, 0)
         if point.facing is not None:
-            # einsum, since a matrix product rounds differently on other processors, which would change the scene.
-            strength *= np.maximum(-np.einsum("ij,j->i", towards, point.facing.astype(np.float32)) / length, 0)
+            strength *= np.maximum(-_dot(towards, point.facing.astype(np.float32)) / length, 0)
         elevation = 0.5 - 0.5 * towards[:, 2] / length  # direction from the light to the sample: 0 is down, 1 is up
         strength *= 1 - (1 - point.upward) * elevation
         strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: avoids the singularity next to it
@@ -204,7 +208,7 @@ def _bounce(
         rays = sum(directions[:, k, None, None] * axis[None] for k, axis in enumerate(axes))  # [D, n, 3]
         face = caster.cast(np.broadcast_to(samples.points[part], rays.shape).reshape(-1, 3), rays.reshape(-1, 3)).face
         # Back faces are seen only from inside furniture, where it is dark. They get the index F, whose light is 0.
-        away = np.einsum("ij,ij->i", normal[face], rays.reshape(-1, 3))
+        away = _dot(normal[face], rays.reshape(-1, 3))
         face[(face < 0) | (away > 0)] = len(mesh.faces)
         seen[:, part] = face.reshape(len(directions), -1)
     whole = np.zeros((len(mesh.vertices), 3), dtype=np.float32)
@@ -235,7 +239,9 @@ def _expose(irradiance: np.ndarray, area: np.ndarray) -> np.ndarray:
     light^(1/2.2), only light is converted.
     """
     share = area / area.sum()
-    luminance = np.einsum("ij,j->i", irradiance, np.array([0.2126, 0.7152, 0.0722], dtype=np.float32))
+    # float64, since exponentials differ in the last bits between processors; rounded to float32 they rarely do.
+    irradiance = irradiance.astype(np.float64)
+    luminance = _dot(irradiance, np.array([0.2126, 0.7152, 0.0722]))
     key = np.exp((share * np.log(luminance + 1e-3)).sum())
     tone = (share[:, None] * irradiance).sum(axis=0)
     balance = np.sqrt(tone / tone.mean())

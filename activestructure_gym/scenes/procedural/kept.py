@@ -30,6 +30,7 @@ def kept_scene(key: str, make: Callable[[], Scene]) -> Scene:
         mesh=SceneMesh(textures=tuple(arrays[f"texture-{n}"] for n in range(textures)), **mesh),
         source=str(arrays["source"]),
         labels=PartLabels(arrays["face_part"], tuple(arrays["part_names"].tolist()), arrays["structural"]),
+        generated=True,
     )
 
 

@@ -60,13 +60,11 @@ class RayCaster:
     """Hold a bounding volume hierarchy of one mesh; read-only, shared by all sensors of a process.
 
     The hierarchy is not pickled; it is rebuilt in another process. Both tracers release the GIL while they cast, so two
-    Python threads share the work. ``tracer`` is `EMBREE` or `NUMBA`; None is that of `tracer_in_use`. Hits of `NUMBA` are
-    equal on every processor, those of Embree are not: at edges they depend on its vector instructions.
+    Python threads share the work. ``tracer`` is `EMBREE` or `NUMBA`; None is that of `tracer_in_use`. Hits of `NUMBA`
+    are equal on every processor, those of Embree are not: at edges they depend on its vector instructions.
     """
 
-    def __init__(
-        self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2, tracer: str | None = None
-    ) -> None:
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2, tracer: str | None = None) -> None:
         self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)  # [V, 3]
         self._faces = np.ascontiguousarray(faces, dtype=np.int32)  # [F, 3]
         self._threads = threads

@@ -130,6 +130,8 @@ class Scene:
             digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
         if self.inside is not None:  # as above
             digest.update(str(("inside", self.inside)).encode())
+        if self.generated:  # a file with the same mesh has another `draw_key`
+            digest.update(str(("generated", self.source)).encode())
         return digest.hexdigest()
 
     @cached_property

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol
-from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes, seen_on_paths
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
@@ -74,8 +74,8 @@ class TrueSurface:
         self, reconstruction: Reconstruction, paths: Sequence[PlannedPath | None]
     ) -> np.ndarray:  # [n] m^2 per frame
         """Return for each path the newly observed area per frame; 0 for a candidate without a path (None)."""
-        found = [0.0 if p is None else self.new_area(reconstruction, p.keyframes) / max(p.frames, 1) for p in paths]
-        return np.array(found, np.float64)
+        seen = seen_on_ways(reconstruction, self._scene, paths, self.points[~self.seen])
+        return self.area * seen.sum(axis=1) / _frames(paths)
 
 
 class TrueQuality:
@@ -153,16 +153,27 @@ class TrueQuality:
         The value is 0 for a candidate without a path (None).
         """
         points, errors = wrong
-        found = [
-            0.0
-            if path is None
-            else errors[visible_points(reconstruction, self._scene, path.keyframes, points)].sum() / path.frames
-            for path in paths
-        ]
-        return np.array(found, np.float64)
+        seen = seen_on_ways(reconstruction, self._scene, paths, points)
+        return np.where(seen, errors, 0.0).sum(axis=1) / _frames(paths)
 
     def _measured(self, gaussians: GaussianMap) -> dict[str, float]:
         return self._protocol.checkpoint(gaussians, self._truth, images=True, samples=_RATIO_SAMPLES)
+
+
+def _frames(paths: Sequence[PlannedPath | None]) -> np.ndarray:  # [n] at least 1
+    return np.array([1 if path is None else max(path.frames, 1) for path in paths])
+
+
+def seen_on_ways(
+    reconstruction: Reconstruction,
+    scene: Scene,
+    paths: Sequence[PlannedPath | None],
+    points: np.ndarray,  # [P, 3] on the surface
+) -> np.ndarray:  # [n, P] bool
+    """Return which points are visible to the sensor of the episode on each path; none for a missing path (None)."""
+    sensor = reconstruction.config.sensor
+    keyframes = [np.zeros((0, 4, 4)) if path is None else path.keyframes for path in paths]
+    return seen_on_paths(points, keyframes, sensor.camera, sensor.max_range, scene, SIGHT_MARGIN)
 
 
 def visible_points(

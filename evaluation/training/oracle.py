@@ -9,16 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.evaluation.protocols import CameraPath
-from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_on_paths
+from activestructure_gym.evaluation.references.oracle_gains import seen_on_ways
 from activestructure_gym.evaluation.training.config import ORACLE, ORACLE_WAY
-from activestructure_gym.geometry import invert_rigid
+from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
 from activestructure_gym.policies import travel_discount
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.candidates import Candidates
 
 _SAMPLES = 4000  # number of evenly spread sample points on the observable surface
-_SIGHT_MARGIN = 2e-3  # metres; a visibility ray ends this far before its sample, as for the observable surface itself
 _NOTHING = 1e-6  # if no score is above this, the nearest candidate is chosen
 
 
@@ -29,25 +28,10 @@ def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observ
     not changed.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
-    poses = reconstruction.candidates.world_from_camera
+    sensor, poses = reconstruction.config.sensor, reconstruction.candidates.world_from_camera
     found = np.zeros(env.action_space.n)
-    if not len(unseen) or not len(poses):
-        return found
-    camera, max_range = reconstruction.config.sensor.camera, reconstruction.config.sensor.max_range
-    rows, starts, ends = [], [], []
-    for row, pose in enumerate(poses):
-        inverse = invert_rigid(pose)
-        local = unseen @ inverse[:3, :3].T + inverse[:3, 3]
-        ahead = (local[:, 2] > 1e-6) & (local[:, 2] <= max_range)
-        places = np.full((len(local), 2), -1.0)
-        places[ahead] = camera.project(local[ahead])
-        inside = ahead & (places >= 0).all(axis=1) & (places < (camera.width, camera.height)).all(axis=1)
-        rows.append(np.full(int(inside.sum()), row))
-        starts.append(np.broadcast_to(pose[:3, 3], (int(inside.sum()), 3)))
-        ends.append(unseen[inside])
-    hidden = reconstruction.scene.raycaster.occluded(np.concatenate(starts), np.concatenate(ends), margin=_SIGHT_MARGIN)
-    counts = np.bincount(np.concatenate(rows)[~hidden], minlength=len(poses))
-    found[: len(poses)] = counts / of_all
+    seen = seen_on_paths(unseen, poses[:, None], sensor.camera, sensor.max_range, reconstruction.scene, SIGHT_MARGIN)
+    found[: len(poses)] = seen.sum(axis=1) / of_all
     return found
 
 
@@ -58,15 +42,10 @@ def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per
     environment is not changed.
     """
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
-    sensor, found = reconstruction.config.sensor, np.zeros(env.action_space.n)
-    if not len(unseen):
-        return found
+    found = np.zeros(env.action_space.n)
     paths = reconstruction.agent.paths(reconstruction.volume, reconstruction.candidates.world_from_camera)
-    for row, path in enumerate(paths):
-        if path is not None:
-            cameras = CameraPath(sensor.camera, path.keyframes[0], path.keyframes, sensor.max_range)
-            seen = seen_by_keyframes(unseen, cameras, reconstruction.scene, _SIGHT_MARGIN)
-            found[row] = seen.sum() / of_all / max(path.frames, 1)
+    seen = seen_on_ways(reconstruction, reconstruction.scene, paths, unseen).sum(axis=1) / of_all
+    found[: len(paths)] = [share / max(path.frames, 1) if path else 0.0 for share, path in zip(seen, paths)]
     return found
 
 

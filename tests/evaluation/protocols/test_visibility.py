@@ -5,7 +5,7 @@ import pytest
 
 from activestructure_gym.evaluation.metrics import SurfaceSamples
 from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol, Truth
-from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes
+from activestructure_gym.evaluation.protocols.visibility import seen_by_keyframes, seen_on_paths
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
@@ -58,6 +58,22 @@ def test_it_agrees_with_the_first_hit_of_a_ray_to_every_sample(scene, samples, p
     found = seen_by_keyframes(samples, path_of(poses), scene, MARGIN)
     assert 0.1 < expected.mean() < 0.9 and doubtful.mean() < 0.01
     np.testing.assert_array_equal(found[~doubtful], expected[~doubtful])
+
+
+def test_many_paths_at_once_are_each_path_alone(scene, samples, poses):
+    """Paths share poses, one has none, and their lines of sight fill several batches."""
+    ways = [np.stack(poses[a:b]) if b > a else np.zeros((0, 4, 4)) for a, b in ((0, 3), (1, 1), (2, 12), (0, 12))]
+    ways += [pose[None] for pose in poses]
+    expected = [seen_by_keyframes(samples, path_of(list(way)), scene, MARGIN) for way in ways]
+    for points, right in ((samples, expected), (samples[:5], [one[:5] for one in expected])):
+        for rays in (1, 1500, 1 << 17):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("activestructure_gym.evaluation.protocols.visibility._RAYS", rays)
+                found = seen_on_paths(points, ways, CAMERA, 10.0, scene, MARGIN)
+            np.testing.assert_array_equal(found, np.stack(right))
+    assert seen_on_paths(samples, [], CAMERA, 10.0, scene, MARGIN).shape == (0, len(samples))
+    assert seen_on_paths(samples[:0], ways, CAMERA, 10.0, scene, MARGIN).shape == (len(ways), 0)
+    assert found.dtype == bool and not expected[1].any() and expected[3].sum() > expected[0].sum() > 0
 
 
 def test_what_the_depth_image_shows_is_seen_and_what_lies_behind_is_not(scene, poses):

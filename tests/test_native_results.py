@@ -231,4 +231,5 @@ def test_the_statements_have_the_numbers_of_the_runs() -> None:
     more, psnr = (difference("headline.csv", "fisherrf", "random", key) for key in ("observed", "psnr"))
     told = " ".join(told.split())
     assert f"`fisherrf` observes {more.removeprefix('+')} points more than `random`" in told
-    assert f"In exploration and PSNR ({psnr} dB) they do not differ" in told
+    assert f"has a higher PSNR ({psnr} dB). In exploration they do not differ" in told and "[-" not in psnr
+    assert "[-" in difference("headline.csv", "fisherrf", "random", "observed_area")

@@ -48,7 +48,7 @@ class SampledTruth:
 def sampled_truth(known: GroundTruth, count: int, *, scanned: bool) -> SampledTruth:
     """Return ``count`` samples uniform by area on the whole mesh; with ``scanned`` only those that a scanner would see.
 
-    The samples are drawn from the content of the scene. Raise `InputError` as `scanned_points` does.
+    The samples are drawn with the `draw_key` of the scene. Raise `InputError` as `scanned_points` does.
     """
     from activestructure_gym.ground_truth.surface_samples import uniform_samples
     from activestructure_gym.scenes.cache import cached_arrays

@@ -87,23 +87,21 @@ def test_no_ray_escapes_over_twenty_seeds(seed: int) -> None:
     assert cast_from_free_points(make_apartment(seed=seed, rooms=rooms), seed=seed, rooms=rooms, rays=100_000) == (0, 0)
 
 
-@pytest.mark.parametrize("caster", ["embree", "numba"])
-def test_scene_starts_and_surface_are_equal_on_another_processor_and_ray_caster(caster: str, tmp_path: Path) -> None:
+def test_scene_starts_and_surface_are_equal_on_another_processor_and_ray_caster(tmp_path: Path) -> None:
     """One other voxel or ray at an edge would change all starts and surface samples."""
     code = (
         "from activestructure_gym.ground_truth.truth import ground_truth_of\n"
         "from activestructure_gym.scenes.procedural.apartment import make_apartment, make_box_room\n"
         "for scene in (make_apartment(seed=0, rooms=1), make_box_room(seed=5)):\n"
         "    truth = ground_truth_of(scene)\n"
-        "    arrays = truth.free_space.height, truth.free_space.start_poses, truth.observable_surface.points\n"
+        "    space, poses = truth.free_space, truth.free_space.start_poses.round(6) + 0.0\n"  # sines differ in bits
+        "    arrays = space.height, poses, truth.observable_surface.points\n"
         "    print(scene.content_hash, *(sha256(array.tobytes()).hexdigest() for array in arrays))"
     )
     # OpenBLAS has kernels for x86 that round matrix products in different ways. NumPy has other loops without AVX2.
     elsewhere = {"OPENBLAS_CORETYPE": "Nehalem", "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3", "NUMBA_CPU_NAME": "generic"}
-    if caster == "embree":
-        pytest.importorskip("embreex")
     found = []
-    for changes in ({"ASG_RAYCASTER": "numba"}, {"ASG_RAYCASTER": caster, **elsewhere}):
+    for changes in ({"ASG_RAYCASTER": "numba"}, elsewhere):  # by default Embree, where it is installed
         found.append(
             subprocess.run(
                 [sys.executable, "-c", "from hashlib import sha256\n" + code],

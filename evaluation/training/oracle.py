@@ -30,7 +30,9 @@ def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observ
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     sensor, poses = reconstruction.config.sensor, reconstruction.candidates.world_from_camera
     found = np.zeros(env.action_space.n)
-    seen = seen_on_paths(unseen, poses[:, None], sensor.camera, sensor.max_range, reconstruction.scene, SIGHT_MARGIN)
+    seen = seen_on_paths(
+        unseen, list(poses[:, None]), sensor.camera, sensor.max_range, reconstruction.scene, SIGHT_MARGIN
+    )
     found[: len(poses)] = seen.sum(axis=1) / of_all
     return found
 

@@ -139,7 +139,7 @@ class Scene:
         """Return the SHA-256, in hex, that seeds starts, held-out views and surface samples of the scene.
 
         It is `content_hash`. Of a generated scene it is the hash of ``source`` and ``inside``, since the last bits of
-        its colours differ between processors.
+        its colours can differ between processors.
         """
         if not self.generated:
             return self.content_hash

@@ -48,12 +48,12 @@ def seen_on_paths(
 ) -> np.ndarray:  # [len(paths), S] bool
     """Return for each of many paths what `seen_by_keyframes` does; poses that paths share are tested once."""
     rows: dict[bytes, int] = {}  # of each distinct pose
-    own = [[rows.setdefault(pose.tobytes(), len(rows)) for pose in np.asarray(way, np.float64)] for way in paths]
+    own = [[rows.setdefault(pose.tobytes(), len(rows)) for pose in np.asarray(path, np.float64)] for path in paths]
     poses = np.frombuffer(b"".join(rows), np.float64).reshape(-1, 4, 4)
     seen = _seen_by_each(np.asarray(points, np.float32), poses, camera, max_range, scene, margin)
     found = np.zeros((len(paths), seen.shape[1]), np.uint8)
-    for row, way in enumerate(own):
-        found[row] = np.bitwise_or.reduce(seen[way], axis=0)  # 0 for no pose
+    for row, poses_of in enumerate(own):
+        found[row] = np.bitwise_or.reduce(seen[poses_of], axis=0)  # 0 for no pose
     return np.unpackbits(found, axis=1, count=len(points)).view(bool)
 
 

@@ -66,16 +66,15 @@ class TrueSurface:
             self.seen[waiting] = visible_points(reconstruction, self._scene, poses, self.points[waiting])
             self._counted += len(new)
 
-    def new_area(self, reconstruction: Reconstruction, keyframes: np.ndarray) -> float:  # [K, 4, 4] -> m^2
-        """Return the unseen area that is visible from at least one of the poses ``keyframes``, world_from_camera."""
-        return self.area * int(visible_points(reconstruction, self._scene, keyframes, self.points[~self.seen]).sum())
+    def new_areas(self, reconstruction: Reconstruction, paths: Sequence[PlannedPath | None]) -> np.ndarray:  # [n] m^2
+        """Return for each path the newly observed area; 0 for a candidate without a path (None)."""
+        return self.area * visible_sums(reconstruction, self._scene, paths, self.points[~self.seen])
 
     def rates(
         self, reconstruction: Reconstruction, paths: Sequence[PlannedPath | None]
     ) -> np.ndarray:  # [n] m^2 per frame
         """Return for each path the newly observed area per frame; 0 for a candidate without a path (None)."""
-        seen = seen_on_ways(reconstruction, self._scene, paths, self.points[~self.seen])
-        return self.area * seen.sum(axis=1) / _frames(paths)
+        return self.new_areas(reconstruction, paths) / path_frames(paths)
 
 
 class TrueQuality:
@@ -153,27 +152,32 @@ class TrueQuality:
         The value is 0 for a candidate without a path (None).
         """
         points, errors = wrong
-        seen = seen_on_ways(reconstruction, self._scene, paths, points)
-        return np.where(seen, errors, 0.0).sum(axis=1) / _frames(paths)
+        return visible_sums(reconstruction, self._scene, paths, points, errors) / path_frames(paths)
 
     def _measured(self, gaussians: GaussianMap) -> dict[str, float]:
         return self._protocol.checkpoint(gaussians, self._truth, images=True, samples=_RATIO_SAMPLES)
 
 
-def _frames(paths: Sequence[PlannedPath | None]) -> np.ndarray:  # [n] at least 1
+def path_frames(paths: Sequence[PlannedPath | None]) -> np.ndarray:  # [n] at least 1
+    """Return the frames of each path; 1 for a candidate without a path (None)."""
     return np.array([1 if path is None else max(path.frames, 1) for path in paths])
 
 
-def seen_on_ways(
+def visible_sums(
     reconstruction: Reconstruction,
     scene: Scene,
     paths: Sequence[PlannedPath | None],
     points: np.ndarray,  # [P, 3] on the surface
-) -> np.ndarray:  # [n, P] bool
-    """Return which points are visible to the sensor of the episode on each path; none for a missing path (None)."""
+    weights: np.ndarray | float = 1.0,  # [P]
+) -> np.ndarray:  # [n]
+    """Return for each path the sum of the weights of the points that the sensor of the episode sees on it.
+
+    The value is 0 for a candidate without a path (None).
+    """
     sensor = reconstruction.config.sensor
     keyframes = [np.zeros((0, 4, 4)) if path is None else path.keyframes for path in paths]
-    return seen_on_paths(points, keyframes, sensor.camera, sensor.max_range, scene, SIGHT_MARGIN)
+    seen = seen_on_paths(points, keyframes, sensor.camera, sensor.max_range, scene, SIGHT_MARGIN)
+    return np.where(seen, weights, 0.0).sum(axis=1)
 
 
 def visible_points(

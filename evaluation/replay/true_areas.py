@@ -30,4 +30,5 @@ class TrueAreas:
         surface.follow(episode)
         valid = [row for row in rows if row < len(episode.candidates)]
         paths = episode.agent.paths(episode.volume, episode.candidates.world_from_camera[valid])
-        return {row: surface.new_area(episode, path.keyframes) for row, path in zip(valid, paths) if path is not None}
+        areas = surface.new_areas(episode, paths).tolist()
+        return {row: area for row, area, path in zip(valid, areas, paths) if path is not None}

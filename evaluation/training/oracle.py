@@ -10,7 +10,7 @@ import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.protocols.visibility import seen_on_paths
-from activestructure_gym.evaluation.references.oracle_gains import seen_on_ways
+from activestructure_gym.evaluation.references.oracle_gains import path_frames, visible_sums
 from activestructure_gym.evaluation.training.config import ORACLE, ORACLE_WAY
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
 from activestructure_gym.policies import travel_discount
@@ -46,8 +46,8 @@ def newly_seen_per_frame(env: ReconstructionEnv) -> np.ndarray:  # [K] share per
     reconstruction, (unseen, of_all) = env.reconstruction, _unseen(env)
     found = np.zeros(env.action_space.n)
     paths = reconstruction.agent.paths(reconstruction.volume, reconstruction.candidates.world_from_camera)
-    seen = seen_on_ways(reconstruction, reconstruction.scene, paths, unseen).sum(axis=1) / of_all
-    found[: len(paths)] = [share / max(path.frames, 1) if path else 0.0 for share, path in zip(seen, paths)]
+    seen = visible_sums(reconstruction, reconstruction.scene, paths, unseen)
+    found[: len(paths)] = seen / of_all / path_frames(paths)
     return found
 
 

@@ -6,6 +6,7 @@ import pytest
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.references.oracle_gains import TrueSurface, whole_pool
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.motion import PlannedPath
 from activestructure_gym.scenes import load_scene
 
 SMALL = {"sensor": {"width": 48, "height": 27}, "views.max_candidates": 12}
@@ -29,7 +30,7 @@ def test_a_way_is_what_the_step_pays_and_takes(episode):
         surface.follow(now)
         before, seen, taken = now.frames, surface.seen.sum(), len(now.keyframe_indices)
         (way,) = now.agent.paths(now.volume, now.candidates.world_from_camera[row : row + 1])
-        foreseen = surface.new_area(now, way.keyframes)
+        foreseen = surface.new_areas(now, [way])[0]
         _, _, _, truncated, info = env.step(row)
         surface.follow(now)
         if not info["reached"]:
@@ -62,9 +63,9 @@ def test_to_ask_changes_nothing(episode):
 def test_what_all_have_seen_is_worth_nothing(episode):
     env, truth = episode
     surface = TrueSurface(truth)
-    here = env.reconstruction.pose[None]
-    first = surface.new_area(env.reconstruction, here)
+    here = [PlannedPath(1, env.reconstruction.pose[None])]
+    first = surface.rates(env.reconstruction, here)[0]
     assert 0 < first < truth.observable_surface.area
     surface.follow(env.reconstruction)
-    assert surface.new_area(env.reconstruction, here) == 0.0
+    assert surface.rates(env.reconstruction, here).tolist() == [0.0]
     assert surface.rates(env.reconstruction, [None]).tolist() == [0.0]

@@ -11,7 +11,7 @@ from activestructure_gym.scenes.procedural.furniture import Light
 from activestructure_gym.scenes.procedural.mesh_builder import BuiltMesh, Material, MeshBuilder
 from activestructure_gym.scenes.procedural.mesh_shapes import box
 from activestructure_gym.scenes.procedural.room_shell import add_shell
-from activestructure_gym.scenes.raycaster import RayCaster
+from activestructure_gym.scenes.raycaster import NUMBA, RayCaster
 
 
 def room(size: tuple[float, float, float] = (4.0, 4.0, 3.0), cells: int = 12, *, table: bool = False) -> BuiltMesh:
@@ -136,3 +136,21 @@ def test_glow_is_not_shaded() -> None:
     lamp = Light((3.0, 3.0, 3.0), 0.1, (1.0, 1.0, 1.0))
     factor = bake_light(mesh, RayCaster(mesh.vertices, mesh.faces), face_albedo=grey, lights=[lamp], windows=[])
     assert np.allclose(factor[mesh.glow > 0], 1.1)
+
+
+def test_a_trim_on_a_wall_leaves_no_dark_spots() -> None:
+    """The sides of the trim lie on lines of the wall's grid, so samples would be in the planes of these sides."""
+    builder = MeshBuilder()
+    lines = [np.linspace(0, extent, 13) for extent in (4.0, 4.0, 3.0)]
+    add_shell(builder, np.zeros((12,) * 3, int), lines, lambda *_: ("side", Material(), False))
+    builder.add(box(np.array([lines[0][3], 0.0, 0.0]), np.array([lines[0][4], 0.02, 3.0])), Material())
+    mesh = builder.build()
+    caster = RayCaster(mesh.vertices, mesh.faces, tracer=NUMBA)
+    grey = np.full((len(mesh.faces), 3), 0.5, np.float32)
+    lamp = Light((2.0, 2.0, 1.5), 0.05, (2.0, 2.0, 2.0))
+    light = bake_light(mesh, caster, face_albedo=grey, lights=[lamp], windows=[])[:, 0]
+    wall = (mesh.vertices[:, 1] == 0) & (mesh.normals[:, 1] > 0.5)
+    for column in (3, 4):
+        rows = np.flatnonzero(wall & (np.abs(mesh.vertices[:, 0] - lines[0][column]) < 1e-3))
+        rows = rows[np.argsort(mesh.vertices[rows, 2])][2:-2]
+        assert len(rows) >= 8 and np.abs(np.diff(light[rows])).max() < 0.05

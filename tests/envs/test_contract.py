@@ -76,8 +76,8 @@ def other_process() -> Iterator[Pool]:
 
 
 def test_same_seed_same_steps_in_two_processes(env_id: str, options: dict[str, Any], other_process: Pool) -> None:
-    """Fifty in one environment and, since the others differ in their scene alone, fifteen in each of those."""
-    steps = 50 if "Room" in env_id else 15
+    """Thirty in one environment and, since the others differ in their scene alone, fifteen in each of those."""
+    steps = 30 if "Room" in env_id else 15
     elsewhere = other_process.apply_async(rollout, (env_id, options, steps))
     here = rollout(env_id, options, steps)
     there = elsewhere.get(timeout=240)

@@ -27,9 +27,7 @@ def verdicts(vertices: np.ndarray, faces: np.ndarray) -> dict[str, str | None]:
     return {up: which_way_is_up(vertices @ turn.T, faces).up for up, turn in FILE_FROM_WORLD.items()}
 
 
-@pytest.fixture(
-    scope="module", params=["room?seed=1", "room?seed=4", "apartment?seed=2&rooms=2", "apartment?seed=5&rooms=4"]
-)
+@pytest.fixture(scope="module", params=["room?seed=4", "apartment?seed=2&rooms=2"])
 def furnished(request):
     mesh = load_scene(f"{request.param}&lit=false").mesh
     return mesh.vertices.astype(np.float64), mesh.faces
@@ -263,7 +261,7 @@ def test_y_up_and_z_up_files_give_equal_episodes(room, write):
     small = {"sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24}}
     episodes = []
     for path in (plain, marked):
-        env = ReconstructionEnv(str(path), preset="fast", frame_budget=25, config=small)
+        env = ReconstructionEnv(str(path), preset="fast", frame_budget=15, config=small)
         seen, info = env.reset(seed=3)
         arrays, ended = [seen], False
         while not ended:

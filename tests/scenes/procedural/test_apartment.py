@@ -87,6 +87,7 @@ def test_no_ray_escapes_over_twenty_seeds(seed: int) -> None:
     assert cast_from_free_points(make_apartment(seed=seed, rooms=rooms), seed=seed, rooms=rooms, rays=100_000) == (0, 0)
 
 
+@pytest.mark.slow
 def test_scene_starts_and_surface_are_equal_on_another_processor_and_ray_caster(tmp_path: Path) -> None:
     """One other voxel or ray at an edge would change all starts and surface samples."""
     code = (

@@ -304,7 +304,7 @@ if (text.parentElement.checkVisibility() && [...range.getClientRects()].some(see
 return found.join(' ').trim(); })()"""
 
 
-@pytest.mark.parametrize("policies, seeds, scenes", [(3, 2, 2), (9, 1, 6)])
+@pytest.mark.parametrize("policies, seeds, scenes", [(3, 2, 2), pytest.param(9, 1, 6, marks=pytest.mark.slow)])
 def test_the_first_screen_answers_in_120_words(make_run, browser, tmp_path, policies, seeds, scenes):
     runs = [
         make_run(scene, name, seed, psnr=20.0 + 0.1 * seed + (name == "b"), observed=60.0 + seed + (name == "b"),

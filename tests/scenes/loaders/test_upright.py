@@ -261,7 +261,7 @@ def test_y_up_and_z_up_files_give_equal_episodes(room, write):
     small = {"sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24}}
     episodes = []
     for path in (plain, marked):
-        env = ReconstructionEnv(str(path), preset="fast", frame_budget=15, config=small)
+        env = ReconstructionEnv(str(path), preset="fast", frame_budget=25, config=small)
         seen, info = env.reset(seed=3)
         arrays, ended = [seen], False
         while not ended:

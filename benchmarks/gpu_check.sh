@@ -12,7 +12,7 @@ left() { echo $((DRY ? 3600 : SECONDS < 560 ? 570 - SECONDS : 10)); }
 if [ "${1-}" = wheels ]; then
   exec "$PYTHON" -m pip download -q --no-deps --only-binary=:all: --python-version 3.12 -c constraints.txt -d "$2" \
     --platform={manylinux_2_{5,17,24,27,28},manylinux2014,manylinux1}_x86_64 \
-    gsplat gymnasium Farama-Notifications embreex trimesh mapbox_earcut stable-baselines3 tyro docstring_parser typeguard
+    gsplat gymnasium Farama-Notifications trimesh mapbox_earcut stable-baselines3 tyro docstring_parser typeguard
 fi
 mkdir -p "$OUT"
 export PYTHONPATH=$PWD${1+:$OUT/site}${PYTHONPATH:+:$PYTHONPATH} OMP_WAIT_POLICY=PASSIVE MAX_JOBS=${MAX_JOBS:-16}

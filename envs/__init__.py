@@ -1,6 +1,6 @@
 """Provide the Gymnasium environments: spaces, observation, reward, rendering and registration.
 
-Importing this package is fast: numba, Embree and torch are loaded when an environment is first used.
+Importing this package is fast: numba and torch are loaded when an environment is first used.
 
 >>> import gymnasium as gym
 >>> from activestructure_gym.envs import ENV_IDS

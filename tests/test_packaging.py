@@ -134,22 +134,6 @@ def asked(environment: dict[str, str]) -> set[str]:
     return {each.name for each in wanted if each.marker is None or each.marker.evaluate(environment)}
 
 
-@pytest.mark.parametrize(
-    ("system", "machine", "wheel"),
-    [
-        ("linux", "x86_64", True),
-        ("win32", "AMD64", True),
-        ("darwin", "arm64", True),
-        ("darwin", "x86_64", True),
-        ("linux", "aarch64", False),
-        ("win32", "ARM64", False),
-    ],
-)
-def test_embreex_is_asked_for_only_where_it_has_wheels(system: str, machine: str, wheel: bool) -> None:
-    names = asked({"sys_platform": system, "platform_machine": machine})
-    assert ("embreex" in names) == wheel and {"numba", "torch", "trimesh"} <= names
-
-
 @pytest.mark.slow
 def test_an_installation_on_linux_on_arm_resolves(tmp_path: Path) -> None:
     """With the pins, as docs/start/install.md says. pip reads the metadata of wheels and installs nothing."""
@@ -170,7 +154,7 @@ def test_an_installation_on_linux_on_arm_resolves(tmp_path: Path) -> None:
     files = {
         canonicalize_name(one["metadata"]["name"]): one["download_info"]["url"].rpartition("/")[2] for one in found
     }
-    assert {canonicalize_name(name) for name in names} <= set(files) and "embreex" not in files
+    assert {canonicalize_name(name) for name in names} <= set(files)
     for name in ("torch", "numba", "llvmlite", "numpy", "scipy", "opencv-python-headless", "mapbox-earcut"):
         assert files[name].endswith("aarch64.whl"), files[name]
     assert not [name for name in files.values() if "x86_64" in name]

@@ -96,5 +96,5 @@ def _heights(scene: Scene, clearance: np.ndarray, origin: np.ndarray, voxel_size
     height = np.zeros_like(clearance)
     free = clearance > 0
     centers = origin + (np.argwhere(free) + 0.5) * voxel_size
-    height[free] = scene.truth_caster.cast(centers, np.broadcast_to([0.0, 0.0, -1.0], centers.shape)).distance
+    height[free] = scene.raycaster.cast(centers, np.broadcast_to([0.0, 0.0, -1.0], centers.shape)).distance
     return height

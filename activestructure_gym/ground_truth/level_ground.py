@@ -113,7 +113,7 @@ def front_share(grid: VoxelizedScene, places: np.ndarray) -> float:  # [N, 3] vo
     directions = fibonacci_directions(_DIRECTIONS)
     eyes = np.repeat(grid.centers(places), len(directions), axis=0)
     rays = np.tile(directions, (len(places), 1))
-    hits = grid.scene.truth_caster.cast(eyes, rays)
+    hits = grid.scene.raycaster.cast(eyes, rays)
     met = hits.face >= 0
     facing = np.einsum("ij,ij->i", _normals(grid, hits.face[met]), rays[met])
     return float((facing < 0).mean()) if met.any() else 0.5
@@ -124,7 +124,7 @@ def _cast(grid: VoxelizedScene, points: np.ndarray, way: float) -> tuple[np.ndar
 
     A miss has an infinite distance and z = 0.
     """
-    hits = grid.scene.truth_caster.cast(points, np.broadcast_to([0.0, 0.0, way], points.shape))
+    hits = grid.scene.raycaster.cast(points, np.broadcast_to([0.0, 0.0, way], points.shape))
     met = hits.face >= 0
     normal_z = np.zeros(len(points))
     normal_z[met] = _normals(grid, hits.face[met])[:, 2]

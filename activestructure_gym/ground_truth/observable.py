@@ -99,7 +99,7 @@ def first_in_sight(
     for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):
         inside = np.flatnonzero(in_view(index, positions))
         if len(inside):
-            visible = inside[~scene.truth_caster.occluded(eye, positions[inside], margin=margin)]
+            visible = inside[~scene.raycaster.occluded(eye, positions[inside], margin=margin)]
             seen_by[waiting[visible]] = index
             unseen = np.ones(len(waiting), dtype=bool)
             unseen[visible] = False

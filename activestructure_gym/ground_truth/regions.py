@@ -82,7 +82,7 @@ class Region:
         around = np.argwhere(self.voxels[tuple(slice(a, b) for a, b in zip(low, high))]) + low
         if not near or not len(around):
             return bool(len(around))
-        return bool((~self.grid.scene.truth_caster.occluded(np.asarray(point), self.grid.centers(around))).any())
+        return bool((~self.grid.scene.raycaster.occluded(np.asarray(point), self.grid.centers(around))).any())
 
 
 class Regions:

@@ -79,7 +79,7 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
     angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
     # A ray without a hit leaves the scene through a window or hole, where there is nothing to map.
-    distance = scene.truth_caster.cast(position, directions).distance
+    distance = scene.raycaster.cast(position, directions).distance
     view = np.where(np.isfinite(distance), np.minimum(distance, _VIEW_RANGE), 0.0)
     half = _HEADINGS // 12
     around = np.concatenate([view[-half:], view, view[:half]])

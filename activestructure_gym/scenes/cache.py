@@ -22,7 +22,6 @@ from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.npz import read_npy
 from activestructure_gym.owners import guard, open_own
-from activestructure_gym.scenes.raycaster import EMBREE, tracer_in_use
 
 try:
     import fcntl
@@ -30,7 +29,7 @@ except ImportError:  # Windows, where an open file cannot be removed anyway
     fcntl = None  # type: ignore[assignment]
 
 # Part of every key; increase it when the meaning of any cached array changes.
-CACHE_VERSION = 3
+CACHE_VERSION = 4
 DEFAULT_LIMIT = 4 << 30  # bytes: 1200 apartments, or 20 scenes with the views of the protocol `activegamer`
 
 _LOCAL_HEADER = 30  # bytes of an entry in a zip file before its name
@@ -101,9 +100,7 @@ def cached_arrays(
     it, or if it lacks an array of ``layout`` (name -> dtype, number of axes). Without a writable directory they are
     computed every time.
     """
-    tracer, _ = tracer_in_use()
-    suffix = "" if tracer == EMBREE else f"-{tracer}"  # tracers differ in the last bits of a distance
-    file = cache_directory() / f"{key}-v{CACHE_VERSION}{suffix}.npz"
+    file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
     if arrays is None or not _fits(arrays, layout or {}):
         arrays = compute()

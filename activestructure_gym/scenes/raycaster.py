@@ -1,83 +1,42 @@
-"""Cast rays against a triangle mesh on several threads: with Embree, or with our own kernels where it is missing."""
+"""Cast rays against a triangle mesh on several threads, with our own kernels."""
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, short_repr
-from activestructure_gym.scenes.rays import Hits, Tracer
+from activestructure_gym.scenes.rays import Hits
 
-SWITCH = "ASG_RAYCASTER"  # environment variable
-EMBREE, NUMBA = "embree", "numba"
 # With fewer rays a second thread costs more time than it saves.
 _RAYS_PER_THREAD = 8192
-
-
-def tracer_in_use() -> tuple[str, str]:
-    """Return the name of the tracer that new ray casters use, `EMBREE` or `NUMBA`, and the reason.
-
-    It is Embree if the package embreex can be imported. ``ASG_RAYCASTER=embree`` or ``numba`` in the environment
-    overrides this.
-
-    Raises
-    ------
-    InputError
-        If the variable has another value, or names Embree and embreex cannot be imported.
-    """
-    asked = os.environ.get(SWITCH, "")
-    if asked not in ("", EMBREE, NUMBA):
-        raise InputError(f"{SWITCH} must be {EMBREE} or {NUMBA}, got {short_repr(asked)}: correct it or unset it")
-    if asked == NUMBA:
-        return NUMBA, f"{SWITCH}={asked}"
-    try:
-        import_module("embreex.rtcore_scene")
-    except ImportError as error:
-        if asked:
-            raise InputError(
-                f"{SWITCH}={asked} needs the package embreex, which cannot be imported ({error}): install it or unset "
-                f"{SWITCH}"
-            ) from None
-        return NUMBA, f"embreex cannot be imported: {error}"
-    return EMBREE, f"{SWITCH}={asked}" if asked else "default"
-
-
-def _make_tracer(vertices: np.ndarray, faces: np.ndarray, name: str) -> Tracer:
-    if name == EMBREE:
-        from activestructure_gym.scenes.embree import EmbreeTracer
-
-        return EmbreeTracer(vertices, faces)
-    from activestructure_gym.scenes.traversal import NumbaTracer
-
-    return NumbaTracer(vertices, faces)
 
 
 class RayCaster:
     """Hold a bounding volume hierarchy of one mesh; read-only, shared by all sensors of a process.
 
-    The hierarchy is not pickled; it is rebuilt in another process. Both tracers release the GIL while they cast, so two
-    Python threads share the work. ``tracer`` is `EMBREE` or `NUMBA`; None is that of `tracer_in_use`. Hits of `NUMBA`
-    are equal on every processor, those of Embree are not: at edges they depend on its vector instructions.
+    The hierarchy is not pickled; it is rebuilt in another process. The kernels release the GIL while they cast, so two
+    Python threads share the work. Hits are equal on every processor. Embree is twice as fast, but its hits at edges
+    depend on vector instructions, and whole starts and episodes on them.
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2, tracer: str | None = None) -> None:
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2) -> None:
         self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)  # [V, 3]
         self._faces = np.ascontiguousarray(faces, dtype=np.int32)  # [F, 3]
         self._threads = threads
-        self._asked = tracer
         self._build()
 
     def _build(self) -> None:
-        self._tracer = _make_tracer(self._vertices, self._faces, self._asked or tracer_in_use()[0])
+        from activestructure_gym.scenes.traversal import Tracer  # loads numba
+
+        self._tracer = Tracer(self._vertices, self._faces)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_vertices": self._vertices, "_faces": self._faces, "_threads": self._threads, "_asked": self._asked}
+        return {"_vertices": self._vertices, "_faces": self._faces, "_threads": self._threads}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.scenes.raycaster import NUMBA, RayCaster, tracer_in_use
+from activestructure_gym.scenes.raycaster import RayCaster
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes.loaders.sequence import PosedSequence
@@ -98,20 +98,13 @@ class Scene:
     generated: bool = False  # ``source`` names a generator of this package and all its arguments
 
     def __getstate__(self) -> dict[str, Any]:
-        # Ray casters are rebuilt on first use; the small caches are pickled.
-        return {key: value for key, value in self.__dict__.items() if key not in ("raycaster", "truth_caster")}
+        # The ray caster is rebuilt on first use; the small caches are pickled.
+        return {key: value for key, value in self.__dict__.items() if key != "raycaster"}
 
     @cached_property
     def raycaster(self) -> RayCaster:
         """Return the ray caster of the mesh, which is built on first use."""
-        if tracer_in_use()[0] == NUMBA:
-            return self.truth_caster
         return RayCaster(self.mesh.vertices, self.mesh.faces)
-
-    @cached_property
-    def truth_caster(self) -> RayCaster:
-        """Return the ray caster of ground truth, whose hits are equal on every processor; `raycaster` is faster."""
-        return RayCaster(self.mesh.vertices, self.mesh.faces, tracer=NUMBA)
 
     @cached_property
     def bounds(self) -> np.ndarray:  # [2, 3] float64 metres

@@ -1,4 +1,4 @@
-"""Trace rays with our own kernels, for machines without embreex (Linux on ARM).
+"""Trace rays against a hierarchy of boxes.
 
 A first hit does not depend on the hierarchy: among hits at the same distance, the face with the lowest number counts.
 """
@@ -49,19 +49,19 @@ class _Ray(NamedTuple):
     scale: np.float64
 
 
-class NumbaTracer:
-    """Hold our hierarchy of one mesh; the kernels release the GIL while they trace."""
+class Tracer:
+    """Hold the hierarchy of one mesh; several threads may call it at once. Rays are float32 [N, 3], contiguous."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._hierarchy = build_hierarchy(vertices, faces)
         self.first_hits(*np.ones((2, 1, 3), np.float32))  # compile here, before threads could wait for each other
 
     def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """Return the first hit of each ray; see `Tracer.first_hits`."""
+        """Return the first hit of each ray at a distance of at least 0; both sides of a triangle count."""
         return self._trace(origins, directions, np.full(len(directions), np.inf, np.float32), any_hit=False)
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:  # [N] bool
-        """Return whether a ray hits at a distance from 0 to ``reach``; see `Tracer.blocked`."""
+        """Return whether a ray hits at a distance from 0 to ``reach`` [N] float32."""
         return self._trace(origins, directions, reach, any_hit=True).face >= 0
 
     def _trace(self, *rays: np.ndarray, any_hit: bool) -> Hits:

@@ -14,10 +14,9 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.registry import Registry
-from activestructure_gym.scenes.raycaster import tracer_in_use
 from activestructure_gym.scenes.scene import Scene
 
-LARGE = 1 << 15  # pixels; smaller images, as in the preset ``default``, gain less
+LARGE = 1 << 12  # pixels; smaller images gain nothing
 
 
 class Renderer(Protocol):
@@ -114,13 +113,12 @@ _WARP_MISSING = "package warp-lang is missing: pip install 'activestructure-gym[
 
 
 def renderer_status() -> dict[str, str]:
-    """Return for each renderer "works", or the reason why it does not; for ray casting also the tracer in use.
+    """Return for each renderer "works", or the reason why it does not.
 
     OpenGL is tried in a separate process, since a process that has used it must not fork.
     """
-    tracer, reason = tracer_in_use()
     status = {
-        "raycast": f"works, with {tracer} ({reason})",
+        "raycast": "works",
         "warp": _WARP_MISSING if importlib.util.find_spec("warp") is None else "works",
     }
     command = "from activestructure_gym.sensors.pyrender_backend import probe; print(probe())"

@@ -73,7 +73,7 @@ CONFIG: Check = table(
             "mapper": table({}, {"name": text, "iterations": _count}), "features": each(text),
             "keyframe_every": number(1, whole=True),
         }),
-        "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
+        "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba"), text),
                           others=text),
     },
     {"hash": text, "own_code": table(others=text)},

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from activestructure_gym._version import __version__
 from activestructure_gym.cores import core_count
-from activestructure_gym.scenes.raycaster import EMBREE, tracer_in_use
 
 _SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # folders whose code cannot change a number of a run
 
@@ -21,7 +20,6 @@ PACKAGES = (
     "scipy",
     "numba",
     "torch",
-    "embreex",
     "trimesh",
     "opencv-python-headless",
     "networkx",
@@ -39,7 +37,7 @@ def versions() -> dict[str, str]:
     """Return the versions of this package, of Python and of each of `PACKAGES`, and the checksum of this package.
 
     The keys are the names of the packages, "python", and "code" for `code_checksum`. The value of a package that is not
-    installed is "missing". That of embreex is "not used" if it is installed and our own kernels cast the rays.
+    installed is "missing".
     """
     found = {"activestructure-gym": __version__, "code": code_checksum(), "python": platform.python_version()}
     for package in PACKAGES:
@@ -47,8 +45,6 @@ def versions() -> dict[str, str]:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "missing"
-    if found["embreex"] != "missing" and tracer_in_use()[0] != EMBREE:
-        found["embreex"] = "not used"
     return found
 
 

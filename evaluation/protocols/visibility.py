@@ -76,7 +76,7 @@ def _seen_by_each(
         first = pose + 1 - len(waiting)
         rows = np.repeat(np.arange(len(waiting)), [len(one) for one in waiting])
         inside = np.concatenate(waiting)
-        clear = ~scene.truth_caster.occluded(eyes[first + rows], points[inside], margin=margin)
+        clear = ~scene.raycaster.occluded(eyes[first + rows], points[inside], margin=margin)
         table = np.zeros((len(waiting), len(points)), bool)
         table[rows[clear], inside[clear]] = True
         seen[first : pose + 1] = np.packbits(table, axis=1)

@@ -192,7 +192,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.evaluation.running.episode import run_job
 
-protocol = StandardProtocol(views=1, view_width=64, view_height=36, surface_samples=2000)
+protocol = StandardProtocol(views=1, view_width=96, view_height=54, surface_samples=2000)
 conditions = Conditions(preset="fast", frame_budget=30, protocol=protocol)
 Comparison(["box"], ["activestructure"], conditions=conditions).prepare()
 called.clear()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 from pathlib import Path
 from typing import Any
@@ -54,23 +53,6 @@ def test_steps_are_small_and_the_way_is_added_up(box: Scene) -> None:
     assert np.degrees(rotation_angle(poses[1:], poses[:-1])).max() <= 10 + 1e-6
     assert run.metres == pytest.approx(steps.sum())
     assert run.metres > 1.0
-
-
-def test_an_episode_runs_alike_with_both_tracers(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("embreex")
-    depths, positions = [], []
-    start = ground_truth_of(load_scene("room?seed=3")).free_space.start_poses[0]  # baked light, and so the draw, differ
-    for tracer in ("numba", "embree"):
-        monkeypatch.setenv("ASG_RAYCASTER", tracer)
-        scene = dataclasses.replace(load_scene("room?seed=3"))  # without a ray caster
-        assert tracer in type(scene.raycaster._tracer).__name__.lower()
-        run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 10}))
-        depths.append(run.start(ground_truth_of(scene), 0, start).depth)
-        wander(run)
-        assert run.frames == 10 and len(run.mapper.map) > 100
-        positions.append(run.trajectory[0])
-    np.testing.assert_array_equal(*positions)
-    np.testing.assert_allclose(*depths, rtol=1e-5)
 
 
 def test_a_row_beyond_the_table_costs_one_frame(box: Scene) -> None:

@@ -44,17 +44,6 @@ def test_computed_once_and_equal_ever_after(directory):
     assert compute.calls == 2
 
 
-def test_arrays_of_one_tracer_are_not_those_of_the_other(directory, monkeypatch):
-    compute = Counted()
-    for tracer in ("embree", "numba"):
-        monkeypatch.setenv("ASG_RAYCASTER", tracer)
-        cached_arrays("key", compute)
-    assert compute.calls == 2
-    assert {file.name for file in directory.iterdir()} == {
-        f"key-v{CACHE_VERSION}.npz", f"key-v{CACHE_VERSION}-numba.npz"
-    }  # fmt: skip
-
-
 @pytest.mark.skipif(os.name != "posix", reason="no numbers of users here")
 @pytest.mark.filterwarnings("ignore:.*may have been written by another user")
 def test_what_another_user_can_have_written_is_computed_again(directory):

@@ -9,15 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from activestructure_gym.scenes.raycaster import SWITCH, RayCaster
-
-
-@pytest.fixture(autouse=True, params=["embree", "numba"])
-def tracer(request, monkeypatch):
-    """Every test is run with both tracers."""
-    if request.param == "embree":
-        pytest.importorskip("embreex")
-    monkeypatch.setenv(SWITCH, request.param)
+from activestructure_gym.scenes.raycaster import RayCaster
 
 
 def _box_distance(origins: np.ndarray, directions: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -1,31 +1,13 @@
-"""Our own tracer against brute force in float64, and against Embree."""
+"""Hits of the ray caster against brute force in float64, and on rays with known answers."""
 
 from __future__ import annotations
-
-import sys
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.scenes.hierarchy import LEAF_BITS, build_hierarchy
-from activestructure_gym.scenes.raycaster import SWITCH, RayCaster, tracer_in_use
-
-CASTERS = ("numba", "embree")
-TOLERANCE = 1e-5  # of a distance
-
-
-@pytest.fixture
-def make_caster(monkeypatch) -> Callable[..., RayCaster]:
-    def make(tracer: str, vertices, faces, **options) -> RayCaster:
-        if tracer == "embree":
-            pytest.importorskip("embreex")
-        monkeypatch.setenv(SWITCH, tracer)
-        return RayCaster(vertices, faces, **options)
-
-    return make
+from activestructure_gym.scenes.raycaster import RayCaster
 
 
 def brute_force(vertices, faces, origins, directions) -> np.ndarray:  # [N, F] float64, inf for a miss
@@ -62,13 +44,13 @@ def random_rays(rng, vertices, count, kind="random"):
 
 @pytest.mark.parametrize("kind", ["random", "axes"])
 @pytest.mark.parametrize("count", [1, 2, 7, 300])
-def test_first_hits_of_a_soup_are_those_of_brute_force(make_caster, rng, count, kind):
+def test_first_hits_of_a_soup_are_those_of_brute_force(rng, count, kind):
     centers = rng.uniform(-1, 1, (count, 1, 3))
     vertices = (centers + rng.normal(scale=0.3, size=(count, 3, 3))).reshape(-1, 3).astype(np.float32)
     faces = rng.permutation(3 * count).reshape(-1, 3)
     origins, directions = random_rays(rng, vertices, 1000, kind)
     along = brute_force(vertices, faces, origins, directions)
-    caster = make_caster("numba", vertices, faces)
+    caster = RayCaster(vertices, faces)
     hits = caster.cast(origins, directions)
     missed = np.isinf(along.min(axis=1))
     assert missed.any() and not missed.all()
@@ -79,23 +61,33 @@ def test_first_hits_of_a_soup_are_those_of_brute_force(make_caster, rng, count, 
     np.testing.assert_array_equal(blocked, brute_force(vertices, faces, origins, ends).min(axis=1) <= 1.0)
 
 
-def test_of_faces_at_one_distance_the_lowest_is_hit(make_caster, rng):
+def test_of_faces_at_one_distance_the_lowest_is_hit(rng):
     vertices = rng.normal(size=(30, 3)).astype(np.float32)
     faces = np.tile(rng.permutation(30).reshape(-1, 3), (20, 1))  # each of ten triangles twenty times
     origins, directions = random_rays(rng, vertices, 500)
     along = brute_force(vertices, faces, origins, directions)
-    hits = make_caster("numba", vertices, faces).cast(origins, directions)
+    hits = RayCaster(vertices, faces).cast(origins, directions)
     np.testing.assert_array_equal(hits.face, np.where(np.isinf(along.min(axis=1)), -1, along.argmin(axis=1)))
 
 
-# --- Both tracers, on rays with known answers
+@pytest.mark.parametrize("name", ["bookstore", "garage", "home_theater", "hotel_room"])
+def test_first_hits_in_real_scenes_are_those_of_brute_force(rng, shared, name):
+    mesh = load_scene(f"{shared / 'scenes' / name}.glb?up=z").mesh
+    for kind in ("random", "axes"):
+        origins, directions = random_rays(rng, mesh.vertices, 40, kind)
+        along = brute_force(mesh.vertices, mesh.faces, origins, directions).min(axis=1)
+        hits = RayCaster(mesh.vertices, mesh.faces).cast(origins, directions)
+        np.testing.assert_array_equal(hits.face >= 0, np.isfinite(along))
+        np.testing.assert_allclose(hits.distance, along, rtol=1e-6)
+
+
+# --- Rays with known answers
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32), np.array([[0, 1, 2]])
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
-def test_one_triangle_with_its_edges_and_both_sides(make_caster, tracer):
-    caster = make_caster(tracer, *TRIANGLE)
+def test_one_triangle_with_its_edges_and_both_sides():
+    caster = RayCaster(*TRIANGLE)
     eyes = np.array([[0.2, 0.3, 1], [0.2, 0.3, -1], [0.5, 0, 1], [0, 0.5, 1], [0.5, 0.5, 1], [0, 0, 1], [0.2, 0.3, 0]])
     toward = np.array([[0, 0, -2], [0, 0, 1], *[[0, 0, -1]] * 5])
     hits = caster.cast(eyes, toward)
@@ -105,9 +97,8 @@ def test_one_triangle_with_its_edges_and_both_sides(make_caster, tracer):
     np.testing.assert_allclose(hits.v, eyes[:, 1], atol=1e-6)
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
-def test_misses_have_no_face_and_no_place(make_caster, tracer):
-    caster = make_caster(tracer, *TRIANGLE)
+def test_misses_have_no_face_and_no_place():
+    caster = RayCaster(*TRIANGLE)
     eyes = np.array([[0.2, 0.3, 1], [0.2, 0.3, 1], [-1, 0.2, 0], [0.6, 0.6, 1], [0.2, 0.3, 1], [0.2, 0.3, 1]])
     # away, without length, in the triangle's plane, past an edge, not a number, infinite
     toward = np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0], [0, 0, -1], [np.nan, 0, -1], [0, 0, -np.inf]])
@@ -115,45 +106,41 @@ def test_misses_have_no_face_and_no_place(make_caster, tracer):
     assert np.isinf(hits.distance).all() and (hits.face == -1).all() and not hits.u.any() and not hits.v.any()
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
-def test_no_rays_and_no_triangles(make_caster, tracer):
+def test_no_rays_and_no_triangles():
     none = np.zeros((0, 3))
-    caster = make_caster(tracer, *TRIANGLE)
+    caster = RayCaster(*TRIANGLE)
     assert len(caster.cast(none, none).face) == 0 and len(caster.occluded(none, none)) == 0
-    empty = make_caster(tracer, none, none.astype(int))
+    empty = RayCaster(none, none.astype(int))
     assert empty.cast(np.ones((1, 3)), np.ones((1, 3))).face.tolist() == [-1]
     assert not empty.occluded(np.zeros((1, 3)), np.ones((1, 3))).any()
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
-def test_triangles_without_area_are_never_hit_and_hide_nothing(make_caster, tracer, make_box, rng):
+def test_triangles_without_area_are_never_hit_and_hide_nothing(make_box, rng):
     vertices, faces = make_box((0, 0, 0), (2, 2, 2))
     lines = np.array([[0, 0, 7], [3, 3, 3], [1, 1, 4]])
-    whole = make_caster(tracer, vertices, faces)
-    caster = make_caster(tracer, vertices, np.concatenate([lines, faces]))
+    whole = RayCaster(vertices, faces)
+    caster = RayCaster(vertices, np.concatenate([lines, faces]))
     directions = rng.normal(size=(2000, 3))
     hits, expected = caster.cast(np.ones(3), directions), whole.cast(np.ones(3), directions)
     np.testing.assert_array_equal(hits.face, expected.face + len(lines))
     np.testing.assert_array_equal(hits.distance, expected.distance)
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
 @pytest.mark.parametrize("center", [0.0, 1000.0])
-def test_no_ray_leaves_a_closed_mesh_through_an_edge_or_a_vertex(make_caster, tracer, center):
+def test_no_ray_leaves_a_closed_mesh_through_an_edge_or_a_vertex(center):
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=3.0)
     vertices = (sphere.vertices + center).astype(np.float32)
     middles = vertices[sphere.edges_unique].astype(np.float64).mean(axis=1)
-    caster = make_caster(tracer, vertices, sphere.faces)
+    caster = RayCaster(vertices, sphere.faces)
     for targets in (vertices, middles):
         hits = caster.cast(np.full(3, center), targets - np.full(3, center))
         assert (hits.face >= 0).all()
         np.testing.assert_allclose(hits.distance, 1.0, atol=1e-3)
 
 
-@pytest.mark.parametrize("tracer", CASTERS)
-def test_rays_along_the_axes_through_the_corners_and_edges_of_a_grid(make_caster, tracer):
+def test_rays_along_the_axes_through_the_corners_and_edges_of_a_grid():
     """Boxes of the hierarchy are flat here, and the rays run in the planes of their sides."""
     x, y = np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij")
     vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(81)]).astype(np.float32)
@@ -162,7 +149,7 @@ def test_rays_along_the_axes_through_the_corners_and_edges_of_a_grid(make_caster
     faces = quads.reshape(-1, 3)
     steps = np.arange(1, 16) / 2.0  # inside: corners, edges and diagonals
     eyes = np.stack([*np.meshgrid(steps, steps), np.full((15, 15), 2.0)], axis=-1).reshape(-1, 3)
-    hits = make_caster(tracer, vertices, faces).cast(eyes, np.tile([0.0, 0.0, -1.0], (len(eyes), 1)))
+    hits = RayCaster(vertices, faces).cast(eyes, np.tile([0.0, 0.0, -1.0], (len(eyes), 1)))
     assert (hits.face >= 0).all()
     np.testing.assert_allclose(hits.distance, 2.0, atol=1e-6)
     a, b, c = (vertices[faces[hits.face, k]] for k in range(3))
@@ -170,45 +157,7 @@ def test_rays_along_the_axes_through_the_corners_and_edges_of_a_grid(make_caster
     np.testing.assert_allclose(met[:, :2], eyes[:, :2], atol=1e-6)
 
 
-# --- Embree and ours
-
-
-def check_agreement(make_caster, scene, rng, kind, count=20_000):
-    """The same distance, and the same face where not two surfaces are at one distance.
-
-    At most one of ten thousand rays has another distance: its origin is so near to the surface, or it passes so near to
-    an edge, that Embree's float32 is too coarse. Brute force decides, and ours is the right one.
-    """
-    vertices, faces = scene.mesh.vertices, scene.mesh.faces
-    origins, directions = random_rays(rng, vertices, count, kind)
-    ours, embree = (make_caster(name, vertices, faces).cast(origins, directions) for name in CASTERS)
-    assert (ours.face >= 0).mean() > 0.5
-    far = np.flatnonzero(~np.isclose(ours.distance, embree.distance, rtol=TOLERANCE, atol=0.0))
-    assert len(far) <= 1e-4 * count + 1
-    truth = brute_force(vertices, faces, origins[far], directions[far])
-    np.testing.assert_allclose(ours.distance[far], truth.min(axis=1, initial=np.inf), rtol=1e-6)
-    same = ours.face == embree.face
-    alone = 0
-    for n in np.setdiff1d(np.flatnonzero(~same), far):
-        one, other = brute_force(vertices, faces[[ours.face[n], embree.face[n]]], origins[[n]], directions[[n]])[0]
-        alone += not abs(one - other) <= 1e-6 * one
-    assert alone <= 1e-4 * count
-    for name in ("u", "v"):
-        np.testing.assert_allclose(getattr(ours, name)[same], getattr(embree, name)[same], atol=2e-3)
-    return 1.0 - same.mean()
-
-
-@pytest.mark.parametrize("kind", ["random", "axes"])
-@pytest.mark.parametrize("spec", ["room?seed=3", pytest.param("apartment?seed=1", marks=pytest.mark.slow)])
-def test_agreement_in_generated_rooms(make_caster, rng, spec, kind):
-    check_agreement(make_caster, load_scene(spec), rng, kind)
-
-
-@pytest.mark.parametrize("name", ["bookstore", "garage", "home_theater", "hotel_room"])
-def test_agreement_in_real_scenes(make_caster, rng, shared, name):
-    scene = load_scene(f"{shared / 'scenes' / name}.glb?up=z")
-    for kind in ("random", "axes"):
-        assert check_agreement(make_caster, scene, rng, kind) < 2e-3  # few surfaces coincide
+# --- The hierarchy
 
 
 def test_the_hierarchy_is_complete_and_its_boxes_hold_what_is_below(rng):
@@ -237,42 +186,12 @@ def test_the_hierarchy_is_complete_and_its_boxes_hold_what_is_below(rng):
     assert sorted(seen) == list(range(1000))
 
 
-def test_sizes_over_fifty_orders_of_magnitude_are_hit(make_caster):
+def test_sizes_over_fifty_orders_of_magnitude_are_hit():
     """A cut by area takes off one triangle at a time here, so that the hierarchy would be as deep as there are."""
     sizes = 16.0 ** np.arange(-30, 13)
     shape = np.array([[1.0, 0.0, 0.0], [1.1, 0.0, 0.0], [1.0, 0.1, 0.0]])
     vertices, eye = (sizes[:, None, None] * shape).reshape(-1, 3), np.array([1.03, 0.03, 1.0])
-    caster = make_caster("numba", vertices, np.arange(len(vertices)).reshape(-1, 3))
+    caster = RayCaster(vertices, np.arange(len(vertices)).reshape(-1, 3))
     hits = caster.cast(sizes[:, None] * eye, np.tile([0.0, 0.0, -1.0], (len(sizes), 1)))
     np.testing.assert_array_equal(hits.face, np.arange(len(sizes)))
     np.testing.assert_allclose(hits.distance, sizes, rtol=1e-6)
-
-
-# --- The choice
-
-
-def test_embree_is_the_default_where_it_is_installed(monkeypatch):
-    pytest.importorskip("embreex")
-    monkeypatch.delenv(SWITCH, raising=False)
-    assert tracer_in_use() == ("embree", "default")
-    monkeypatch.setenv(SWITCH, "numba")
-    assert tracer_in_use() == ("numba", "ASG_RAYCASTER=numba")
-
-
-def test_without_embreex_our_own_tracer_is_used(monkeypatch):
-    monkeypatch.delenv(SWITCH, raising=False)
-    for module in ("embreex", "embreex.rtcore_scene"):
-        monkeypatch.setitem(sys.modules, module, None)  # as if it were not installed
-    name, reason = tracer_in_use()
-    assert name == "numba" and reason.startswith("embreex cannot be imported: ")
-    caster = RayCaster(*TRIANGLE)
-    assert caster.cast(np.array([[0.2, 0.3, 1.0]]), np.array([[0.0, 0.0, -1.0]])).distance.tolist() == [1.0]
-    monkeypatch.setenv(SWITCH, "embree")
-    with pytest.raises(InputError, match="ASG_RAYCASTER=embree needs the package embreex, which cannot be imported"):
-        RayCaster(*TRIANGLE)
-
-
-def test_a_wrong_name_is_one_clear_sentence(monkeypatch):
-    monkeypatch.setenv(SWITCH, "optix")
-    with pytest.raises(InputError, match="ASG_RAYCASTER must be embree or numba, got 'optix': correct it or unset it"):
-        RayCaster(*TRIANGLE)

@@ -15,7 +15,7 @@ from activestructure_gym.scenes.procedural.materials import Materials
 from activestructure_gym.scenes.procedural.mesh_builder import BuiltMesh, Material, MeshBuilder
 from activestructure_gym.scenes.procedural.room_shell import add_shell
 from activestructure_gym.scenes.procedural.room_trim import add_trim
-from activestructure_gym.scenes.raycaster import NUMBA, RayCaster
+from activestructure_gym.scenes.raycaster import RayCaster
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
 _BOX_TRIANGLES = 1900  # maximum number of triangles of the walls of the box room, which has fewer than 2000 in all
@@ -160,14 +160,14 @@ def _finish(
     windows: Sequence[WindowLight],
 ) -> Scene:
     """Return the scene of a built mesh, with the light of ``lights`` and ``windows`` baked into its vertex colours."""
-    caster = RayCaster(built.vertices, built.faces, tracer=NUMBA)  # for light that is equal on every processor
+    caster = RayCaster(built.vertices, built.faces)
     # Linear mean colour of each texture, white for faces without one.
     mean = np.array([*([t[..., k].mean() / 255 for k in range(3)] for t in materials.textures), [1.0, 1.0, 1.0]])
     albedo = (mean[built.face_texture] * built.tint[built.faces[:, 0]]) ** 2.2
     albedo[built.glow[built.faces[:, 0]] > 0] = 0.0  # lamps and panes are light sources and reflect nothing
     light = bake_light(built, caster, face_albedo=albedo.astype(np.float32), lights=lights, windows=windows)
     scene = _scene(name, source, built, materials, (built.tint * light).astype(np.float32))
-    scene.__dict__["truth_caster"] = caster  # already built for the light; avoids a second build
+    scene.__dict__["raycaster"] = caster  # already built for the light; avoids a second build
     return scene
 
 

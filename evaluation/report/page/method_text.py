@@ -139,7 +139,7 @@ def machine_text(results: Results) -> str:
         f"Preset `{run.job.conditions.preset}`, sensor {sizes} pixels, depth noise "
         f"{noises}. {hardware['processor']}, {hardware['cores']} cores; activestructure-gym "
         f"{versions['activestructure-gym']}, Python {versions['python']}, numpy {versions['numpy']}, numba "
-        f"{versions['numba']}, embreex {versions['embreex']}."
+        f"{versions['numba']}."
     )
 
 

@@ -49,7 +49,7 @@ def maker(place: Path):
         config = {
             "scene": {"extent_m": [5.0, 4.0, 2.5], "triangles": 1234, "source": "a test", "notes": ["made up"]},
             "configuration": {"frame_budget": 100, "sensor": {"width": 96, "height": 54, "depth_noise": "none"}},
-            "versions": dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), "1.0"),
+            "versions": dict.fromkeys(("activestructure-gym", "python", "numpy", "numba"), "1.0"),
         }
         stages = {"planning": 1.0, "features": 2.0, "policy": 0.5, "mapping": 4.0, "sensor": 1.5}
         hardware = {"processor": "none", "cores": 2}

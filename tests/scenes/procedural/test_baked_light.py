@@ -11,7 +11,7 @@ from activestructure_gym.scenes.procedural.furniture import Light
 from activestructure_gym.scenes.procedural.mesh_builder import BuiltMesh, Material, MeshBuilder
 from activestructure_gym.scenes.procedural.mesh_shapes import box
 from activestructure_gym.scenes.procedural.room_shell import add_shell
-from activestructure_gym.scenes.raycaster import NUMBA, RayCaster
+from activestructure_gym.scenes.raycaster import RayCaster
 
 
 def room(size: tuple[float, float, float] = (4.0, 4.0, 3.0), cells: int = 12, *, table: bool = False) -> BuiltMesh:
@@ -145,7 +145,7 @@ def test_a_trim_on_a_wall_leaves_no_dark_spots() -> None:
     add_shell(builder, np.zeros((12,) * 3, int), lines, lambda *_: ("side", Material(), False))
     builder.add(box(np.array([lines[0][3], 0.0, 0.0]), np.array([lines[0][4], 0.02, 3.0])), Material())
     mesh = builder.build()
-    caster = RayCaster(mesh.vertices, mesh.faces, tracer=NUMBA)
+    caster = RayCaster(mesh.vertices, mesh.faces)
     grey = np.full((len(mesh.faces), 3), 0.5, np.float32)
     lamp = Light((2.0, 2.0, 1.5), 0.05, (2.0, 2.0, 2.0))
     light = bake_light(mesh, caster, face_albedo=grey, lights=[lamp], windows=[])[:, 0]

@@ -22,6 +22,7 @@ import numpy as np
 import pyrender
 import pyrender.mesh
 from OpenGL import EGL, GL
+from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
 from pyrender.constants import GLTF
 from pyrender.platforms.egl import EGLPlatform, get_device_by_index
 from pyrender.shader_program import ShaderProgramCache
@@ -32,6 +33,9 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, Scene
 if not hasattr(np, "infty"):
     # pyrender.Mesh.bounds uses the alias np.infty, which numpy 2 removed; define it for that module only.
     pyrender.mesh.np = types.SimpleNamespace(**vars(np), infty=np.inf)
+
+# PyOpenGL 3.1.0, which pyrender requires, finds the references of ctypes by a name that Python 3.12 changed.
+CtypesParameterHandler().register(CtypesParameterHandler.HANDLED_TYPES)
 
 # Near clipping plane, metres. With 24-bit depth the depth steps are 3e-5 m at 5 m.
 _NEAR = 0.05

@@ -198,6 +198,14 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
         f"observes {shares[0].removesuffix(' %')} to {shares[-1]} of the apartment after 2,000 frames**, {both}" in told
     )
     assert observed("fisherrf_path", scenes[0]) == shares[-1] and "The highest is `fisherrf_path`" in told
+    house = {name: float(runs[name, scenes[1]]["observed"]) for name in (*informed, "rt_guide", "random")}
+    others = {name: share for name, share in house.items() if share < house["random"]}
+    low, high = min(others, key=others.__getitem__), max(others, key=others.__getitem__)
+    assert house.keys() - others.keys() == {"random", "gavis", "fisherrf_path"}
+    said = f"less than `random`: {others[low]:.1f} (`{low}`) to {others[high]:.1f} % (`{high}`)"
+    assert f"In the house `rt_guide` and all of these but `gavis` and `fisherrf_path` observe {said}" in told
+    low, _ = spread("rt_guide")
+    assert f"`rt_guide` ends {-low:.1f} points below chance on its views" in told
 
 
 def test_the_statements_have_the_numbers_of_the_runs() -> None:

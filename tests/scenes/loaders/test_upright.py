@@ -27,7 +27,14 @@ def verdicts(vertices: np.ndarray, faces: np.ndarray) -> dict[str, str | None]:
     return {up: which_way_is_up(vertices @ turn.T, faces).up for up, turn in FILE_FROM_WORLD.items()}
 
 
-@pytest.fixture(scope="module", params=["room?seed=4", "apartment?seed=2&rooms=2"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "room?seed=4",
+        "apartment?seed=2&rooms=2",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("room?seed=1", "apartment?seed=5&rooms=4")),
+    ],
+)
 def furnished(request):
     mesh = load_scene(f"{request.param}&lit=false").mesh
     return mesh.vertices.astype(np.float64), mesh.faces

@@ -74,7 +74,7 @@ def test_of_faces_at_one_distance_the_lowest_is_hit(rng):
 def test_first_hits_in_real_scenes_are_those_of_brute_force(rng, shared, name):
     mesh = load_scene(f"{shared / 'scenes' / name}.glb?up=z").mesh
     for kind in ("random", "axes"):
-        origins, directions = random_rays(rng, mesh.vertices, 40, kind)
+        origins, directions = random_rays(rng, mesh.vertices, 100, kind)
         along = brute_force(mesh.vertices, mesh.faces, origins, directions).min(axis=1)
         hits = RayCaster(mesh.vertices, mesh.faces).cast(origins, directions)
         np.testing.assert_array_equal(hits.face >= 0, np.isfinite(along))

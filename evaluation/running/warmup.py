@@ -16,21 +16,20 @@ def warming_up(policies: Sequence[str], notify: Callable[[str], None] = lambda _
     """
     from activestructure_gym.compiling import describe, told_to
     from activestructure_gym.compiling.ahead import listed_kernels, start_helpers
-    from activestructure_gym.compiling.progress import conclusion
 
     missing = [each for each in listed_kernels(feature_modules(policies)) if not each.is_kept()]
     if not missing:
         yield
         return
-    began = time.monotonic()
     notify(describe(0, 0.0, len(missing)))
     start_helpers(missing)
     with told_to(lambda name: None):
         yield
+        began = time.monotonic()  # the scenes took the time before
         for number, each in enumerate(missing, start=1):
             notify(describe(number, time.monotonic() - began, len(missing)))
             each.compile()
-    notify(conclusion(len(missing), time.monotonic() - began))
+    notify("all kernels are compiled")
 
 
 def feature_modules(policies: Sequence[str]) -> set[str]:

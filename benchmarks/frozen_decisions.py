@@ -181,7 +181,7 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a row per feature or policy: the true rate of its picks as a share of the best rate.
 
     ``records`` are those of `frozen_decisions`. Shares are means over scenes of means over decisions. Decisions without
-    a candidate above `_MIN_RATE` are left out. Intervals are by bootstrap over the scenes; there are none for one
+    a candidate above `_MIN_RATE` are left out. Intervals are over the scenes; there are none for one
     scene. The first row is for a random candidate, the last one for the best candidate.
     """
     counted = [record for record in records if record["table"]["best"] > _MIN_RATE]

@@ -1,8 +1,7 @@
 """Compute statistics of repeated runs: aggregates, intervals, paired differences and curves.
 
 All functions are pure functions of numbers. The strata are the scenes: one array per scene, with one value per run.
-Resampling keeps the scenes and draws the runs of each scene with replacement. The definitions are of [rliable], with
-scenes in place of tasks and runs in place of seeds. The percentile bootstrap is of [efron1979].
+The aggregates are those of [rliable], with scenes in place of tasks and runs in place of seeds.
 """
 
 from activestructure_gym.evaluation.statistics.aggregates import (
@@ -12,13 +11,19 @@ from activestructure_gym.evaluation.statistics.aggregates import (
     mean,
     median,
 )
-from activestructure_gym.evaluation.statistics.curves import BAND_REPEATS, area_under, curve_band, on_axis
+from activestructure_gym.evaluation.statistics.curves import area_under, curve_band, on_axis
 from activestructure_gym.evaluation.statistics.improvement import probability_of_improvement, win_share
+from activestructure_gym.evaluation.statistics.intervals import (
+    Estimate,
+    estimate,
+    pooled,
+    standard_error,
+    stratified_draws,
+    t_quantile,
+)
 from activestructure_gym.evaluation.statistics.paired import PairedDifference, paired_difference
-from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate, pooled, stratified_draws
 
 __all__ = [
-    "BAND_REPEATS",
     "STATISTICS",
     "Estimate",
     "PairedDifference",
@@ -33,6 +38,8 @@ __all__ = [
     "paired_difference",
     "pooled",
     "probability_of_improvement",
+    "standard_error",
     "stratified_draws",
+    "t_quantile",
     "win_share",
 ]

@@ -1,4 +1,4 @@
-"""Interpolate convergence curves of runs on a common axis, and compute their confidence band and the area below."""
+"""Interpolate convergence curves of runs on a common axis, and compute their band and the area below."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
-from activestructure_gym.evaluation.statistics.resampling import interval, pooled, stratified_draws
-
-BAND_REPEATS = 1000  # bootstrap resamples of a band; fewer than for numbers in a table, since a band is only drawn
+from activestructure_gym.evaluation.statistics.intervals import pooled, standard_error
 
 
 def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P], [P], [G] -> [G]
@@ -40,17 +38,16 @@ def curve_band(
     strata: Sequence[np.ndarray],  # one array [n, G] per scene: n runs, G positions on a common axis
     statistic: Statistic = mean,
     *,
-    repeats: int = BAND_REPEATS,
+    banded: bool = True,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:  # [G] each
-    """Return ``statistic`` at every position of the axis, and the lower and upper ends of its pointwise 95 % interval.
+    """Return ``statistic`` at every position of the axis, and there minus and plus its standard error.
 
-    The bootstrap draws whole runs, so a resample uses the same runs at every position. ``repeats`` is the number of
-    resamples. The ends are None if a scene has a single run or ``repeats`` is 0.
+    The ends are None if a scene has a single run or not ``banded``.
     """
     columns = [pooled([curves[:, place] for curves in strata]) for place in range(strata[0].shape[1])]
     values, sizes = np.stack([column for column, _ in columns]), columns[0][1]  # [G, N]
     line = statistic(values, sizes)
-    if min(sizes) < 2 or not repeats:
+    if min(sizes) < 2 or not banded:
         return line, None, None
-    low, high = interval(statistic(values[:, stratified_draws(sizes, repeats, seed=0)], sizes))
-    return line, low, high
+    error, _ = standard_error(values, sizes, statistic)
+    return line, line - error, line + error

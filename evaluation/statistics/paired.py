@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
-from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS, Estimate, estimate
+from activestructure_gym.evaluation.statistics.intervals import LEVEL, Estimate, estimate
 
 Cell = tuple[str, int]  # scene and seed
 
@@ -35,12 +35,8 @@ def paired_difference(
     *,
     tie: float = 0.0,
     level: float = LEVEL,
-    repeats: int = REPEATS,
-    seed: int = 0,
 ) -> PairedDifference | None:
     """Aggregate the differences "ours minus theirs" over all common cells; a cell is a scene and a seed.
-
-    For the interval, the pairs are resampled within each scene.
 
     Parameters
     ----------
@@ -51,11 +47,7 @@ def paired_difference(
     tie
         Pairs that differ by no more than this count as equal.
     level
-        Confidence level of the interval: the share of the resampled statistics inside it.
-    repeats
-        Number of resamples.
-    seed
-        Seed of the resampling.
+        Confidence level of the interval.
 
     Returns
     -------
@@ -76,6 +68,6 @@ def paired_difference(
         return None
     strata = [np.array(values) for values in by_scene.values()]
     every = np.concatenate(strata)
-    found = estimate(strata, statistic, level=level, repeats=repeats, seed=seed)
+    found = estimate(strata, statistic, level=level)
     higher, lower = int((every > tie).sum()), int((every < -tie).sum())
     return PairedDifference(found, higher, len(every) - higher - lower, lower)

@@ -25,8 +25,7 @@ from activestructure_gym.evaluation.archive.json_files import as_read, read_json
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
 from activestructure_gym.evaluation.archive.temporary import refuse_links
 from activestructure_gym.evaluation.report.tables.formats import code, escaped
-from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
-from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
+from activestructure_gym.evaluation.statistics import Estimate, stratified_draws, t_quantile
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.process_pool import spread
 from activestructure_gym.ground_truth.layouts import layout_specs
@@ -145,9 +144,9 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
         contents = [read_json(directory / _EPISODES / cell.file, _EPISODE, remedy=_AGAIN) for cell in own]
         starts = len({(cell.scene, json.dumps(one["start"])) for cell, one in zip(own, contents)})
         areas = {name: np.array([one[name]["auc"] for one in contents]) for name in (*policies, RANDOM, ORACLE_GREEDY)}
-        draws = stratified_draws((len(contents),), REPEATS, 0)
-        resampled = {name: _between(areas, name, draws) for name in areas}
         every = np.arange(len(contents))[None]
+        draws = stratified_draws((len(contents),)) if len(contents) > 1 else every
+        resampled = {name: _between(areas, name, draws) for name in areas}
         for name in dict.fromkeys((RANDOM, *policies, ORACLE_GREEDY)):
             value = float(_between(areas, name, every)[0])
             leads: list[Estimate | None] = []
@@ -233,8 +232,8 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     finite = resampled[np.isfinite(resampled)]
     if runs < 2 or not len(finite):
         return Estimate(value, None, None, runs)
-    low, high = interval(finite)
-    return Estimate(value, float(low), float(high), runs)
+    half = float(t_quantile(runs - 1) * finite.std())
+    return Estimate(value, value - half, value + half, runs)
 
 
 _loaded: dict[str, GroundTruth] = {}  # the scene that this process loaded last, by name

@@ -29,7 +29,8 @@ def test_shares_by_hand_every_scene_counts_the_same():
     # (mean(.2, .4) + .9) / 2; the last record has nothing on offer and does not count.
     assert rows["a"]["of_the_table's_best"] == pytest.approx(0.6) and rows["a"]["decisions"] == 3
     assert rows["a"]["of_the_pool's_best"] == pytest.approx(0.3)
-    assert rows["a"]["interval"] == pytest.approx((0.3, 0.9))  # of two scenes: either of them twice
+    half = 12.7062 * 0.3  # of two scenes, .3 and .9: standard error .3, one degree of freedom
+    assert rows["a"]["interval"] == pytest.approx((0.6 - half, 0.6 + half), abs=1e-4)
     assert rows["a"]["best_of_own_first_8"] == 1.0 and rows["a"]["rank_correlation"] == 0.5
     assert rows["any row, at random"]["of_the_table's_best"] == pytest.approx(0.1)
     assert rows["best of the table"]["of_the_table's_best"] == 1.0
@@ -65,7 +66,8 @@ def test_quality_by_hand():
     more = [record("x", 0.2, quality=quality), record("z", 0.2, quality={"4": {"psnr": 4.0}, "7": {"psnr": 1.0}})]
     of_two = {row["pick"]: row for row in quality_rows(more)}["a"]
     assert of_two["psnr_of_best"] == pytest.approx((1 / 3 + 1.0) / 2)
-    assert of_two["psnr_of_best_interval"] == pytest.approx((1 / 3, 1.0))
+    half = 12.7062 / 3  # standard error 1 / 3, one degree of freedom
+    assert of_two["psnr_of_best_interval"] == pytest.approx((2 / 3 - half, 2 / 3 + half), abs=1e-4)
     worse = record("x", 0.2, quality={"4": {"psnr": -1.0}, "7": {"psnr": -2.0}})
     assert quality_rows([worse])[0]["psnr_of_best"] is None  # where nothing mends there is no share
 

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.protocols.metrics.without_truth import KEYFR
 from activestructure_gym.evaluation.report.charts.plots import Line, line_chart, value_range
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.style import is_grey
-from activestructure_gym.evaluation.statistics import BAND_REPEATS, Statistic, area_under, curve_band, mean, on_axis
+from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 
 _POINTS = 61  # number of positions on the common horizontal axis
 _SETTLED = 0.01  # share of the chart's height; a curve has settled once it stays this close to its last value
@@ -90,12 +90,12 @@ def convergence(
     until: float = math.inf,
     banded: bool = True,
 ) -> list[Line]:
-    """Return one line per policy: ``statistic`` over its runs with the 95 % band, on ``scene`` or over all scenes.
+    """Return one line per policy: ``statistic`` over its runs, on ``scene`` or over all scenes.
 
     ``cost`` and ``measure`` are keys of `COSTS` and `MEASURES`. Curves are interpolated at common positions; a run that
     has ended keeps its last value. A line begins where all runs of the policy have begun, and ends with its longest run
-    or at the cost ``until``. Policies without a curve on every scene are left out. Policies drawn in grey have a band
-    only if ``banded``.
+    or at the cost ``until``; its band is plus and minus one standard error. Policies without a curve on every scene are
+    left out. Policies drawn in grey have a band only if ``banded``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
@@ -108,8 +108,8 @@ def convergence(
         axis = np.linspace(start, max(start, min(end, until)), _POINTS)
         on_one = [np.stack([on_axis(x, y, axis) for x, y in own]) for own in strata]
         index = results.palette.index(policy)
-        repeats = BAND_REPEATS if banded or not is_grey(index) else 0
-        lines.append(Line(policy, index, axis, *curve_band(on_one, statistic, repeats=repeats)))
+        band = curve_band(on_one, statistic, banded=banded or not is_grey(index))
+        lines.append(Line(policy, index, axis, *band))
     return lines
 
 

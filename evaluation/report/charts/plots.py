@@ -49,8 +49,8 @@ class Line:
     index: int  # of the policy; selects colour, dash pattern and marker
     x: np.ndarray  # [G]
     y: np.ndarray  # [G]
-    low: np.ndarray | None = None  # [G] lower end of the confidence band; None: no band
-    high: np.ndarray | None = None  # [G] upper end of the confidence band
+    low: np.ndarray | None = None  # [G] lower end of the band; None: no band
+    high: np.ndarray | None = None  # [G] upper end of the band
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ def line_chart(
     y_includes: Sequence[float] = (),
     x_labels: Mapping[float, str] | None = None,
 ) -> Markup:
-    """Return a chart of ``lines`` with their confidence bands as SVG, with labelled axes.
+    """Return a chart of ``lines`` with their bands as SVG, with labelled axes.
 
     The vertical axis includes all values in ``y_includes``. The horizontal axis begins at 0, or near the first point if
     more than a fifth of the axis would be empty. ``x_labels`` are the labels of its ticks by position, for lines whose
-    points are separate: every point then has a marker and a confidence interval.
+    points are separate: every point then has a marker and a bar from its low to its high end.
     """
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
@@ -143,7 +143,7 @@ def line_chart(
 
 
 def _separate(line: Line, places: Sequence[float], y_of: Callable[[float], float]) -> list[Part]:
-    """Return the elements of a line with a marker and an interval at every point; ``places`` are its positions in x."""
+    """Return the elements of a line with a marker and a bar at every point; ``places`` are its positions in x."""
     heights = [y_of(float(y)) for y in line.y]
     dashes = None if is_grey(line.index) else _DASHES[line.index] or None
     parts: list[Part] = [shape("curve", path(list(zip(places, heights))), **{"stroke-dasharray": dashes})]

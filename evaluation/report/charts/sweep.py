@@ -20,7 +20,7 @@ _SHIFT = 0.012  # horizontal distance of two lines as a share of the axis, so th
 def sweep_charts(results: Results) -> list[tuple[str, Markup]]:
     """Return title and chart of C.R. and PSNR, or else of the first two main metrics; empty without a sweep.
 
-    A point is a mean over scenes and seeds with its 95 % bootstrap interval.
+    A point is a mean over scenes and seeds; its bar is plus and minus one standard error.
     """
     if not results.sweep:
         return []
@@ -50,11 +50,8 @@ def _lines(results: Results, column: Column, places: np.ndarray) -> list[Line]:
         means = [estimate(own) for own in found.values()]
         shift = _SHIFT * (np.ptp(places) or 1.0) * (index - 0.5 * (len(named) - 1))
         y = np.array([one.value for one in means])
-        low, high = (
-            np.array([one.value if end is None else end for one, end in zip(means, ends)])
-            for ends in ([one.low for one in means], [one.high for one in means])
-        )
-        lines.append(Line(name, index, places[list(found)] + shift, y, low, high))
+        error = np.array([one.error or 0.0 for one in means])
+        lines.append(Line(name, index, places[list(found)] + shift, y, y - error, y + error))
     return lines
 
 

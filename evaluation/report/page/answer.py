@@ -66,7 +66,7 @@ def _winners(wins: Sequence[tuple[str, int]], metrics: int) -> str:
 def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
     column, ahead, words, tone = lead.column, "", "", ""
     if lead.margin is not None and lead.runner_up is not None:
-        ahead = f"{with_interval(lead.margin.difference, column.digits, signed=True).text} against {lead.runner_up}"
+        ahead = f"{with_interval(lead.margin.difference, column, signed=True).text} against {lead.runner_up}"
         words, tone = verdicts.verdict(lead.margin, column)
     return {
         "metric": _SPELLED.get(column.header, column.header),

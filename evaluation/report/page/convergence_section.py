@@ -32,7 +32,7 @@ def convergence_section(results: Results) -> Markup:
     seeds, scenes = len(results.seeds), len(results.scenes)
     caption = "Mean over scenes and seeds" if scenes > 1 else "Mean over seeds" if seeds > 1 else "One run per policy"
     planning = planning_table(results)
-    caption += "; band: pointwise 95 % bootstrap interval" if seeds > 1 else "; no band with one seed"
+    caption += "; band: plus and minus one standard error" if seeds > 1 else "; no band with one seed"
     return render(
         "convergence.html.j2",
         legend=[(policy, legend_marker(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],

@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.report.tables.columns import (
     value_of,
 )
 from activestructure_gym.evaluation.report.text_filters import without_folders
-from activestructure_gym.evaluation.statistics import resampling
+from activestructure_gym.evaluation.statistics import intervals
 from activestructure_gym.specs import Spec
 
 _FURTHER = {  # texts on further protocols, by name
@@ -113,15 +113,14 @@ def protocol_text(results: Results) -> str:
 
 def statistics_text() -> list[str]:
     """Return the definitions of the statistics, one paragraph each."""
-    level = f"{100 * resampling.LEVEL:g} %"
     return [
         "Mean: mean over scenes of the mean over runs, with equal weight per scene. Median: median over scenes of the "
         "mean over runs; with one scene, median over its runs. IQM (interquartile mean): mean of the middle half of "
         "all runs. Definitions of Agarwal et al., NeurIPS 2021 (rliable), with scenes for tasks.",
-        f"Intervals: {level} percentile bootstrap with {resampling.REPEATS:,} resamples, stratified by scene: the runs "
-        "of each scene are resampled with replacement. They describe the variation over seeds on these scenes, not "
-        "over scenes. With n seeds they are too narrow by about the square root of (n - 1) / n; with one run on a "
-        "scene there is no interval. A difference is significant if its interval excludes 0.",
+        f"Intervals: {100 * intervals.LEVEL:g} % t intervals with the degrees of freedom of Welch and Satterthwaite; "
+        f"the standard error of medians and IQMs is that of {intervals.REPEATS:,} resamples. They describe the "
+        "variation over seeds on these scenes, not over scenes. With one run on a scene there is no interval. A "
+        "difference is significant if its interval excludes 0.",
         "Differences are paired: runs of the same scene and seed share start, sensor noise and candidates. "
         "P(improvement) is the probability that a run of one policy is better than a run of the other on the same "
         "scene; runs with equal printed values count half. It is Mann and Whitney's U divided by the number of pairs. "

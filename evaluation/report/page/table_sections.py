@@ -40,7 +40,8 @@ def sweep_section(results: Results) -> Markup | None:
         return None
     first, *others = results.sweep
     caption = (
-        f"Means over scenes and seeds at each value of {first}; bars: 95 % bootstrap intervals, with two seeds or more."
+        f"Means over scenes and seeds at each value of {first}; bars: plus and minus one standard error, with two or "
+        "more seeds."
     )
     if others:
         caption += f" Each line has one value of {' and '.join(others)}."

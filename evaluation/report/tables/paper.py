@@ -66,9 +66,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
         for policy in results.policies:
             strata = results.strata(policy, column.key)
             found.append(
-                _undefined(results, policy, column, None)
-                if strata is None
-                else with_interval(estimate(strata), column.digits)
+                _undefined(results, policy, column, None) if strata is None else with_interval(estimate(strata), column)
             )
         by_column.append(ranked(found, column, results.planners))
     ladder = LADDER[0] in results.policies
@@ -85,8 +83,8 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
         )
     else:
         caption = (
-            f"Means over {pluralised(len(results.scenes), 'scene')} of the means over runs, with 95 % stratified "
-            "bootstrap intervals; no interval if a scene has a single run"
+            f"Means over {pluralised(len(results.scenes), 'scene')} of the means over runs, with 95 % "
+            "intervals; no interval if a scene has a single run"
         )
     if len(results.scenes) > 1:
         caption += ". Only policies with a run on every scene have values"

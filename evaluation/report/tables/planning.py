@@ -47,7 +47,7 @@ def planning_table(results: Results) -> Table | None:
         "means over runs"
     )
     if any(len(results.of(policy, scene)) > 1 for policy in results.policies for scene in results.scenes):
-        caption += ", 95 % stratified bootstrap intervals"
+        caption += ", 95 % intervals"
     if missing := unreached_levels_text(results.runs):
         caption += f". {missing}"
     headings = [Heading("Policy", numeric=False), *map(Heading.of, columns)]
@@ -105,7 +105,7 @@ def _short_cell(results: Results, policy: str, column: Column) -> Cell:
 
 def _cell(results: Results, policy: str, column: Column) -> Cell:
     strata = results.strata(policy, column.key)
-    cell = with_interval(None if strata is None else estimate(strata), column.digits)
+    cell = with_interval(None if strata is None else estimate(strata), column)
     missed = [is_lower_bound(run, column.key) for run in results.of(policy)]
     if strata is None or not any(missed):
         return cell

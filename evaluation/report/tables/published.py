@@ -228,7 +228,7 @@ def averages_table(published: Published, results: Results) -> Table:
         f"Published: averages of the paper's Table {published.number} with 2000 frames per scene, C.R. at 5 cm and "
         f"the novel views of ActiveGAMER. \u201c{MISSING}\u201d: not completed on every scene, or not reported. "
         f"Here: {_conditions(results, aspect)}; means over scenes "
-        "of means over runs, with 95 % stratified bootstrap intervals if every scene has several runs"
+        "of means over runs, with 95 % intervals if every scene has several runs"
     )
     if other:
         caption += ". None of these runs is on a scene of this table: all rows \u201chere\u201d are of another dataset"
@@ -344,7 +344,7 @@ def _means(runs: Sequence[Run], columns: dict[str, Column]) -> Iterator[Cell]:
         if not strata or any(len(stratum) == 0 for stratum in strata):
             yield Cell(MISSING)
         else:
-            yield with_interval(estimate(strata), column.digits)
+            yield with_interval(estimate(strata), column)
 
 
 def _mean(runs: Sequence[Run], column: Column) -> float | None:

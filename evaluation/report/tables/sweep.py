@@ -46,7 +46,7 @@ def sweep_table(results: Results) -> Table | None:
         by_line = []
         for line in lines.values():
             strata = [results.strata(line[at], column.key) if at in line else None for at in range(len(values))]
-            cells = [with_interval(None if one is None else estimate(one), column.digits) for one in strata]
+            cells = [with_interval(None if one is None else estimate(one), column) for one in strata]
             by_line.append(ranked(cells, column))
         if rows:
             blocks.append(len(rows))
@@ -55,7 +55,7 @@ def sweep_table(results: Results) -> Table | None:
     first, *others = results.sweep
     headings = [Heading("Metric", numeric=False), Heading(first, numeric=False), *map(Heading, lines)]
     caption = (
-        "Means over scenes of the means over seeds, with 95 % stratified bootstrap intervals where every scene has two "
+        "Means over scenes of the means over seeds, with 95 % intervals where every scene has two "
         f"runs. Marked: the best three values of {first} in each column"
     )
     caption += f". Brackets: values of {', '.join(others)}" if others else ""

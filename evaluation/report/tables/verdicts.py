@@ -105,9 +105,8 @@ def has_intervals(results: Results) -> bool:
 def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
     """Return a text such as "better (95 %)" and a tone for a paired difference; both are empty without an interval.
 
-    Printed values are compared, so differences below the last printed digit are equal. With very few pairs, an interval
-    excludes 0 whenever all pairs have the same sign; with fewer than `FEW` pairs, the text states their number and the
-    tone is empty.
+    Printed values are compared, so differences below the last printed digit are equal. The interval of very few pairs
+    rests on a normal distribution; with fewer than `FEW` pairs, the text states their number and the tone is empty.
     """
     exact = pair.difference
     if exact.low is None or exact.high is None:
@@ -145,12 +144,12 @@ def difference_table(results: Results) -> Table | None:
                 continue
             wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
             name = Cell(column.title, note=column.meaning)
-            row = [Cell(policy), name, with_interval(pair.difference, column.digits, signed=True)]
+            row = [Cell(policy), name, with_interval(pair.difference, column, signed=True)]
             row.append(Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs))
             if intervals:
                 words, tone = verdict(pair, column)
                 row.insert(3, Cell(words or MISSING, tone=tone))
-                row.append(with_interval(_improvement(results, policy, results.baseline or "", column), 2))
+                row.append(number(_improvement(results, policy, results.baseline or "", column), 2, MISSING))
             own.append(row)
         if own and rows:
             blocks.append(len(rows))
@@ -167,7 +166,7 @@ def difference_table(results: Results) -> Table | None:
         headings.insert(3, Heading("Verdict", numeric=False))
         headings.append(Heading("P(improvement)"))
         caption += (
-            "; 95 % stratified bootstrap intervals. Better or worse (95 %): the printed interval excludes 0. "
+            "; 95 % intervals. Better or worse (95 %): the printed interval excludes 0. "
             "Differences below the last printed digit are equal"
         )
     return Table("differences", f"Against {results.baseline}", headings, rows, caption, blocks=blocks)
@@ -186,10 +185,9 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         row = [Cell(ours)]
         for theirs in policies:
             chance = None if ours == theirs else _improvement(results, ours, theirs, column)
-            cell = with_interval(chance, 2)
-            tone: Judgement = ""
-            if chance is not None and chance.excludes(0.5):
-                tone = "good" if chance.value > 0.5 else "bad"
+            cell = number(chance, 2, MISSING)
+            pair = paired_difference(results.cells(ours, column.key), results.cells(theirs, column.key))
+            tone = verdict(pair, column)[1] if pair is not None and ours != theirs else ""
             row.append(Cell(cell.text, cell.value, tone=tone))
         rows.append(row)
     return Table(
@@ -198,7 +196,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         [Heading("row better than column", numeric=False), *(Heading(policy) for policy in policies)],
         rows,
         "Chance that a run of the row is better than one of the column; equal runs count half. Mean over scenes; "
-        "coloured if the 95 % interval excludes 1/2",
+        "coloured if the paired difference is significant",
     )
 
 
@@ -213,7 +211,7 @@ def aggregate_table(results: Results) -> Table:
             found = []
             for policy in results.policies:
                 own = results.strata(policy, column.key)
-                found.append(with_interval(None if own is None else estimate(own, statistic), column.digits))
+                found.append(with_interval(None if own is None else estimate(own, statistic), column))
             heading = Cell(column.title, note=column.meaning)
             block.append([heading, Cell(name), *ranked(found, column, results.planners)])
         if rows:
@@ -236,7 +234,7 @@ def area_table(results: Results) -> Table:
         column = Column.of(measure.metric)
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
-            found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
+            found = [with_interval(None if own is None else estimate(own), column) for own in strata]
             columns.append(
                 (Heading(f"{column.title}, {cost.key}", note=column.meaning), ranked(found, column, results.planners))
             )
@@ -275,7 +273,7 @@ def cost_table(results: Results) -> Table:
 
 
 @once
-def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Estimate | None:
+def _improvement(results: Results, ours: str, theirs: str, column: Column) -> float | None:
     """Return the probability that a run of ``ours`` is better than one of ``theirs``, on scenes with runs of both."""
     strata = [
         (mine, other)

@@ -7,6 +7,7 @@ from activestructure_gym.evaluation.report.tables.layout import Cell, Heading, T
 from activestructure_gym.evaluation.statistics import Estimate
 
 HIGHER, LOWER = Column("k", "K", "%", 1, "highest"), Column("k", "K", "cm", 1, "lowest")
+DECIBELS = Column("k", "K", "dB", 2, "highest")
 
 
 def test_the_first_three_are_marked_and_equal_as_printed_is_equal():
@@ -29,10 +30,13 @@ def test_numbers_as_printed(value, signed, text):
 
 
 def test_intervals_as_printed():
-    assert with_interval(Estimate(1.0, 0.5, 1.25, 4), 2).text == "1.00 [0.50, 1.25]"
-    assert with_interval(Estimate(1.0, None, None, 4), 2).text == "1.00"
-    assert with_interval(None, 2).text == "–" and with_interval(None, 2).value is None
-    assert math.isclose(with_interval(Estimate(1.006, None, None, 1), 2).value, 1.006)
+    assert with_interval(Estimate(1.0, 0.5, 1.25, 4), DECIBELS).text == "1.00 [0.50, 1.25]"
+    assert with_interval(Estimate(1.0, None, None, 4), DECIBELS).text == "1.00"
+    assert with_interval(None, DECIBELS).text == "–" and with_interval(None, DECIBELS).value is None
+    assert math.isclose(with_interval(Estimate(1.006, None, None, 1), DECIBELS).value, 1.006)
+    wide = Estimate(97.0, -4.0, 103.0, 2)  # no share of the surface is above 100 %
+    assert with_interval(wide, HIGHER).text == "97.0 [0.0, 100.0]"
+    assert with_interval(wide, HIGHER, signed=True).text == "+97.0 [−4.0, +103.0]"
 
 
 def test_a_block_says_its_name_once():

@@ -34,7 +34,7 @@ def test_who_did_not_reach_it_counts_with_the_budget_and_the_table_says_so(resul
     assert b[at_90].value == 90.0 and b[at_90].rank == 2 and b[at_90].text.startswith("> 90 [")
     assert b[at_90].note == "not reached in 1 of 2 runs"
     assert "frames to 95 % ↓" not in columns and "No run observed 95 % of the surface" in table.caption
-    assert "bootstrap intervals" in table.caption
+    assert "95 % intervals" in table.caption
     assert a[columns["exploration (%) ↑"]].value == 66.0
     assert {name.partition(".")[0] for name in documents([table])} == {"planning"}
 
@@ -51,7 +51,7 @@ def test_a_row_of_a_pair_that_never_reached_a_level_is_left_out(make_run):
     runs = [measured(make_run, policy, 0, frames) for policy, frames in (("a", None), ("b", None), ("c", 90.0))]
     table = difference_table(Results(runs, [], "a"))
     assert [row[0].text for row in table.rows if row[1].text == "frames to 90 % ↓"] == ["c"]
-    assert "bootstrap" not in planning_table(Results(runs, [], "a")).caption  # a run each has no interval
+    assert "intervals" not in planning_table(Results(runs, [], "a")).caption  # a run each has no interval
 
 
 def printed(results):

@@ -45,8 +45,9 @@ def test_a_row_is_a_policy_with_its_values_and_pairs_share_scene_and_seed(runs):
 def test_the_table_has_the_field_as_x(runs):
     table = sweep_table(Results(runs, []))
     assert [heading.text for heading in table.headings] == ["Metric", "x.y", "a", "random"]
+    # Two runs, 1 dB apart: 12.7 standard errors of 0.5 dB on each side.
     rows = {row[1].text: row[2:] for row in table.rows if row[0].text == "PSNR (dB) ↑"}
-    assert [cell.text for cell in rows["1"]] == ["22.50 [22.00, 23.00]", "10.50 [10.00, 11.00]"]
+    assert [cell.text for cell in rows["1"]] == ["22.50 [16.15, 28.85]", "10.50 [4.15, 16.85]"]
     assert {x: (a.value, b.value) for x, (a, b) in rows.items()} == {
         "1": (22.5, 10.5),
         "2": (24.5, 9.5),
@@ -54,7 +55,7 @@ def test_the_table_has_the_field_as_x(runs):
     }
     # Ranks are within a column, and equal numbers share one.
     assert {x: (a.rank, b.rank) for x, (a, b) in rows.items()} == {"1": (2, 1), "2": (1, 3), "4": (3, 1)}
-    assert 'PSNR (dB) ↑,1,"22.50 [22.00, 23.00]","10.50 [10.00, 11.00]"' in to_csv(table)
+    assert 'PSNR (dB) ↑,1,"22.50 [16.15, 28.85]","10.50 [4.15, 16.85]"' in to_csv(table)
     assert r"\label{tab:sweep}" in latex(table)
     assert table.name == "sweep" and sweep_table(Results([runs[0]], [])).rows[0][2].text != ""
 
@@ -83,6 +84,7 @@ def test_the_other_fields_distinguish_lines_and_a_missing_run_is_a_gap(make_run)
         "a [noise=none]": {0: "a [n=1, noise=none]", 1: "a [n=2, noise=none]"},
         "a [noise=kinect]": {0: "a [n=1, noise=kinect]"},
     }
+    # Two runs, 1 dB apart: 12.7 standard errors of 0.5 dB on each side.
     rows = {row[1].text: [cell.text for cell in row[2:]] for row in sweep_table(results).rows if "PSNR" in row[0].text}
     assert rows == {"1": ["10.00", "11.00"], "2": ["20.00", "–"]}
     page = sweep_section(results)

@@ -19,8 +19,7 @@ from activestructure_gym.policies import POLICIES, Policy
 
 DOCS = Path(__file__).parents[1]
 CURVES = DOCS / "images" / "benchmark_curves.json"
-RUNS = DOCS / "notebook" / "benchmark.csv"  # of all policies
-HEADLINE = DOCS / "notebook" / "headline.csv"  # of the policies in README's table and on the home page
+RUNS = DOCS / "notebook" / "benchmark.csv"
 COSTS = DOCS / "notebook" / "decisions.csv"  # written by decisions.py
 COST = "processor_s"
 COLUMNS = {  # heading and explanation of each number in the table, by column of the CSVs
@@ -46,13 +45,13 @@ def pages() -> dict[str, str]:
     texts["policies/index.md"] = (
         "# Policies\n\n"
         f"Results are means over the {curves['scenes']} scenes of the [benchmark](../../notebook/benchmark.md), "
-        "300 frames, seeds 0 to 2. C.R. (completion ratio) is the share of the surface with a Gaussian within 5 cm. "
+        "300 frames. C.R. (completion ratio) is the share of the surface with a Gaussian within 5 cm. "
         "Cost is the processor time of one decision with 256 candidates and 30,000 Gaussians, on one thread of a busy "
         "machine. Click a heading to sort. Tick policies to get the command that compares them.\n\n"
         f"```{{raw}} html\n{_table(order)}\n```\n\n"
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )
-    texts["policies/short.txt"] = _short(sorted(HOME, key=lambda name: -(benchmark(name, "psnr", HEADLINE) or 0.0)))
+    texts["policies/short.txt"] = _short(sorted(HOME, key=lambda name: -(benchmark(name, "psnr", HOME) or 0.0)))
     return texts
 
 
@@ -103,7 +102,7 @@ def _short(order: Sequence[str]) -> str:
     lines = ["| policy | origin | observed (%) | C.R. (%) | PSNR (dB) |", "|---|---|---:|---:|---:|"]
     for name in order:
         numbers = " | ".join(
-            f"{benchmark(name, key, HEADLINE):{FORMATS[key]}}" for key in ("observed", "completion_ratio", "psnr")
+            f"{benchmark(name, key, HOME):{FORMATS[key]}}" for key in ("observed", "completion_ratio", "psnr")
         )
         lines.append(f"| [`{name}`](_made/policies/{name}.md) | {kind_of(POLICIES.get(name))} | {numbers} |")
     return "\n".join(lines) + "\n"
@@ -145,27 +144,27 @@ def _page(name: str, curves: dict) -> str:
     return "\n".join(parts)
 
 
-def benchmark(name: str, key: str, runs: Path = RUNS) -> float | None:
-    """Return the mean of the metric ``key`` of a policy in the CSV ``runs``, or its cost in decisions.csv.
+def benchmark(name: str, key: str, among: tuple[str, ...] = ()) -> float | None:
+    """Return the mean of the metric ``key`` of a policy in benchmark.csv, or its cost in decisions.csv.
 
-    A mean is over scenes of means over the seeds that every policy in ``runs`` has played, as in the tables of results.
-    None: the policy has no run there.
+    A mean is over scenes of means over seeds, in the pairs that all policies of ``among`` have played, by default all
+    of the file. None: the policy has no run there.
     """
     if key == COST:
         return next((float(row[key]) for row in _rows(COSTS) if row["policy"] == name), None)
     by_scene = defaultdict(list)
-    for run in _rows(runs):
-        if run["policy"] == SAME.get(name, name) and run["seed"] in _seeds(runs):
+    for run in _rows(RUNS):
+        if run["policy"] == SAME.get(name, name) and (run["scene"], run["seed"]) in _cells(among):
             by_scene[run["scene"]].append(float(run[key]))
     return fmean(map(fmean, by_scene.values())) if by_scene else None
 
 
 @cache
-def _seeds(place: Path) -> frozenset[str]:
+def _cells(among: tuple[str, ...]) -> frozenset[tuple[str, str]]:
     by_policy = defaultdict(set)
-    for run in _rows(place):
-        by_policy[run["policy"]].add(run["seed"])
-    return frozenset.intersection(*map(frozenset, by_policy.values()))
+    for run in _rows(RUNS):
+        by_policy[run["policy"]].add((run["scene"], run["seed"]))
+    return frozenset.intersection(*(frozenset(by_policy[name]) for name in among or by_policy))
 
 
 @cache

@@ -1,11 +1,10 @@
 """Make benchmark_curves.json, the curves of policies over 300 frames, and draw benchmark_curves.svg and policies.svg.
 
-    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # replace the curves of all policies
-    python docs/images/benchmark_curves.py runs/oracle                  # add references, if the runs have any
-    python docs/images/benchmark_curves.py                              # draw only
+    python docs/images/benchmark_curves.py runs/headline runs/all    # replace the curves
+    python docs/images/benchmark_curves.py                           # draw only
 
-A curve is the mean over scenes of means over seeds. If a run is in several comparisons, the first one is used. The
-site's table of policies (docs/_site/policies.py) draws the same curves.
+A curve is the mean over scenes of means over seeds, in the pairs that all policies have played. If a run is in several
+comparisons, the first one is used. The site's table of policies (docs/_site/policies.py) draws the same curves.
 """
 
 from __future__ import annotations
@@ -37,23 +36,17 @@ Curves = dict[str, dict[str, list[float]]]  # by policy and measure
 
 
 def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str, int]]]:
-    """Return the mean curves of policies, those of references, and all (scene, seed) pairs in comparison directories.
-
-    Policies and references without a run of every pair are left out, with a message.
-    """
+    """Return the mean curves of policies, those of references, and the (scene, seed) pairs that all have played."""
     runs: dict[tuple[str, str, int], Run] = {}
     for directory in directories:
         for run in gather([directory]).runs:
             name = run.job.policy if run.job.policy.kind == "reference" else run.policy
             runs.setdefault((name, run.scene.partition("?up")[0], run.job.seed), run)
-    every = {(scene, seed) for _, scene, seed in runs}
+    names = sorted({name for name, _, _ in runs})
+    every = set.intersection(*({(scene, seed) for other, scene, seed in runs if other == name} for name in names))
     policies: Curves = {}
     references: Curves = {}
-    for name in sorted({name for name, _, _ in runs}):
-        mine = {(scene, seed) for other, scene, seed in runs if other == name}
-        if mine != every:
-            print(f"left out {name}: {len(mine)} of {len(every)} runs")
-            continue
+    for name in names:
         curves = {measure: _mean(runs, name, sorted(every), measure) for measure in MEASURES}
         (references if name.startswith(REFERENCE) else policies)[name.removeprefix(REFERENCE)] = curves
     return policies, references, every
@@ -73,16 +66,13 @@ def _mean(
 def written(directories: Sequence[Path]) -> None:
     """Write the curves of the runs in comparison directories to benchmark_curves.json."""
     policies, references, every = gathered(directories)
-    content = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
-    content["references"] = dict(sorted((content.get("references", {}) | references).items()))
-    if references:
-        print("only the references are put in; policies stay as they are")
-    else:
-        policies |= {name: policies[same] for name, same in SAME.items() if same in policies}
-        content |= {"frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}), "runs": len(every)}
-        content["policies"] = dict(sorted(policies.items()))
+    policies |= {name: policies[same] for name, same in SAME.items() if same in policies}
+    content = {
+        "references": references, "frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}),
+        "runs": len(every), "policies": dict(sorted(policies.items())),
+    }  # fmt: skip
     PLACE.write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
-    print(f"{len(content['policies'])} policies, references: {', '.join(content['references'])}")
+    print(f"{len(policies)} policies, references: {', '.join(references)}")
 
 
 def drawn() -> str:

@@ -1,4 +1,4 @@
-"""Choose the scene and the seed of README's images: the pair of runs in headline.csv with the median gain in PSNR."""
+"""Choose the scene and the seed of README's images: the pair of runs in benchmark.csv with the median gain in PSNR."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import value_of
 
-RUNS = Path(__file__).parents[1] / "notebook" / "headline.csv"
+RUNS = Path(__file__).parents[1] / "notebook" / "benchmark.csv"
 OURS, BASE = "activestructure", "hole_area"
 NUMBERS = ("observed", "completion_ratio", "psnr", "metres")
 
@@ -29,7 +29,7 @@ def median_cell(table: dict[str, dict[tuple[str, int], dict[str, float]]]) -> tu
 
 
 def stored() -> dict[str, dict[tuple[str, int], dict[str, float]]]:
-    """Return the metrics of all runs in headline.csv, by policy, then by (scene, seed)."""
+    """Return the metrics of all runs in benchmark.csv, by policy, then by (scene, seed)."""
     table: dict[str, dict[tuple[str, int], dict[str, float]]]
     table = runpy.run_path(str(RUNS.with_name("benchmark_table.py")))["read"](RUNS)
     return table
@@ -48,7 +48,7 @@ def runs_of_cell(comparison: Path, policies: Sequence[str]) -> list[Run]:
 
 
 def record(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return scene, seed and metrics of ``runs``, rounded as in headline.csv; a test compares the two."""
+    """Return scene, seed and metrics of ``runs``, rounded as in benchmark.csv; a test compares the two."""
     return {
         "scene": runs[0].scene,
         "seed": runs[0].job.seed,

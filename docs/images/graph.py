@@ -1,6 +1,6 @@
-"""Make docs/images/graph.webp, the Plane Scene Graph of README, from a run of `activestructure` (headline.csv).
+"""Make docs/images/graph.webp, the Plane Scene Graph of README, from a run of `activestructure` (benchmark.csv).
 
-    python docs/images/graph.py runs/headline
+    python docs/images/graph.py runs/benchmark
 
 The image has the view from the north-west and the legend of the run's ``psg_3d.png``.
 """

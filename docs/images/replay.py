@@ -1,8 +1,8 @@
 """Make docs/images/replay.webp, the film of README: the maps of two runs as they grow.
 
-    python docs/images/replay.py runs/headline
+    python docs/images/replay.py runs/benchmark
 
-The runs are of headline.csv (docs/notebook/benchmark.md); `cell.py` chooses scene and seed.
+The runs are of benchmark.csv (docs/notebook/benchmark.md); `cell.py` chooses scene and seed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Make docs/images/views.jpg, the image of README, from runs of headline.csv (docs/notebook/benchmark.md).
+"""Make docs/images/views.jpg, the image of README, from runs of benchmark.csv (docs/notebook/benchmark.md).
 
-    python docs/images/views.py runs/headline
+    python docs/images/views.py runs/benchmark
 
 The view is that at the top of a report (docs/reference/report.md); `cell.py` chooses scene and seed.
 """

@@ -7,13 +7,13 @@
     python docs/notebook/benchmark_table.py --ladders                # differences between the rungs of all ladders.
     python docs/notebook/benchmark_table.py --phases                 # the tables of the phases.
     python docs/notebook/benchmark_table.py --learned                # the table of the learned policies.
-    python docs/notebook/benchmark_table.py --readme                 # README's table, from headline.csv.
+    python docs/notebook/benchmark_table.py --readme                 # README's table, and the differences below it.
 
 A ladder is the paper's ablation: variants A to E of ActiveStructure, of which each adds a component. Each variant is a
 rung. References, which use ground truth, are on top and are never marked as the best. Numbers are means over scenes of
 means over seeds, for the scenes and seeds that all policies have played. Differences are to the first of ``BASELINES``
-with runs, in pairs of the same scene and seed. Their intervals are 95 % bootstraps over the seeds within the scenes
-(`paired_difference`). In the files of `POOLED` they are over the scenes.
+with runs, in pairs of the same scene and seed. Their 95 % intervals are over the seeds within the scenes
+(`paired_difference`). In the files of `POOLED` and in the table of all policies they are over the scenes.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from activestructure_gym.evaluation.archive.jobs import REFERENCE
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.report.tables.columns import value_of
 from activestructure_gym.evaluation.statistics.aggregates import mean
+from activestructure_gym.evaluation.statistics.intervals import Estimate
 from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
-from activestructure_gym.evaluation.statistics.resampling import Estimate
 from activestructure_gym.policies.activestructure import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
@@ -91,7 +91,19 @@ LEARNED = {  # rows of the table of the learned policies by file: pairs of polic
     "learned_300.csv": (("learned", "unknown_volume"), (_DEFAULT, "unknown_volume"), (_DEFAULT, "learned")),
     "learned_2000.csv": ((_LONG, "unknown_volume"),),
 }
-HEADLINE = ((_FULL, "unknown_volume"), ("unknown_volume", "hole_area"))  # differences below README's table
+HEADLINE = (  # differences over all starts, below README's table
+    ("unknown_volume", "hole_area"),
+    (_FULL, "hole_area"),
+    ("learned", "hole_area"),
+    (_FULL, "unknown_volume"),
+    ("learned", "unknown_volume"),
+)
+STARTS = PLACE.with_name("starts.csv")  # runs of two earlier commits with other starts: seeds from 100 and 200 on
+STATEMENTS = {  # rows of statements.md with differences in C.R. and PSNR: planner, the one that its paper improves on
+    "active_gs": "frontier", "activegamer": "random", "activesplat": "anm_s", "anm_s": "activeinr",
+    "fisherrf": "random", "fisherrf_path": "fisherrf", "gauss_mi": "fisherrf", "gavis": "fisherrf", "naruto": "random",
+    "next_best_sense": "fisherrf", "r3_recon": "active_gs", "rt_guide": "fisherrf", "view_angle": "fisherrf",
+}  # fmt: skip
 RUNGS = (
     "**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres",
     "**E**, phases (on pixels also smaller weights)",
@@ -206,6 +218,21 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def all_policies() -> Table:
+    """Return the runs in benchmark.csv, pooled by scene: "seeds" are scenes, with means over the common seeds."""
+    return _pooled(read(PLACE))
+
+
+def all_starts() -> Table:
+    """Return the runs of the policies in `STARTS`, those of benchmark.csv included."""
+    return {policy: read(PLACE)[policy] | runs for policy, runs in read(STARTS).items()}
+
+
+def headline() -> str:
+    """Return the table of the differences in `HEADLINE` over all starts as Markdown."""
+    return pairs(all_starts(), [(f"`{ours}` minus `{theirs}`", ours, theirs) for ours, theirs in HEADLINE])
+
+
 def differences(file: str) -> str:
     """Return the table of paired differences of a file in `PHASES` or `LEARNED` as Markdown."""
     wanted = [
@@ -252,8 +279,16 @@ def ladders(folder: Path) -> str:
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"
 
 
+def statement(planner: str) -> str:
+    """Return the differences of a planner to the one in `STATEMENTS`: C.R. in points and PSNR in dB, with intervals."""
+    table, pair = all_policies(), (planner, STATEMENTS[planner])
+    ratio, psnr = (_difference(table, *pair, key, OF_PAIRS[key][1]) for key in ("completion_ratio", "psnr"))
+    return f"C.R. {ratio}, PSNR {psnr}".replace("-", "−")
+
+
 def readme(table: Table) -> str:
-    """Return README's table as Markdown: means over the runs of the policies in `README_ROWS`."""
+    """Return README's table as Markdown: means over the scenes and seeds that all policies in `README_ROWS` played."""
+    table = {policy: table[policy] for policy in README_ROWS}
     keys = {"observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑"}
     keys |= {"psnr": "PSNR (dB) ↑"}
     heads = [*keys.values(), *(f"{name} minus `hole_area`" for name, _ in DIFFERENCES.values())]
@@ -355,7 +390,7 @@ def main() -> None:
         print(learned(), end="")
         return
     if options.readme:
-        print(readme(read(PLACE.with_name("headline.csv"))), end="")
+        print(f"{readme(read(PLACE))}\n{headline()}", end="")
         return
     table = read(place)
     if not table:
@@ -364,7 +399,7 @@ def main() -> None:
         parts = [policies_of(pair, table) for pair in options.pairs]
         print(pairs(table, [(f"`{ours}` over `{theirs}`", ours, theirs) for ours, theirs in parts]), end="")
         return
-    print(markdown(table), end="")
+    print(markdown(all_policies() if place == PLACE else table), end="")
     if rungs := ladder(table):
         print(f"\n{pairs(table, rungs)}", end="")
 

@@ -5,10 +5,9 @@
     python docs/notebook/native_table.py --file paper.csv      # read another file of this folder
 
 The table of a scene has a row per policy by decreasing observed share. Numbers are means over the episodes (scene and
-seed) that all policies have played. Differences are paired by episode, with 95 % bootstrap intervals; for two episodes,
-this interval is from one difference to the other. *Minus chance* compares with random choice under the same native
-settings (`chance_of`), at the frame at which the planner ended. A file without such runs has differences to
-``BASELINE``. "–" means that no run ended early; if only some did, it says how many.
+seed) that all policies have played. Differences are paired by episode, with 95 % intervals. *Minus chance* compares
+with random choice under the same native settings (`chance_of`), at the frame at which the planner ended. A file without
+such runs has differences to ``BASELINE``. "–" means that no run ended early; if only some did, it says how many.
 A second table has the phases of the policies with phases, and a third one completion ratios by the protocols of papers,
 with published ones.
 """
@@ -253,8 +252,8 @@ def phases(lines: Sequence[dict[str, str]]) -> str:
 def by_scene(lines: Sequence[dict[str, str]]) -> str:
     """Return a table of the observed shares in each scene as Markdown, with the differences to chance in brackets.
 
-    The last column has the mean difference over all episodes with chance, and its interval over these. Planners come in
-    the order of the first scene, the one with most planners.
+    The last column has the mean difference over all episodes with chance. Planners come in the order of the first
+    scene, the one with most planners.
     """
     runs = _grouped(lines)
     planners = [policy for policy in runs if not policy.startswith(FLOOR)]
@@ -277,7 +276,7 @@ def by_scene(lines: Sequence[dict[str, str]]) -> str:
             common = {("any", number): one for number, one in enumerate(both)}
             less = minus_chance(*({one: of[common[one]] for one in common} for of in (own, floors)))[0]
             if scene is None:
-                cells.append(less)
+                cells.append(less.partition(" ")[0])  # of few scenes, so without an interval
             elif own:
                 cells.append(f"{_mean(own, 'observed'):.1f}" + (f" ({less})" if less else ""))
             else:

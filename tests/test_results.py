@@ -213,6 +213,26 @@ def test_readme_s_conclusions_are_those_of_the_runs() -> None:
     counted = [count for name, count in decisions.items() if name != "hole_area"]
     told = f"only {min(counted):.0f} to {max(counted):.0f} of their decisions, without the controls"
     assert f"{told} (`hole_area`: {decisions['hole_area']:.0f})" in page
+
+    def means(key: str) -> dict[str, float]:
+        return {name: script["_mean"]({cell: run[key] for cell, run in runs.items()}) for name, runs in table.items()}
+
+    explored = means("observed_area")
+    low, high = explored["random"], explored["reference:oracle"]
+    names = ("activestructure", "unknown_volume", "learned", "hole_area")
+    scale = "`{}` has {:.2f}, `{}` {:.2f}, `{}` {:.2f} and `{}` {:.2f}.".format(
+        *(part for name in names for part in (name, (explored[name] - low) / (high - low)))
+    )
+    assert f"the one-step oracle (1), {scale}" in page
+    less = sorted(explored["hole_area"] - explored[name] for name in table if name.endswith("_cov"))
+    assert f"lower means than `hole_area`, by {less[0]:.1f} to {less[-1]:.1f} points" in page and less[0] > 0
+    best = (script["_paired"](table, name, "hole_area", key).difference for name in shares.keys() - {"hole_area"}
+            for key in ("observed_area", "psnr"))  # fmt: skip
+    assert not any(one.low > 0 for one in best) and "**No planner is significantly better than `hole_area`" in page
+    fused, plain = means("tsdf_completion_ratio"), means("completion_ratio")
+    gap = max(abs(fused[name] - plain[name]) for name in table)
+    assert f"The C.R. of the fused surface differs from it by at most {gap:.1f} points" in page
+    assert not any(means("collisions").values()) and "No executed step crossed the true mesh" in page
     houses = script["read"](script["PLACE"].with_name("procthor.csv"))
     assert f"In {len(houses['hole_area'])} published [ProcTHOR houses]" in text
 

@@ -232,7 +232,7 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     finite = resampled[np.isfinite(resampled)]
     if runs < 2 or not len(finite):
         return Estimate(value, None, None, runs)
-    half = float(t_quantile(runs - 1) * finite.std())
+    half = t_quantile(runs - 1) * float(finite.std(ddof=1))
     return Estimate(value, value - half, value + half, runs)
 
 

@@ -40,7 +40,7 @@ def test_gains_of_the_same_map_agree() -> None:
 @pytest.mark.slow
 def test_an_environment_by_the_reference_passes_the_checker() -> None:
     env = gym.make(
-        "ActiveStructure/Room-v0", preset="fast", frame_budget=20, disable_env_checker=True,
+        "ActiveStructure/Room-v0", preset="fast", frame_budget=60, disable_env_checker=True,
         config={**TINY, "mapper.backend": "reference"},
     )  # fmt: skip
     check_env(env.unwrapped, skip_render_check=True)

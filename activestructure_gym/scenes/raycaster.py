@@ -56,10 +56,12 @@ class RayCaster:
             self._pool, self._pool_process = ThreadPoolExecutor(self._threads), os.getpid()
         return list(self._pool.map(function, chunks))
 
-    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+    def cast(self, origins: np.ndarray, directions: np.ndarray, *, fronts: bool = False) -> Hits:
         """Return the first hit of each ray; ``origins`` and ``directions`` are [N, 3] (directions of any length).
 
-        For camera rays with z = 1 (`PinholeCamera.rays`) the returned distance is the depth.
+        For camera rays with z = 1 (`PinholeCamera.rays`) the returned distance is the depth. With ``fronts``, as images
+        need it, the same one of several faces in one plane is always hit: one that is seen from the front, then the one
+        with the lowest number. So of two walls back to back, each room sees its own.
         """
         origins = np.ascontiguousarray(np.broadcast_to(origins, np.shape(directions)), dtype=np.float32)
         directions = np.ascontiguousarray(directions, dtype=np.float32)
@@ -68,7 +70,7 @@ class RayCaster:
             return Hits(nothing, np.zeros(0, np.int32), nothing, nothing)
 
         def part(chunk: slice) -> Hits:
-            return self._tracer.first_hits(origins[chunk], directions[chunk])
+            return self._tracer.first_hits(origins[chunk], directions[chunk], fronts=fronts)
 
         parts = self._run(part, len(directions))
         return parts[0] if len(parts) == 1 else Hits(*map(np.concatenate, zip(*parts)))

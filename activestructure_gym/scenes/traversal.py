@@ -22,6 +22,7 @@ F32, F64, U64 = np.float32, np.float64, np.uint64  # unsigned indices need no te
 _SMALLEST = F32(1e-30)  # for boxes, components of a direction count as at least this large
 # Boxes are tested in float32. Each of three operations rounds by 6e-8 (Ize, Robust BVH ray traversal, JCGT 2013).
 _WIDER = F32(1.0 + 1e-6)
+BEHIND = 1.0 + 2.0**-20  # 1 micrometre per metre
 _NO_FACE = 1 << 31  # above all faces
 _LEAF_MASK = (1 << LEAF_BITS) - 1
 
@@ -56,25 +57,30 @@ class Tracer:
         self._hierarchy = build_hierarchy(vertices, faces)
         self.first_hits(*np.ones((2, 1, 3), np.float32))  # compile here, before threads could wait for each other
 
-    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """Return the first hit of each ray at a distance of at least 0; both sides of a triangle count."""
-        return self._trace(origins, directions, np.full(len(directions), np.inf, np.float32), any_hit=False)
+    def first_hits(self, origins: np.ndarray, directions: np.ndarray, *, fronts: bool = False) -> Hits:
+        """Return the first hit of each ray at a distance of at least 0; both sides of a triangle count.
+
+        With ``fronts``, distances are compared in float32, and a face that is seen from behind counts as farther by
+        `BEHIND`. Without it, two faces in one plane are hit by turns, as float64 is rounded.
+        """
+        reach = np.full(len(directions), np.inf, np.float32)
+        return self._trace(origins, directions, reach, any_hit=False, fronts=fronts)
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:  # [N] bool
         """Return whether a ray hits at a distance from 0 to ``reach`` [N] float32."""
-        return self._trace(origins, directions, reach, any_hit=True).face >= 0
+        return self._trace(origins, directions, reach, any_hit=True, fronts=False).face >= 0
 
-    def _trace(self, *rays: np.ndarray, any_hit: bool) -> Hits:
+    def _trace(self, *rays: np.ndarray, any_hit: bool, fronts: bool) -> Hits:
         # Kernels are compiled for writable arrays.
         origins, directions, reach = (np.require(array, np.float32, ["C", "W"]) for array in rays)
         count = len(directions)
         hits = Hits(np.empty(count, np.float32), np.empty(count, np.int32), *np.empty((2, count), np.float32))
-        _trace(self._hierarchy, origins, directions, reach, any_hit, hits)
+        _trace(self._hierarchy, origins, directions, reach, any_hit, fronts, hits)
         return hits
 
 
 @kernel
-def _trace(hierarchy, origins, directions, reach, any_hit, hits):
+def _trace(hierarchy, origins, directions, reach, any_hit, fronts, hits):
     """Write the first hit of each ray within its reach, or with ``any_hit`` some hit."""
     boxes, children, corners, faces = hierarchy
     distance, face, u, v = hits
@@ -83,7 +89,7 @@ def _trace(hierarchy, origins, directions, reach, any_hit, hits):
     for n in range(len(directions)):
         ray = _prepared(origins, directions, U64(n))
         best, best_face, best_u, best_v = F64(reach[n]), _NO_FACE, 0.0, 0.0
-        limit = F32(best)
+        least, limit = best, F32(best)  # distance as it is compared
         node, height = np.int32(0), 0
         searching = 0.0 < abs(ray.scale) < np.inf  # neither 0 nor infinite in length
         while searching:
@@ -106,10 +112,11 @@ def _trace(hierarchy, origins, directions, reach, any_hit, hits):
             if node < 0:
                 first = ~node >> LEAF_BITS
                 for row in range(first, first + (~node & _LEAF_MASK) + 1):
-                    along, of_b, of_c = _meeting(corners, U64(row), ray)
-                    if along >= 0.0 and (along < best or (along == best and faces[row] < best_face)):
+                    along, of_b, of_c, facing = _meeting(corners, U64(row), ray)
+                    here = F64(F32(along if facing > 0.0 else along * BEHIND)) if fronts else along
+                    if along >= 0.0 and (here < least or (here == least and faces[row] < best_face)):
                         best, best_face, best_u, best_v = along, int(faces[row]), of_b, of_c
-                        limit = F32(best)
+                        least, limit = here, F32(here)
                 if any_hit and best_face < _NO_FACE:
                     break
             searching = False
@@ -163,6 +170,7 @@ def _entry(boxes, node, child, ray, limit):
 def _meeting(corners, row, ray):
     """Return distance, u and v where the ray meets a triangle; NaN or a negative distance if it does not.
 
+    The last number is positive if the ray meets the front, from which the vertices are counterclockwise.
     Woop, Benthin and Wald, Watertight ray/triangle intersection, JCGT 2013, in float64. Neighbouring triangles compute
     the same number for their common edge, up to the sign. An edge belongs to both of them.
     """
@@ -173,6 +181,6 @@ def _meeting(corners, row, ray):
     cx, cy = corners[row, u + six] - ray.p - ray.shear_u * cz, corners[row, v + six] - ray.q - ray.shear_v * cz
     of_a, of_b, of_c = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
     if min(of_a, of_b, of_c) < 0.0 < max(of_a, of_b, of_c):
-        return -1.0, 0.0, 0.0
+        return -1.0, 0.0, 0.0, 0.0
     total = of_a + of_b + of_c  # 0 if the triangle is seen edge-on
-    return (of_a * az + of_b * bz + of_c * cz) * ray.scale / total, of_b / total, of_c / total
+    return (of_a * az + of_b * bz + of_c * cz) * ray.scale / total, of_b / total, of_c / total, total * ray.scale

@@ -128,7 +128,7 @@ class RaycastRenderer:
             else:
                 directions = np.empty(((last - first) * camera.width * rays_per_pixel, 3), np.float32)
                 _pixel_rays(rotation, camera.lens, camera.width, first, last, supersample, directions)
-                hits = raycaster.cast(origin, directions)
+                hits = raycaster.cast(origin, directions, fronts=True)
                 distance = hits.distance[centre::rays_per_pixel]
             depth[rows] = np.where(np.isfinite(distance), distance, 0.0).reshape(-1, camera.width)
             shade_pixels(hits.face, hits.u, hits.v, rays_per_pixel, samples, appearance, rgb[rows].reshape(-1, 3))

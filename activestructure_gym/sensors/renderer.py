@@ -67,8 +67,8 @@ def drawn_images(
     supersample: int,
     max_range: float = np.inf,  # metres
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # rgb [H, W, 3] uint8, depth [H, W] float32 metres
-    """Yield the colour and depth image of each pose by ray casting, without noise; depth beyond ``max_range`` is 0."""
-    renderer = make_renderer("raycast", scene)
+    """Yield the colour and depth image of each pose by ``auto``, without noise; depth beyond ``max_range`` is 0."""
+    renderer = make_renderer("auto", scene)
     try:
         for pose in poses:
             rgb, depth = renderer.render(camera, pose, supersample=supersample)

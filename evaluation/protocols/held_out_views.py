@@ -19,7 +19,7 @@ _MAX_PITCH_DEG = 45.0
 _MIN_CLEARANCE = 0.3  # metres from the camera to the nearest surface, as for candidate views
 
 # Increase the version when the drawing or the rendering of views changes, so that old cache files are not read.
-_CACHE_VERSION = 1
+_CACHE_VERSION = 2
 _LAYOUT = {"world_from_camera": ("f8", 3), "rgb": ("u1", 4), "depth": ("f4", 3)}
 
 

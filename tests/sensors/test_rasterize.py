@@ -81,6 +81,39 @@ def test_the_nearer_of_two_triangles_is_seen_from_both_sides(make_quad, merge) -
         assert (rgb[:, :4] == [0, 255, 0]).all() and (rgb[:, 4:] == [255, 0, 0]).all()
 
 
+@pytest.mark.parametrize("draws_from", [0, None])
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_of_walls_in_one_plane_each_side_sees_its_own(make_quad, merge, draws_from, tilt) -> None:
+    # As two rooms have them: a red wall seen from z < 2, a green one with other corners seen from z > 2.
+    def wall(left: float, right: float, *, back: bool) -> list[list[float]]:
+        corners = [[left, -9.0, 2.0 + tilt * left], [right, -9.0, 2.0 + tilt * right]]
+        corners += [[right, 9.0, 2.0 + tilt * right], [left, 9.0, 2.0 + tilt * left]]
+        return corners if back else corners[::-1]
+
+    red = make_quad(wall(-5.0, 5.1, back=False), (1, 0, 0), np.zeros((4, 2)), -1)
+    green = make_quad(wall(-4.7, 5.3, back=True), (0, 1, 0), np.zeros((4, 2)), -1)
+    behind = np.diag([1.0, -1.0, -1.0, 1.0])
+    behind[:3, 3] = 0.1, 0.2, 4.1
+    for mesh in (merge([red, green]), merge([green, red])):
+        renderer = RaycastRenderer(Scene("walls", mesh, "tests"), draws_from=draws_from)
+        for pose, color in ((np.eye(4), [255, 0, 0]), (behind, [0, 255, 0])):
+            rgb, _ = renderer.render(PinholeCamera.from_size(96, 54), pose, supersample=2)
+            assert (rgb == color).all()
+
+
+@pytest.mark.parametrize("draws_from", [0, None])
+def test_of_faces_in_one_plane_the_first_is_seen(make_quad, merge, draws_from) -> None:
+    places = [(-5.0, 5.1), (-4.7, 5.3)]
+    quads = [
+        make_quad([[b, -9, 2], [a, -9, 2], [a, 9, 2], [b, 9, 2]], color, np.zeros((4, 2)), -1)
+        for (a, b), color in zip(places, ((1, 0, 0), (0, 1, 0)))
+    ]
+    for mesh, color in ((merge(quads), [255, 0, 0]), (merge(quads[::-1]), [0, 255, 0])):
+        renderer = RaycastRenderer(Scene("walls", mesh, "tests"), draws_from=draws_from)
+        rgb, _ = renderer.render(PinholeCamera.from_size(96, 54), np.eye(4), supersample=2)
+        assert (rgb == color).all()
+
+
 def test_the_result_depends_neither_on_threads_nor_bands_nor_colour_samples(cluttered_room, room_poses, monkeypatch):
     expected = RaycastRenderer(cluttered_room, threads=1, draws_from=0).render(CAMERA, room_poses[1], supersample=2)
     renderer = pickle.loads(pickle.dumps(RaycastRenderer(cluttered_room, threads=3, draws_from=0)))

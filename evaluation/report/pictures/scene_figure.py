@@ -41,7 +41,7 @@ def scene_picture(known: GroundTruth) -> Image.Image:
     scene, space = known.scene, known.free_space
     poses = space.start_poses
     chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []
-    renderer = make_renderer("raycast", scene)
+    renderer = make_renderer("auto", scene)
     camera = PinholeCamera.from_size(*_VIEW)
     try:
         views = [to_image(renderer.render(camera, poses[index], supersample=4)[0]) for index in chosen]
@@ -81,7 +81,7 @@ def _plan(scene: Scene, space: FreeSpace, numbered: list[int]) -> Image.Image:
     altitude = _ALTITUDE * float(extent.max())
     camera = PinholeCamera(*size, altitude * scale, altitude * scale, size[0] / 2, size[1] / 2)
     eye = np.array([*(low[:2] + extent / 2), high[2] + altitude])
-    renderer = make_renderer("raycast", opened)
+    renderer = make_renderer("auto", opened)
     try:
         colour, depth = renderer.render(camera, look_along(eye, np.array([0.0, 0.0, -1.0])), supersample=4)
     finally:

@@ -53,13 +53,13 @@ def house() -> dict[str, Any]:
              "floorPolygon": [point(4, 0, 0), point(4, 0, 3), point(7, 0, 3), point(7, 0, 0)]},
         ],
         "walls": [
-            wall("a1", "room|2", (0, 0), (4, 0)), wall("a2", "room|2", (4, 0), (4, 3)),
-            wall("a3", "room|2", (4, 3), (0, 3)), wall("a4", "room|2", (0, 3), (0, 0)),
-            wall("b1", "room|3", (4, 0), (7, 0)), wall("b2", "room|3", (7, 0), (7, 3)),
-            wall("b3", "room|3", (7, 3), (4, 3)), wall("b4", "room|3", (4, 3), (4, 0)),
+            wall("a1", "room|2", (4, 0), (0, 0)), wall("a2", "room|2", (4, 3), (4, 0)),
+            wall("a3", "room|2", (0, 3), (4, 3)), wall("a4", "room|2", (0, 0), (0, 3)),
+            wall("b1", "room|3", (7, 0), (4, 0)), wall("b2", "room|3", (7, 3), (7, 0)),
+            wall("b3", "room|3", (4, 3), (7, 3)), wall("b4", "room|3", (4, 0), (4, 3)),
         ],
         "doors": [
-            hole("d1", "a2", "b4", ("room|2", "room|3"), (0.5, 0), (1.5, 2.1)),
+            hole("d1", "a2", "b4", ("room|2", "room|3"), (1.5, 0), (2.5, 2.1)),
             hole("d2", "b2", "exterior", ("room|3", "room|3"), (1, 0), (2, 2.1)),
         ],
         "windows": [hole("w1", "a4", "exterior", ("room|2", "room|2"), (1, 0.9), (2, 1.9))],
@@ -98,6 +98,23 @@ def test_walls_doorways_panes_and_floors_are_where_the_house_says(file: Path) ->
     corners = scene.mesh.vertices[scene.mesh.faces].astype(float)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     np.testing.assert_allclose(area, whole - 2 * 1.0 * 2.1, rtol=1e-5)
+
+
+def test_each_room_sees_its_own_side_of_a_wall(file: Path) -> None:
+    content = house()
+    for one in content["walls"]:
+        one["material"] = {"name": one["roomId"]}
+    for walls in (content["walls"], content["walls"][::-1]):
+        file.write_text(json.dumps(content | {"walls": walls}))
+        mesh, caster = (scene := load_procthor_scene(file, objects=False)).mesh, scene.raycaster
+        seen = []
+        for eye in ((2.0, 1.5, 1.0), (5.5, 1.5, 1.0)):
+            sides = np.array([(4.0, y, z) for y in (2.0, 2.3, 2.9) for z in (0.3, 1.1, 2.5)])
+            outer = np.array([(x, 3.0, 1.0) for x in np.linspace(-0.2, 0.2, 5) + eye[0]])
+            faces = caster.cast(np.array(eye), np.concatenate([sides, outer]) - eye, fronts=True).face
+            (color,) = np.unique(mesh.colors[mesh.faces[faces]].reshape(-1, mesh.colors.shape[-1]), axis=0)
+            seen.append(tuple(color))
+        assert seen[0] != seen[1]
 
 
 def test_walls_of_one_name_are_all_there(file: Path) -> None:

@@ -149,6 +149,12 @@ class Results:
         return sorted({run.job.seed for run in self.runs})
 
     @cached_property
+    def seeds_text(self) -> str:
+        """Return how many seeds a policy has on a scene, such as "2 seeds" or "up to 3 seeds"."""
+        counts = {len(self.of(policy, scene)) for policy in self.policies for scene in self.scenes} - {0}
+        return ("up to " if len(counts) > 1 else "") + pluralised(max(counts, default=0), "seed")
+
+    @cached_property
     def missing(self) -> dict[str, str]:
         """Return the reason why a requested job has no result, by the title of the job."""
         return {name: why for source in self.sources for name, why in source.missing.items()}

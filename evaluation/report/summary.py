@@ -171,12 +171,11 @@ def _link(run: Run, directory: Path) -> str:
 
 
 def _summary(results: Results, sections: Sequence[str]) -> str:
-    seeds = len(results.seeds)
     missing = [f"- {escaped(without_folders(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] or 0 for run in results.runs)
     crossed = f" Executed steps through the true mesh: {collisions}{' (must be 0!)' if collisions else ''}."
     crossed = crossed if any(run.has_truth for run in results.runs) else ""
-    spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
+    spread = f"Mean ± standard deviation over {results.seeds_text}" if len(results.seeds) > 1 else "One seed"
     meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in metric_definitions(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
     compared += [sweep_table(results)]

@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.statistics.curves import area_under, curve_b
 from activestructure_gym.evaluation.statistics.improvement import probability_of_improvement, win_share
 from activestructure_gym.evaluation.statistics.intervals import (
     Estimate,
+    degrees_of_freedom,
     estimate,
     pooled,
     standard_error,
@@ -30,6 +31,7 @@ __all__ = [
     "Statistic",
     "area_under",
     "curve_band",
+    "degrees_of_freedom",
     "estimate",
     "interquartile_mean",
     "mean",

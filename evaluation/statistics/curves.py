@@ -49,5 +49,5 @@ def curve_band(
     line = statistic(values, sizes)
     if min(sizes) < 2 or not banded:
         return line, None, None
-    error, _ = standard_error(values, sizes, statistic)
+    error = standard_error(values, sizes, statistic)
     return line, line - error, line + error

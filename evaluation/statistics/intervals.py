@@ -1,7 +1,7 @@
 """Compute confidence intervals of aggregates over scenes: Welch's t interval, with the scenes as strata.
 
 A percentile bootstrap of few runs is too narrow. With three normal values on one scene its 95 % interval holds the mean
-in 75 % of the cases, with three on each of six scenes in 83 %.
+in 75 % of the cases, with three on each of six scenes in 86 %.
 """
 
 from __future__ import annotations
@@ -45,8 +45,7 @@ def estimate(strata: Sequence[np.ndarray], statistic: Statistic = mean, *, level
     The interval describes the variation over runs on these scenes. Its half width is a standard error times a quantile
     of Student's t with the degrees of freedom of Welch and Satterthwaite. The standard error of the mean is the root of
     the summed variances of the scene means, divided by the number of scenes. That of other statistics is the standard
-    deviation over `REPEATS` resamples with n - 1 of the n runs of each scene, whose variance has no bias. Equal
-    ``strata`` give equal intervals.
+    deviation over `REPEATS` resamples with n - 1 of the n runs of each scene. Equal ``strata`` give equal intervals.
 
     Parameters
     ----------
@@ -81,32 +80,55 @@ def estimate(strata: Sequence[np.ndarray], statistic: Statistic = mean, *, level
     point = float(statistic(values, sizes))
     if min(sizes) < 2:
         return Estimate(point, None, None, len(values))
-    error, freedom = map(float, standard_error(values, sizes, statistic))
-    half = t_quantile(freedom, level) * error
+    error = float(standard_error(values, sizes, statistic))
+    half = t_quantile(float(degrees_of_freedom(values, sizes, statistic)), level) * error
     return Estimate(point, point - half, point + half, len(values), error)
 
 
-def standard_error(
-    values: np.ndarray, sizes: Sequence[int], statistic: Statistic = mean
-) -> tuple[np.ndarray, np.ndarray]:  # [..., N] -> [...], [...]
-    """Return the standard error of the statistic in every row of ``values``, and its degrees of freedom.
+def standard_error(values: np.ndarray, sizes: Sequence[int], statistic: Statistic = mean) -> np.ndarray:
+    """Return the standard error [...] of the statistic in every row of ``values`` [..., N].
 
     ``sizes`` has the number of runs of each of the S scenes, at least 2 each, with sum N; ``values`` has the runs scene
     after scene.
     """
-    counts = np.asarray(sizes, np.float64)
-    deviations = values - np.repeat(scene_means(values, sizes), sizes, axis=-1)
-    variances = scene_means(deviations**2, sizes) / (counts - 1)  # of the scene means [..., S]
-    total = variances.sum(axis=-1)
-    shares = variances / np.where(total > 0, total, 1.0)[..., None]
-    unequal = (shares**2 / (counts - 1)).sum(axis=-1)
-    freedom = 1.0 / np.where(unequal > 0, unequal, 1.0)
     if statistic is mean:
-        error = np.sqrt(total) / len(counts)
+        return np.sqrt(_variances_of_means(values, sizes).sum(axis=-1)) / len(sizes)
+    resampled = statistic(values[..., stratified_draws(tuple(sizes))], [size - 1 for size in sizes])
+    return resampled.std(axis=-1, ddof=1)
+
+
+def degrees_of_freedom(values: np.ndarray, sizes: Sequence[int], statistic: Statistic = mean) -> np.ndarray:
+    """Return the degrees of freedom [...] of the standard error of the statistic in every row of ``values`` [..., N].
+
+    They are (sum V)^2 / sum V^2 / (n - 1), at least 1. V is the part of a scene with n runs in the variance of the
+    statistic: the variance of its mean, or for other statistics that over resamples of this scene alone. So a scene
+    whose runs do not decide a median counts little. ``sizes`` is as in `standard_error`.
+    """
+    if statistic is mean:
+        parts = _variances_of_means(values, sizes)
     else:
-        resampled = statistic(values[..., stratified_draws(tuple(sizes))], [size - 1 for size in sizes])
-        error = resampled.std(axis=-1, ddof=1)
-    return error, freedom
+        parts = np.stack([_variance_by_scene(values, sizes, scene, statistic) for scene in range(len(sizes))], axis=-1)
+    total = parts.sum(axis=-1)
+    shares = parts / np.where(total > 0, total, 1.0)[..., None]
+    unequal = (shares**2 / (np.asarray(sizes) - 1)).sum(axis=-1)
+    return np.maximum(1.0, 1.0 / np.where(unequal > 0, unequal, 1.0))
+
+
+def _variances_of_means(values: np.ndarray, sizes: Sequence[int]) -> np.ndarray:  # [..., N] -> [..., S]
+    deviations = values - np.repeat(scene_means(values, sizes), sizes, axis=-1)
+    return scene_means(deviations**2, sizes) / (np.asarray(sizes, np.float64) - 1)
+
+
+def _variance_by_scene(values: np.ndarray, sizes: Sequence[int], scene: int, statistic: Statistic) -> np.ndarray:
+    """Return the variance [...] of the statistic over resamples of the runs of one scene."""
+    size, start = sizes[scene], sum(sizes[:scene])
+    drawn = values[..., start + stratified_draws((size,))]  # [..., R, n - 1]
+    before, after = (
+        np.broadcast_to(part[..., None, :], (*drawn.shape[:-1], part.shape[-1]))
+        for part in (values[..., :start], values[..., start + size :])
+    )
+    left = [*sizes[:scene], size - 1, *sizes[scene + 1 :]]
+    return statistic(np.concatenate([before, drawn, after], axis=-1), left).var(axis=-1, ddof=1)
 
 
 def t_quantile(freedom: float, level: float = LEVEL) -> float:

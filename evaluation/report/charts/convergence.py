@@ -57,7 +57,7 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
     """Return the costs [P] and values [P] of one run's curve, at the P points where ``measure`` was taken.
 
     Costs increase strictly: of several points with the same cost, the last one is used. The cost "seconds" is the wall
-    time at the end of a decision, without evaluation; the point before the first decision is left out.
+    time at the end of a decision, without evaluation, and 0 before the first one.
     """
     points: dict[float, float] = {}
     for point in run.metrics["curve"]:
@@ -65,9 +65,9 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
             continue
         if cost == "seconds":
             ended = run.timing.get("decisions", [])
-            if not 0 < point["decision"] <= len(ended):
+            if point["decision"] > len(ended):
                 continue
-            points[ended[point["decision"] - 1]] = point[measure]
+            points[ended[point["decision"] - 1] if point["decision"] else 0.0] = point[measure]
         else:
             points[point[cost]] = point[measure]
     places = sorted(points)
@@ -162,8 +162,8 @@ def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.nda
     """Return the areas under the curves of a policy's runs, one array per scene; None if a scene has no curve.
 
     ``cost`` and ``measure`` are keys of `COSTS` and `MEASURES`. An area is divided by the budget, so it is a mean in
-    the unit of ``measure``. The budget is the frame budget, or for metres and seconds the lowest total of any run on
-    the scene.
+    the unit of ``measure``. The budget is the frame budget, or for metres and seconds the lowest total above 0 of any
+    run on the scene.
     """
     strata = []
     for scene in results.scenes:
@@ -171,12 +171,12 @@ def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.nda
         own = _curves(results.of(policy, scene), cost, measure)
         if not own:
             return None
-        budget = min(float(x[-1]) for x, _ in all_curves)
+        totals = [float(x[-1]) for x, _ in all_curves if x[-1] > 0]
         if cost == "frames":
-            budget = max(float(run.config["configuration"]["frame_budget"]) for run in results.of(None, scene))
-        if budget <= 0:
+            totals = [max(float(run.config["configuration"]["frame_budget"]) for run in results.of(None, scene))]
+        if not totals:
             return None
-        strata.append(np.array([area_under(x, y, budget) for x, y in own]))
+        strata.append(np.array([area_under(x, y, min(totals)) for x, y in own]))
     return strata
 
 

@@ -28,14 +28,20 @@ def answer_text(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     """Return sentences that name the policies with the best means, and how many of their leads are significant."""
     if not any(lead.runner_up for lead in leads):
         return ""
+    missing = verdicts.partial(results)
+    less = f" Without a run on every scene, so not compared: {', '.join(missing)}." if missing else ""
+    return _compared(results, leads) + less
+
+
+def _compared(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     wins = Counter(lead.policy for lead in leads if not lead.tied).most_common()
     text = _winners(wins, len(leads))
-    if not verdicts.has_intervals(results):
+    margins = [(lead.margin, lead.column) for lead in leads if lead.margin and lead.margin.difference.has_interval]
+    if not margins and verdicts.has_intervals(results) and all(lead.tied for lead in leads):
+        return text
+    if not margins:
         seeds = "One seed gives" if len(results.seeds) == 1 else "A single pair on a scene gives"
         return f"{text} {seeds} no intervals, so no lead is certain."
-    margins = [(lead.margin, lead.column) for lead in leads if lead.margin]
-    if not margins:
-        return text
     sure = sum(verdicts.verdict(margin, column)[0].startswith("better") for margin, column in margins)
     pairs = min(margin.pairs for margin, _ in margins)
     few = f", at least {pairs} pairs" if pairs < verdicts.FEW else ""
@@ -77,6 +83,6 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
         "shared": bool(lead.tied),
         "ahead": ahead,
         # The sentence above the cards defines "significant" and gives the number of pairs.
-        "verdict": words.partition(",")[0].replace(" significant", ""),
+        "verdict": words.partition(",")[0].replace("no significant difference", "not significant"),
         "tone": tone,
     }

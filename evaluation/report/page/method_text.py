@@ -121,9 +121,10 @@ def statistics_text() -> list[str]:
         f"the standard error of medians and IQMs is that of {intervals.REPEATS:,} resamples. They describe the "
         "variation over seeds on these scenes, not over scenes. With one run on a scene there is no interval. A "
         "difference is significant if its interval excludes 0.",
-        "Differences are paired: runs of the same scene and seed share start, sensor noise and candidates. "
-        "P(improvement) is the probability that a run of one policy is better than a run of the other on the same "
-        "scene; runs with equal printed values count half. It is Mann and Whitney's U divided by the number of pairs. "
+        "Differences are paired: runs of the same scene and seed share start and sensor noise, and in the shared setup "
+        "candidates. P(improvement) is the probability that a run of one policy is better than a run of the other on "
+        "the same scene; runs at most half of the last printed digit apart count half. It is Mann and Whitney's U "
+        "divided by the number of pairs. "
         "Intervals are not corrected for multiple comparisons.",
     ]
 

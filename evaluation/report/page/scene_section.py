@@ -74,7 +74,7 @@ def seed_text(results: Results, scene: str) -> str:
     text = f"All images are of seed {runs[0].job.seed}, so all paths begin at the same pose"
     if len({run.job.seed for run in results.of(None, scene)}) > 1:
         result = "C.R." if runs[0].has_truth else "known volume"
-        text += f"; this seed has the median {result}, averaged over the policies"
+        text += f"; of the seeds that most policies finished, it has the median {result}, averaged over the policies"
     others = [p for p in results.policies if p not in shown and results.of(p, scene)]
     return f"{text}." + (f" Without a run of this seed: {', '.join(others)}." if others else "")
 

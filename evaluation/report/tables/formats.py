@@ -41,7 +41,7 @@ def markdown(table: Table) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """Return a table as CSV, with numbers in full precision and without ranks."""
+    """Return a table as CSV, with numbers without interval in full precision, and without ranks."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     spans = [text for text, span in table.groups for _ in range(span)] or [""] * len(table.headings)

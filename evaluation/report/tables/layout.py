@@ -74,15 +74,15 @@ def number(value: float | None, digits: int, missing: str = NONE) -> Cell:
 def with_interval(estimate: Estimate | None, column: Column, *, signed: bool = False) -> Cell:
     """Return a cell such as ``3.21 [3.02, 3.40]``; the interval is left out if there is none.
 
-    ``signed`` is for differences: it adds a plus sign to positive numbers. Otherwise the interval of a percentage ends
-    at 0 and 100. None gives the text `MISSING`.
+    ``signed`` is for differences: it adds a plus sign to positive numbers. Otherwise the interval of a percentage
+    between 0 and 100 ends there. None gives the text `MISSING`.
     """
     if estimate is None:
         return Cell(MISSING)
     text = decimal(estimate.value, column.digits, signed=signed)
     if estimate.low is not None and estimate.high is not None:
         ends = [estimate.low, estimate.high]
-        if column.unit == "%" and not signed:
+        if column.unit == "%" and not signed and 0.0 <= estimate.value <= 100.0:
             ends = [min(max(end, 0.0), 100.0) for end in ends]
         text += f" [{', '.join(decimal(end, column.digits, signed=signed) for end in ends)}]"
     return Cell(text, estimate.value)

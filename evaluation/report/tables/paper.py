@@ -44,10 +44,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
     ]
     headings = [Heading("Method", numeric=False), Heading("Metric", numeric=False)]
     headings += [Heading(scene or "Avg.") for scene in scenes]
-    caption = (
-        f"Means over {pluralised(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
-        "or not defined"
-    )
+    caption = f"Means over {results.seeds_text}. “{MISSING}”: no finished run; “{NONE}”: not measured or not defined"
     blocks = [k * len(columns) for k in range(1, len(results.policies))]
     title = f"3D reconstruction and view synthesis, protocol {aspect.title}"
     return Table(aspect.of("quality"), title, headings, rows, caption, blocks=blocks)

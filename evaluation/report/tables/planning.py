@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from activestructure_gym.evaluation.report.results import Results, once
@@ -105,11 +104,13 @@ def _short_cell(results: Results, policy: str, column: Column) -> Cell:
 
 def _cell(results: Results, policy: str, column: Column) -> Cell:
     strata = results.strata(policy, column.key)
-    cell = with_interval(None if strata is None else estimate(strata), column)
+    found = None if strata is None else estimate(strata)
     missed = [is_lower_bound(run, column.key) for run in results.of(policy)]
-    if strata is None or not any(missed):
-        return cell
+    if found is None or not any(missed):
+        return with_interval(found, column)
     budgets = {run.config["configuration"]["frame_budget"] for run in results.of(policy)}
     if all(missed):
         return Cell(f"> {max(budgets)}", note="not reached in any run")
-    return replace(cell, text=f"> {cell.text}", note=f"not reached in {sum(missed)} of {len(missed)} runs")
+    return Cell(
+        f"> {found.value:.{column.digits}f}", found.value, note=f"not reached in {sum(missed)} of {len(missed)} runs"
+    )

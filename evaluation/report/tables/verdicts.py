@@ -49,7 +49,7 @@ class Lead:
     column: Column  # the metric
     policy: str  # the best policy
     mean: Estimate  # mean of the best policy
-    tied: tuple[str, ...] = ()  # further policies with the same printed mean; then there is no margin
+    tied: tuple[str, ...] = ()  # policies whose means differ by at most `Column.tie`; then there is no margin
     runner_up: str | None = None  # the second-best policy
     margin: PairedDifference | None = None  # best minus second-best
 
@@ -57,25 +57,51 @@ class Lead:
 def leads(results: Results) -> list[Lead]:
     """Return, for each main metric, the planner with the best mean over the scenes.
 
-    Only planners with a run on every scene are compared.
+    Only planners with a run on every scene are compared (`partial` has the others). After a failed run, the best mean
+    may be worse than the second-best one in the pairs of both. Then the means over the scenes and seeds that all
+    planners have are compared instead.
     """
     found = []
     for column in measured(MAIN, results.runs):
-        means = {
-            policy: estimate(own)
+        cells = {
+            policy: results.cells(policy, column.key)
             for policy, planner in zip(results.policies, results.planners)
-            if planner and (own := results.strata(policy, column.key)) is not None
+            if planner and results.strata(policy, column.key) is not None
         }
-        if not means:
+        if not cells:
             continue
-        order = sorted(means, key=lambda policy: -column.sign * means[policy].value)
-        first, second = order[0], order[1] if len(order) > 1 else None
-        tied = tuple(p for p in order[1:] if _printed(means[p].value, column) == _printed(means[first].value, column))
-        margin = None
-        if second is not None and not tied:
-            margin = paired_difference(results.cells(first, column.key), results.cells(second, column.key))
-        found.append(Lead(column, first, means[first], tied, second, margin))
+        lead = _lead(cells, column)
+        shared = set.intersection(*map(set, cells.values()))
+        is_worse = lead.margin is not None and lead.margin.difference.value * column.sign < 0
+        if is_worse and {scene for scene, _ in shared} == set(results.scenes):
+            lead = _lead({policy: {cell: own[cell] for cell in shared} for policy, own in cells.items()}, column)
+        found.append(lead)
     return found
+
+
+def _lead(cells: dict[str, dict[tuple[str, int], float]], column: Column) -> Lead:
+    """Return the lead in one metric, whose values are given by policy and by scene and seed."""
+    means = {
+        policy: estimate([
+            np.array([value for (place, _), value in own.items() if place == scene])
+            for scene in dict.fromkeys(scene for scene, _ in own)
+        ])
+        for policy, own in cells.items()
+    }  # fmt: skip
+    order = sorted(means, key=lambda policy: -column.sign * means[policy].value)
+    first, second = order[0], order[1] if len(order) > 1 else None
+    tied = tuple(p for p in order[1:] if abs(means[p].value - means[first].value) <= column.tie)
+    margin = paired_difference(cells[first], cells[second]) if second is not None and not tied else None
+    return Lead(column, first, means[first], tied, second, margin)
+
+
+def partial(results: Results) -> list[str]:
+    """Return the planners without a run on some scene, which are not in `leads`."""
+    return [
+        policy
+        for policy, planner in zip(results.policies, results.planners)
+        if planner and not all(results.of(policy, scene) for scene in results.scenes)
+    ]
 
 
 @once
@@ -157,8 +183,13 @@ def difference_table(results: Results) -> Table | None:
     if not rows:
         return None
     headings = [Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference")]
-    headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: same printed value"))
-    caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over scenes"
+    headings.append(
+        Heading(
+            "better / equal / worse",
+            note="pairs of scene and seed; equal: at most half of the last printed digit apart",
+        )
+    )
+    caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes of both"
     if measured(PROGRESS, results.runs):
         caption += ". Frames to N %: a run that did not reach N % counts with its frame budget"
         caption += f". {missing}" if (missing := unreached_levels_text(results.runs)) else ""
@@ -196,7 +227,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         [Heading("row better than column", numeric=False), *(Heading(policy) for policy in policies)],
         rows,
         "Chance that a run of the row is better than one of the column; equal runs count half. Mean over scenes; "
-        "coloured if the paired difference is significant",
+        f"coloured if the paired difference is significant and of at least {FEW} pairs",
     )
 
 

@@ -22,8 +22,8 @@ def test_turning_in_place_costs_no_metres_so_the_last_value_counts(make_run):
     ]
     np.testing.assert_array_equal(curve_of(run, "metres", "psnr"), [[0.0, 2.0], [7.0, 8.0]])
     np.testing.assert_array_equal(curve_of(run, "frames", "psnr"), [[1, 9, 20], [5, 7, 8]])
-    # Seconds at the end of decisions 1 and 3; the first frame has none.
-    np.testing.assert_array_equal(curve_of(run, "seconds", "psnr"), [[2.0, 6.0], [7, 8]])
+    # Seconds at the end of decisions 1 and 3; the first frame is there at once.
+    np.testing.assert_array_equal(curve_of(run, "seconds", "psnr"), [[0.0, 2.0, 6.0], [5, 7, 8]])
 
 
 def test_a_line_per_policy_with_the_mean_over_the_scenes(make_run):
@@ -75,6 +75,10 @@ def test_areas_end_at_the_budget_or_with_the_cheapest_run(make_run):
     # Over metres both end at 6: the cheap one has its mean there, the dear one half of its way.
     assert areas(results, "a", "metres", "completion_ratio")[0] == pytest.approx(50.0)
     assert areas(results, "b", "metres", "completion_ratio")[0] == pytest.approx((20 + 40) / 2 * 4 / 6 + 45 * 2 / 6)
+    still = make_run(policy="c", metres=0.0)  # never moved, so it is no budget for the others
+    with_it = Results([cheap, dear, still], [])
+    assert areas(with_it, "a", "metres", "completion_ratio")[0] == pytest.approx(50.0)
+    assert areas(with_it, "c", "metres", "completion_ratio")[0] == pytest.approx(80.0)
 
 
 def test_a_measure_has_points_where_it_was_taken_and_charts_where_any_run_has_it(make_run):

@@ -84,3 +84,52 @@ def test_a_card_has_value_winner_lead_and_verdict(make_run):
     assert '<span class="ahead">+2.00 [+2.00, +2.00] against a</span>' in card
     assert '<span class="badge good">better (95 %)</span>' in card
     assert "equal as printed" in text[: text.index('<span class="metric">PSNR</span>')]  # of C.R.
+
+
+def test_a_failed_run_makes_no_winner(make_run):
+    """A's hardest seed failed: by the seeds that both have, B is better."""
+    ratios = {"a": (90.0, 90.2), "b": (91.0, 91.3, 60.0)}
+    runs = [
+        make_run("room", policy, seed, completion_ratio=ratio, psnr=0.2 * ratio)
+        for policy, own in ratios.items()
+        for seed, ratio in enumerate(own)
+    ]
+    results = Results(runs, [])
+    first = leads(results)[0]
+    assert (first.policy, first.runner_up, first.mean.runs) == ("b", "a", 2) and first.margin.difference.value > 0
+    assert answer_text(results, leads(results)).startswith("b is best in all 2 metrics.")
+
+
+def test_who_was_not_on_every_scene_is_named(make_run):
+    runs = [
+        make_run(scene, policy, seed, psnr=20.0 + 10.0 * (policy == "a"))
+        for scene in ("one", "two")
+        for policy in "abc"
+        for seed in (0, 1)
+        if (scene, policy) != ("two", "a")
+    ]
+    results = Results(runs, [])
+    text = "The best policies are equal in all metrics. Without a run on every scene, so not compared: a."
+    assert answer_text(results, leads(results)) == text
+
+
+@pytest.mark.parametrize(
+    ("seeds", "text"),
+    [
+        # The baseline has one seed, the best two have six.
+        ({"random": (0,), "a": range(6), "b": range(6)}, "The lead is significant (95 %)."),
+        # The best two share one seed, each shares several with the baseline.
+        (
+            {"random": range(6), "a": (2, 4, 5), "b": (0, 1, 2)},
+            "A single pair on a scene gives no intervals, so no lead is certain.",
+        ),
+    ],
+)
+def test_what_is_said_of_leads_does_not_depend_on_the_baseline(make_run, seeds, text):
+    runs = [
+        make_run("room", policy, seed, psnr={"random": 10.0, "a": 20.0, "b": 22.0}[policy] + 0.1 * seed)
+        for policy, own in seeds.items()
+        for seed in own
+    ]
+    results = Results(runs, [], "random")
+    assert answer_text(results, leads(results)) == f"b is best in 1 of 2 metrics. {text}"

@@ -36,6 +36,8 @@ def test_intervals_as_printed():
     assert math.isclose(with_interval(Estimate(1.006, None, None, 1), DECIBELS).value, 1.006)
     wide = Estimate(97.0, -4.0, 103.0, 2)  # no share of the surface is above 100 %
     assert with_interval(wide, HIGHER).text == "97.0 [0.0, 100.0]"
+    below = Estimate(-4.0, -5.0, -3.0, 4)  # a metric of one's own, which is no share
+    assert with_interval(below, HIGHER).text == "−4.0 [−5.0, −3.0]"
     assert with_interval(wide, HIGHER, signed=True).text == "+97.0 [−4.0, +103.0]"
 
 

@@ -28,7 +28,7 @@ END = "finish"  # source of the row that ends the episode, offered with the last
 
 # Limits that the original does not have: a view is not chosen again and again, and a stage without progress ends.
 MAX_VISITS = 2  # maximum number of choices of one view in one stage
-STAGNATION = 30  # a stage ends if the pool's largest share of uncovered pixels has not decreased for so many decisions
+STAGNATION = 30  # a stage ends if the pool's largest share of uncovered pixels has no new low for so many decisions
 
 
 def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]

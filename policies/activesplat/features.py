@@ -18,7 +18,7 @@ from activestructure_gym.views import panorama
 REGION_M = 2.0  # metres; groups of nodes with a larger average distance are different subregions
 APART_M = 1e3  # metres, path length between nodes that no path connects
 VIEW_OPEN = 0.3  # minimum 1 - opacity of a gap in a view
-MIN_VIEW_DEG2 = 25.0  # square degrees; smaller gaps in a view are ignored
+MIN_VIEW_DEG2 = 100.0  # square degrees; smaller gaps in a view are ignored (25 pixels of 2 x 2 degrees)
 
 
 @FEATURES.register(
@@ -32,7 +32,7 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 6]
 
     I (rad^2 m deg^2) sums (hull volume) x (sum of 1 - opacity) over clusters of gaps in the node's panorama. V
     (rad^2 m) sums the hull volumes. Both are 0 without a node. The number of a subregion is valid in one step only; it
-    is -1 without a node. The column ``view`` sums 1 - opacity over the gaps of more than 25 square degrees in the
+    is -1 without a node. The column ``view`` sums 1 - opacity over the gaps of more than 100 square degrees in the
     image. The last two columns are the node's position (m, world), or the candidate's own without a node. Source:
     [activesplat, code].
     """
@@ -43,7 +43,7 @@ def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 6]
 
 
 def visible_gaps(context: FeatureContext) -> np.ndarray:  # [K] square degrees
-    """Return the sum of 1 - opacity over the gaps of more than 25 square degrees in the image of each candidate.
+    """Return the sum of 1 - opacity over the gaps of more than 100 square degrees in the image of each candidate.
 
     A gap is a connected region of pixels with 1 - opacity above 0.3. The original finds gaps in the panorama of the
     agent's node and turns to their centres. Here the view directions of the candidates are given.

@@ -49,7 +49,18 @@ class ActiveSplat(Planner):
         stages=(("nodes?rows=476", *(f"turns?count=12&pitch_deg={pitch}" for pitch in (0, 30, -30))),),
         candidates=512,
         iterations=2,
-        changes={**SQUARE_CAMERA, "sensor.max_range": 4.0},
+        # `config/splatam/online_habitat_sim.py`: ellipsoids, seeds where the silhouette is below 0.98 or the depth
+        # error above two medians, 12 keyframes per event, no pruning.
+        changes={
+            **SQUARE_CAMERA,
+            "sensor.max_range": 4.0,
+            "mapper.isotropic": False,
+            "mapper.covered_alpha": 0.98,
+            "mapper.in_front_factor": 2.0,
+            "mapper.window": 12,
+            "mapper.prune_opacity": 0.0,
+            "mapper.prune_scale": 1e9,
+        },
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
     )
     required_features = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")

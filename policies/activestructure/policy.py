@@ -238,9 +238,9 @@ class ActiveStructure(StructurePolicy):
     def _refine(self, terms: GainTerms, observation: Observation, more: dict[str, Any]) -> int:
         """Return the nearest of the offered keyframes that was not revisited yet.
 
-        The episode is settled if there is none, if 90 % of the keyframes are good, or if revisits no longer raise the
-        PSNR; the trace contains the reason. A settled episode ends if the env has the source ``finish``. Otherwise
-        views are scored again.
+        The env offers the worst keyframes (`views.max_revisits`). The episode is settled if none of them is left, if
+        90 % of the keyframes are good, or if revisits no longer raise the PSNR; the trace contains the reason. A
+        settled episode ends if the env has the source ``finish``. Otherwise views are scored again.
         """
         candidates = self.candidates(observation)
         views = np.concatenate([candidates.xyz, candidates.view_direction], axis=1)
@@ -261,12 +261,12 @@ class ActiveStructure(StructurePolicy):
     def _settled(self, left: bool, lowest: float) -> str | None:
         """Return the reason to end the revisits, or None.
 
-        ``left`` is whether a keyframe is left to revisit, ``lowest`` the 10 % quantile of the keyframes' PSNR in dB.
+        ``left`` is whether an offered keyframe is left, ``lowest`` the 10 % quantile of the keyframes' PSNR in dB.
         """
         if not self._revisits:
             return "no revisits (revisits=false)"
         if not left:
-            return "no keyframe left to revisit"
+            return "the worst keyframes have been revisited"
         if lowest >= GOOD_PSNR:
             return f"nine tenths of the keyframes reach {GOOD_PSNR:g} dB"
         if not self._progress.continues(lowest, len(self._revisited)):

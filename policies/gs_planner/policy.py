@@ -59,7 +59,8 @@ class GSPlanner(Planner):
     The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
     four nearest places is considered; the places replace one growth of the original's tree. The view with the largest G
     is chosen, and others with G above 0.05 are stored in a view library. If no G is at least 0.02, the best view of the
-    library is chosen. If the library is empty, the best of all views is chosen; the original then ends the episode.
+    library is chosen. If no candidate overlaps with one by half, the best of all views is chosen. The original ends the
+    episode when the library is empty.
     Revisits are not candidates. Source: [gs_planner], by its text.
     """
 

@@ -27,17 +27,17 @@ def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
     return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
 
 
-@FEATURES.register("hgs_planner_raw", unit="m^3, plus weighted information", low=0.0)
+@FEATURES.register("hgs_planner_raw", unit="m^3 plus weighted information, per Gaussian", low=0.0)
 def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
-    """Compute G_cov + lambda_o G_Q as sums without a common unit, as in the paper's text.
+    """Compute G_cov + lambda_o G_Q as sums without a common unit, as in the paper's text, divided by N Gaussians.
 
-    G_cov is the sum of volume times transmittance (m^3) over the unobserved voxels on the rays of all pixels of the
-    scoring camera. G_Q is the sum of H_c / (H_train + lambda) over all parameters of all Gaussians (`fisherrf`).
+    The division changes no choice; sums would exceed `envs.observation.MAX_FEATURE`. G_cov is the sum of volume times
+    transmittance (m^3) over the unobserved voxels on the rays of all pixels of the scoring camera. G_Q is the sum of
+    H_c / (H_train + lambda) over all parameters of all Gaussians (`fisherrf`).
     """
     on_ray = min(RANGE, context.max_range) * context.volume.config.voxel_size**2  # m^3 of the voxels on a ray
     volume = context.once(hgs_coverage) * on_ray * context.camera.width * context.camera.height
-    information = context.once(fisherrf) * max(1, context.mapper.map.count)
-    return volume + observed_share(context) * information
+    return volume / max(1, context.mapper.map.count) + observed_share(context) * context.once(fisherrf)
 
 
 @FEATURES.register("hgs_coverage", unit="share of the rays", low=0.0, high=1.0)

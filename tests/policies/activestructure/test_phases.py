@@ -130,7 +130,7 @@ def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
         observed["action_mask"][2] = not masked
         return policy.act(observed), policy.trace()["settled"]
 
-    none_left, good = "no keyframe left to revisit", "nine tenths of the keyframes reach 34 dB"
+    none_left, good = "the worst keyframes have been revisited", "nine tenths of the keyframes reach 34 dB"
     assert chosen(1.0) == (2, None)
     assert chosen(1.0) == (1, none_left)  # it was there, and the keyframe is still the worst: nothing moves any more
     assert chosen(2.0, fidelity=GOOD_PSNR) == (1, good)

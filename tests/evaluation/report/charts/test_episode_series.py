@@ -27,10 +27,10 @@ def test_what_follows_once_nothing_is_left_to_do_is_a_band_of_its_own(steps):
     for step in steps[3:]:
         step["trace"]["phase"] = "III post-refinement"
         step["trace"]["settled"] = None
-    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = "no keyframe left to revisit"
+    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = "the worst keyframes have been revisited"
     assert bands(steps)[2:] == [
         Band("III post-refinement", 30, 40),
-        Band("settled", 40, 60, "no keyframe left to revisit"),
+        Band("settled", 40, 60, "the worst keyframes have been revisited"),
     ]
     steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = True  # without a reason
     assert bands(steps)[-1] == Band("settled", 40, 60)

@@ -108,11 +108,11 @@ RUNGS = (
     "**B**, visible planes", "**C**, surprise and discount", "**D**, deficiency centres",
     "**E**, phases (on pixels also smaller weights)",
 )  # fmt: skip
-LADDERS = {  # ladders by file: heading of its column, metric in OF_PAIRS
-    "ladder_300.csv": ("on `hole_area`, 300 frames: exploration (points)", "observed_area"),
-    "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
-    "ladder_pixels_300.csv": ("on pixels, 300 frames: exploration (points)", "observed_area"),
-    "ladder_pixels_2000.csv": ("on pixels, 2,000 frames: PSNR (dB)", "psnr"),
+LADDERS = {  # ladders by the heading of their column: file, lowest rung, metric in OF_PAIRS
+    "on `hole_area`, 300 frames: exploration (points)": ("benchmark.csv", "hole_area", "observed_area"),
+    "on `hole_area`, 2,000 frames: PSNR (dB)": ("ladder_2000.csv", "hole_area", "psnr"),
+    "on pixels, 300 frames: exploration (points)": ("benchmark.csv", "pixel_only", "observed_area"),
+    "on pixels, 2,000 frames: PSNR (dB)": ("ladder_2000.csv", "pixel_only", "psnr"),
 }
 OTHERS = (
     "tsdf_completion_ratio", "accuracy_cm", "ssim", "completion_cm", "late_psnr_rate", "late_depth_rate", "precision",
@@ -219,8 +219,11 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
 
 
 def all_policies() -> Table:
-    """Return the runs in benchmark.csv, pooled by scene: "seeds" are scenes, with means over the common seeds."""
-    return _pooled(read(PLACE))
+    """Return the runs in benchmark.csv, pooled by scene: "seeds" are scenes, with means over the common seeds.
+
+    Policies with options, which are rungs of a ladder, are left out.
+    """
+    return _pooled({policy: runs for policy, runs in read(PLACE).items() if "?" not in policy})
 
 
 def all_starts() -> Table:
@@ -249,18 +252,17 @@ def learned() -> str:
     return "".join([*first, *(line for lines in more for line in lines[2:])])
 
 
-def ladder(table: Table) -> list[tuple[str, str, str]]:
-    """Return (title, policy, policy of the rung below) for every rung of a ladder, then (title, top, base).
+def ladder(table: Table, base: str) -> list[tuple[str, str, str]]:
+    """Return (title, policy, policy of the rung below) for every rung of the ladder on ``base``, then (title, top, base).
 
-    Return [] if the table does not have all rungs of a ladder.
+    Return [] if the table does not have all rungs.
     """
-    for base in BASELINES:
-        discovery = "" if base == "pixel_only" else f"?discovery={base}"
-        top = LADDER[-1].replace("=pixel", f"={base.removesuffix('_only')}")
-        rungs = [base, *(f"{name}{discovery}" for name in LADDER[1:-1]), top]
-        if all(name in table for name in rungs):
-            return [*zip(RUNGS, rungs[1:], rungs), (f"all over `{base}`", top, base)]
-    return []
+    discovery = "" if base == "pixel_only" else f"?discovery={base}"
+    top = LADDER[-1].replace("=pixel", f"={base.removesuffix('_only')}")
+    rungs = [base, *(f"{name}{discovery}" for name in LADDER[1:-1]), top]
+    if not all(name in table for name in rungs):
+        return []
+    return [*zip(RUNGS, rungs[1:], rungs), (f"all over `{base}`", top, base)]
 
 
 def ladders(folder: Path) -> str:
@@ -269,10 +271,10 @@ def ladders(folder: Path) -> str:
     ``folder`` has the files of `LADDERS`.
     """
     columns = []
-    for name, (heading, key) in LADDERS.items():
+    for heading, (name, base, key) in LADDERS.items():
         table = read(folder / name)
-        if not (rungs := ladder(table)):
-            raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on one base")
+        if not (rungs := ladder(table, base)):
+            raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on `{base}`")
         cells = [_difference(table, *pair, key, OF_PAIRS[key][1]).replace("-", "−") for _, *pair in rungs]
         columns.append([heading, *cells])
     rows = list(zip(["variant", *RUNGS, "all of it"], *columns, strict=True))
@@ -401,7 +403,7 @@ def main() -> None:
         print(pairs(table, [(f"`{ours}` over `{theirs}`", ours, theirs) for ours, theirs in parts]), end="")
         return
     print(markdown(all_policies() if place == PLACE else table), end="")
-    if rungs := ladder(table):
+    for rungs in filter(None, (ladder(table, base) for base in BASELINES)):
         print(f"\n{pairs(table, rungs)}", end="")
 
 

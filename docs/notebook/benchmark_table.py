@@ -253,9 +253,9 @@ def learned() -> str:
 
 
 def ladder(table: Table, base: str) -> list[tuple[str, str, str]]:
-    """Return (title, policy, policy of the rung below) for every rung of the ladder on ``base``, then (title, top, base).
+    """Return (title, policy, policy of the rung below) for every rung of a ladder, then (title, top, base).
 
-    Return [] if the table does not have all rungs.
+    Its lowest rung is ``base``. Return [] if the table does not have all rungs.
     """
     discovery = "" if base == "pixel_only" else f"?discovery={base}"
     top = LADDER[-1].replace("=pixel", f"={base.removesuffix('_only')}")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import json
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -166,7 +168,11 @@ def test_asg_new_writes_a_plugin_whose_test_passes(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["new", kind, name]) == 0
-    assert f"python -m pytest test_{name}.py" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"python -m pytest test_{name}.py" in said
+    (command,) = (line for line in said.splitlines() if line.strip().startswith("asg "))
+    values = [word.partition("=")[2] for word in shlex.split(command) if word.startswith("views.stages=")]
+    assert [json.loads(value) for value in values] == [[["my_source:MySource"]]] * (kind == "source")
     try:
         module = importlib.import_module(f"test_{name}")
         tests = [value for key, value in vars(module).items() if key.startswith("test_")]

@@ -159,8 +159,16 @@ class KeyframeMapper(ABC):
 def checked_frame(frame: Frame) -> Frame:
     """Return the frame with all depths that are not finite set to 0 (no return).
 
-    Raises `ValueError` if the sizes of image and camera differ.
+    Raises `ValueError` if the sizes of image and camera differ, if colours are not uint8 or depth is not in floats
+    (metres), or if the pose is not [4, 4] finite numbers.
     """
+    if frame.rgb.dtype != np.uint8 or frame.depth.dtype.kind != "f":
+        raise ValueError(
+            f"a frame has rgb in uint8 and depth in metres as floats, got {frame.rgb.dtype} and {frame.depth.dtype}"
+        )
+    pose = np.asarray(frame.world_from_camera)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError(f"a pose is an array [4, 4] of finite numbers, got {pose.tolist()}")
     shape = (frame.camera.height, frame.camera.width)
     if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
         raise ValueError(

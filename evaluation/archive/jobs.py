@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import operator
 import os
 import re
 import unicodedata
@@ -70,8 +71,13 @@ class Job:
             object.__setattr__(self, kind, Spec(text))
             check_in_one_line(kind, text)
         check_in_one_line("swept value", self.swept_text)
-        if not 0 <= self.seed <= MAX_SEED:
+        try:
+            seed = -1 if isinstance(self.seed, bool) else operator.index(self.seed)  # also NumPy's whole numbers
+        except TypeError:
+            seed = -1
+        if not 0 <= seed <= MAX_SEED:
             raise InputError(f"a seed is a whole number from 0 to {MAX_SEED}, got {short_repr(self.seed)}")
+        object.__setattr__(self, "seed", seed)
 
     @cached_property
     def hash(self) -> str:

@@ -21,7 +21,7 @@ _TEMPLATES = Path(__file__).with_name("templates")
 _NEXT = {
     "policy": "asg compare --scenes room --policies random,{name}:{title}",
     "feature": "asg list features {name}:{name}",
-    "source": "asg watch --set 'views.stages=[[{name}:{title}]]'",
+    "source": "asg watch --set 'views.stages=[[\"{name}:{title}\"]]'",
     "world": "asg explore --world {name}:{title} --frames 100",
 }
 

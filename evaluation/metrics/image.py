@@ -30,12 +30,17 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     float
         PSNR in dB.
 
+    Raises
+    ------
+    ValueError
+        An image has whole numbers, such as 0 to 255.
+
     Examples
     --------
     >>> psnr(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
     100.0
     """
-    error = np.mean((np.asarray(rendered, np.float64) - np.asarray(true, np.float64)) ** 2)
+    error = np.mean((_floats(rendered) - _floats(true)) ** 2)
     return float(-10.0 * np.log10(max(float(error), _MIN_MSE)))
 
 
@@ -190,10 +195,17 @@ def depth_l1(
     return float(np.abs(rendered[mask].astype(np.float64) - true[mask].astype(np.float64)).mean())
 
 
+def _floats(image: np.ndarray) -> np.ndarray:
+    """Return an image as contiguous float64; raise `ValueError` for whole numbers, whose range is not [0, 1]."""
+    array = np.asarray(image)
+    if array.dtype.kind not in "fc":
+        raise ValueError(f"expected an image of floats in [0, 1], got {array.dtype}: divide 0 to 255 by 255")
+    return np.ascontiguousarray(array, np.float64)
+
+
 def _pair(rendered: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return both images [H, W, C] as contiguous float64; raise ValueError if shapes differ or are below 11 x 11."""
-    x = np.ascontiguousarray(rendered, np.float64)
-    y = np.ascontiguousarray(true, np.float64)
+    """Return both images [H, W, C] by `_floats`; raise `ValueError` if shapes differ or are below 11 x 11."""
+    x, y = _floats(rendered), _floats(true)
     if x.shape != y.shape or x.ndim != 3:
         raise ValueError(f"expected two images [H, W, C] of one shape, got {x.shape} and {y.shape}")
     if min(x.shape[:2]) < TAPS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,3 +30,20 @@ def test_the_map_of_any_mapper_stays_empty(name: str, room_frames: list[Frame]) 
     assert not rendering.alpha.any() and not rendering.color.any()
     depth, alpha = mapper.render_depth_alpha(frame.camera, frame.world_from_camera[None])
     assert depth.shape == (1, frame.camera.height, frame.camera.width) and not depth.any() and not alpha.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rgb": np.full((45, 80, 3), 0.5)}, "rgb in uint8 and depth in metres as floats, got float64 and float32"),
+        ({"depth": np.full((45, 80), 2000, np.uint16)}, "got uint8 and uint16"),
+        ({"world_from_camera": np.full((4, 4), np.nan)}, r"an array \[4, 4\] of finite numbers"),
+        ({"world_from_camera": np.eye(3)}, r"an array \[4, 4\] of finite numbers"),
+    ],
+)
+def test_a_frame_of_other_types_is_refused(changes, message, room_frames: list[Frame]) -> None:
+    config = configure("fast", {"sensor": {"width": 80, "height": 45}})
+    mapper = make_mapper(config, np.array([[0.0, 0, 0], [4, 3, 2.5]]), np.random.default_rng(0))
+    with pytest.raises(ValueError, match=message):
+        mapper.observe(replace(room_frames[0], **changes))
+    assert mapper.map.count == 0

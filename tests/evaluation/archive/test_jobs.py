@@ -1,6 +1,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
@@ -218,3 +219,14 @@ def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
 @pytest.mark.parametrize("policy", ["random", "naruto?travel=shared", "learned:runs/bc@01234567"])
 def test_registered_names_and_files_are_taken_from_a_record(scene, policy):
     refuse_code([Job(scene, policy, 0, conditions=Conditions(overrides=(("features", ["pixel"]),)))], "compare.json")
+
+
+@pytest.mark.parametrize("seed", [0.5, True, "1", -1, None])
+def test_a_seed_is_a_whole_number(seed):
+    with pytest.raises(InputError, match="a seed is a whole number from 0 to"):
+        Job(Spec("box"), Spec("random"), seed)
+
+
+def test_a_seed_of_numpy_is_one_of_python():
+    job = Job(Spec("box"), Spec("random"), np.int64(3))
+    assert type(job.seed) is int and job == Job(Spec("box"), Spec("random"), 3)

@@ -98,3 +98,11 @@ def test_psnr_by_channel_is_blind_to_one_bad_channel():
     rendered = true + [0.1, 0.1, 0.4]
     assert channel_psnr(rendered, true) == pytest.approx((20 + 20 - 10 * np.log10(0.16)) / 3)
     assert psnr(rendered, true) == pytest.approx(-10 * np.log10(0.06))
+
+
+@pytest.mark.parametrize("measure", [psnr, ssim, ms_ssim])
+def test_whole_numbers_are_refused(rng, measure):
+    image = rng.integers(0, 256, (192, 192, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"floats in \[0, 1\], got uint8: divide 0 to 255 by 255"):
+        measure(image, image)
+    assert measure(image / 255.0, image / 255.0) > 0.999

@@ -191,20 +191,21 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
 
     chance = observed(script["FLOOR"] + "naruto", scenes[1])
     assert f"observes {chance} of the house, plain `random` {observed('random', scenes[1])}" in told
-    informed = [name for name in ("gauss_mi", "next_best_sense", "fisherrf", "gavis", "view_angle", "fisherrf_path")
-                if (name, scenes[0]) in runs]  # fmt: skip
+    names = ["gauss_mi", "next_best_sense", "fisherrf", "gavis", "view_angle", "fisherrf_path"]
+    names += [f"popgs_{name}" for name in ("cov_trace", "cov_trace_block", "logdet", "logdet_block")]
+    informed = [name for name in names if (name, scenes[0]) in runs]
     shares = sorted(observed(name, scenes[0]) for name in informed)
     both = f"`random` {observed('random', scenes[0])} and `hole_area` {observed('hole_area', scenes[0])}"
-    assert (
-        f"observes {shares[0].removesuffix(' %')} to {shares[-1]} of the apartment after 2,000 frames**, {both}" in told
-    )
+    words = f"{shares[0].removesuffix(' %')} to {shares[-1]} of the apartment after 2,000 frames**, {both}"
+    assert f"without the controls of `popgs_*`, observes {words}" in told
     assert observed("fisherrf_path", scenes[0]) == shares[-1] and "The highest is `fisherrf_path`" in told
     house = {name: float(runs[name, scenes[1]]["observed"]) for name in (*informed, "rt_guide", "random")}
     others = {name: share for name, share in house.items() if share < house["random"]}
     low, high = min(others, key=others.__getitem__), max(others, key=others.__getitem__)
-    assert house.keys() - others.keys() == {"random", "gavis", "fisherrf_path"}
+    assert house.keys() - others.keys() == {"random", "gavis", "fisherrf_path", "popgs_logdet_block"}
+    more = ["`gavis`", "`fisherrf_path`", "`popgs_logdet_block`"]
     said = f"less than `random`: {others[low]:.1f} (`{low}`) to {others[high]:.1f} % (`{high}`)"
-    assert f"In the house `rt_guide` and all of these but `gavis` and `fisherrf_path` observe {said}" in told
+    assert f"In the house `rt_guide` and all of these but {', '.join(more[:-1])} and {more[-1]} observe {said}" in told
     low, _ = spread("rt_guide")
     assert f"`rt_guide` ends {-low:.1f} points below chance on its views" in told
 

@@ -51,7 +51,6 @@ SHOWN = {  # columns by metric: heading, decimals
     "activesplat/completion_ratio": ("C.R. of ActiveSplat (%) ↑", 1),
     "naruto/completion_ratio": ("of NARUTO (%) ↑", 1),
     "activegamer/completion_ratio": ("of ActiveGAMER (%) ↑", 1),
-    "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1),
     "psnr": ("PSNR (dB) ↑", 2),
     "ended_frame": ("ended at frame", 0),
 }
@@ -62,8 +61,8 @@ OF_PAPERS = {  # planners with a published completion ratio: protocol, system in
     "naruto": ("naruto", "NARUTO"),
 }
 STORED = (  # further columns of native.csv
-    "frames_to_80", "keyframes", "naruto/precision", "depth_l1_cm", "accuracy_cm", "frames_to_90", "frames_to_95",
-    "decisions", "metres", "decision_s", "run_s",
+    "tsdf_completion_ratio", "frames_to_80", "keyframes", "naruto/precision", "depth_l1_cm", "accuracy_cm",
+    "frames_to_90", "frames_to_95", "decisions", "metres", "decision_s", "run_s",
 )  # fmt: skip
 PHASES = {  # columns of the second table: heading, decimals
     "phase_2": ("phase II at frame", 0),
@@ -149,14 +148,14 @@ def markdown(lines: Sequence[dict[str, str]]) -> str:
     has_chance = any(floors.values())
     differences = {} if has_chance or BASELINE not in runs else DIFFERENCES
     heads += [CHANCE] if has_chance else [f"{name} minus `{BASELINE}`" for name, _ in differences.values()]
-    text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
+    text = ["| planner | mapper/iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
         if policy.startswith(FLOOR):
             continue
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in shown.items()]
         cells += minus_chance(runs[policy], runs.get(floors[policy]))[1:] if has_chance else []
         cells += [_difference(runs, policy, key, digits) for key, (_, digits) in differences.items()]
-        mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
+        mapper = " / ".join(sorted({f"{row['mapper']}/{row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
 

@@ -59,9 +59,9 @@ class RayCaster:
     def cast(self, origins: np.ndarray, directions: np.ndarray, *, fronts: bool = False) -> Hits:
         """Return the first hit of each ray; ``origins`` and ``directions`` are [N, 3] (directions of any length).
 
-        For camera rays with z = 1 (`PinholeCamera.rays`) the returned distance is the depth. With ``fronts``, as images
-        need it, the same one of several faces in one plane is always hit: one that is seen from the front, then the one
-        with the lowest number. So of two walls back to back, each room sees its own.
+        For camera rays with z = 1 (`PinholeCamera.rays`) the returned distance is the depth. With ``fronts``, a ray
+        that meets several faces in one plane hits one whose front it meets, and of these the one with the lowest
+        number. Images need this: two walls back to back would show the colours of both as noise.
         """
         origins = np.ascontiguousarray(np.broadcast_to(origins, np.shape(directions)), dtype=np.float32)
         directions = np.ascontiguousarray(directions, dtype=np.float32)

@@ -22,7 +22,7 @@ F32, F64, U64 = np.float32, np.float64, np.uint64  # unsigned indices need no te
 _SMALLEST = F32(1e-30)  # for boxes, components of a direction count as at least this large
 # Boxes are tested in float32. Each of three operations rounds by 6e-8 (Ize, Robust BVH ray traversal, JCGT 2013).
 _WIDER = F32(1.0 + 1e-6)
-BEHIND = 1.0 + 2.0**-20  # 1 micrometre per metre
+BEHIND = 1.0 + 2.0**-20  # factor on the distance to a back when it is compared: 1 micrometre per metre
 _NO_FACE = 1 << 31  # above all faces
 _LEAF_MASK = (1 << LEAF_BITS) - 1
 
@@ -60,8 +60,8 @@ class Tracer:
     def first_hits(self, origins: np.ndarray, directions: np.ndarray, *, fronts: bool = False) -> Hits:
         """Return the first hit of each ray at a distance of at least 0; both sides of a triangle count.
 
-        With ``fronts``, distances are compared in float32, and a face that is seen from behind counts as farther by
-        `BEHIND`. Without it, two faces in one plane are hit by turns, as float64 is rounded.
+        With ``fronts``, distances are compared in float32, and those of faces seen from behind are multiplied by
+        `BEHIND`. Without it, rounding in float64 decides which of two faces in one plane is hit.
         """
         reach = np.full(len(directions), np.inf, np.float32)
         return self._trace(origins, directions, reach, any_hit=False, fronts=fronts)
@@ -168,9 +168,9 @@ def _entry(boxes, node, child, ray, limit):
 
 @_inlined
 def _meeting(corners, row, ray):
-    """Return distance, u and v where the ray meets a triangle; NaN or a negative distance if it does not.
+    """Return distance, u, v and side where a ray meets a triangle; NaN or a negative distance if it does not.
 
-    The last number is positive if the ray meets the front, from which the vertices are counterclockwise.
+    The side is positive for the front, from which the vertices are counterclockwise.
     Woop, Benthin and Wald, Watertight ray/triangle intersection, JCGT 2013, in float64. Neighbouring triangles compute
     the same number for their common edge, up to the sign. An edge belongs to both of them.
     """

@@ -2,8 +2,8 @@
 
 The rays of a pinhole camera have one origin, so the three edges of a triangle and its inverse depth are linear in the
 image. A row of a triangle is an interval of samples, and drawing it costs a comparison per sample. This is 5 to 10
-times as fast as casting a ray per sample if triangles cover several samples. Of several faces in one plane, the one is
-drawn that `RayCaster.cast` hits with ``fronts``.
+times as fast as casting a ray per sample if triangles cover several samples. Of several faces in one plane,
+the one that `RayCaster.cast` hits with ``fronts`` is drawn.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def _first_hits(
 
 
 class WarpRenderer:
-    """Render as `RaycastRenderer` does, with Warp's ray caster, which of several faces in one plane shows any."""
+    """Render as `RaycastRenderer` does, with Warp's ray caster; of several faces in one plane, it may show any."""
 
     name = "warp"
 

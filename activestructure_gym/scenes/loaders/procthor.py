@@ -155,8 +155,8 @@ class _Wall:
     def part(self) -> MeshPart:
         """Return the triangles of the wall without its holes.
 
-        Published walls have their fronts in their own room, outer ones outside. A wall between two rooms is two walls
-        in one plane.
+        The front of a wall faces its room, that of an outer wall faces outward. Between two rooms are two walls in one
+        plane.
         """
         xs = sorted({0.0, self.width, *(x for hole in self.holes for x in hole[:2])})
         ys = sorted({0.0, self.height, *(y for hole in self.holes for y in hole[2:])})

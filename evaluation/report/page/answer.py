@@ -37,9 +37,9 @@ def _compared(results: Results, leads: Sequence[verdicts.Lead]) -> str:
     wins = Counter(lead.policy for lead in leads if not lead.tied).most_common()
     text = _winners(wins, len(leads))
     margins = [(lead.margin, lead.column) for lead in leads if lead.margin and lead.margin.difference.has_interval]
-    if not margins and verdicts.has_intervals(results) and all(lead.tied for lead in leads):
-        return text
     if not margins:
+        if not wins and verdicts.has_intervals(results):
+            return text
         seeds = "One seed gives" if len(results.seeds) == 1 else "A single pair on a scene gives"
         return f"{text} {seeds} no intervals, so no lead is certain."
     sure = sum(verdicts.verdict(margin, column)[0].startswith("better") for margin, column in margins)

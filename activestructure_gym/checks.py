@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,12 +17,23 @@ import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.inputs import SceneSpec
+from activestructure_gym.errors import InputWarning
 from activestructure_gym.features import FEATURES, column_names, evaluate_features
 from activestructure_gym.planes.record import graph_arrays
 from activestructure_gym.policies import Policy, make_env_and_policy
-from activestructure_gym.worlds import World, checked_bounds, checked_pose, checked_start, is_world, load_world
+from activestructure_gym.worlds import (
+    World,
+    checked_bounds,
+    checked_pose,
+    checked_start,
+    frame_from,
+    is_world,
+    load_world,
+)
 
 if TYPE_CHECKING:
+    from activestructure_gym.geometry import PinholeCamera
+    from activestructure_gym.geometry.frame import Frame
     from activestructure_gym.reconstruction import Reconstruction
 
 _ROWS = 256  # candidates to which times are scaled
@@ -198,30 +210,36 @@ def check_world(world: str | World) -> None:
     AssertionError
         For the first fault.
     InputError
-        For bounds, a start or a pose that cannot be used.
+        For bounds, a start, an image or a pose that cannot be used.
     """
     made = load_world(world) if isinstance(world, str) else world
     assert is_world(made), "a world has the members bounds, camera, start, capture and close"
     start, camera = checked_start(made.start, checked_bounds(made.bounds)), made.camera
     for _ in range(2):  # the start can be captured again
-        frame = made.capture(start.pose)
-        shape = (camera.height, camera.width)
-        assert frame.rgb.shape == (*shape, 3) and frame.rgb.dtype == np.uint8, "rgb must be [H, W, 3] uint8"
-        assert frame.depth.shape == shape, f"depth must have the camera's {camera.width} x {camera.height} pixels"
+        frame = _frame_of(made.capture(start.pose), camera)
         seen = np.isfinite(frame.depth) & (frame.depth > 0)
         assert seen.any(), "the frame at the start has no depth: check its unit (metres) and its pose"
-        taken = checked_pose("a frame's pose", frame.world_from_camera)
-        off = float(np.linalg.norm(taken[:3, 3] - start.pose[:3, 3]))
+        off = float(np.linalg.norm(frame.world_from_camera[:3, 3] - start.pose[:3, 3]))
         assert off < 0.5, f"the frame at the start was taken {off:.2f} m away from it"
     made.close()
     made.close()
     if isinstance(world, str):
         other = load_world(world)
-        again = other.capture(other.start.pose)
+        again = _frame_of(other.capture(other.start.pose), other.camera)
         other.close()
         assert np.array_equal(again.rgb, frame.rgb) and np.array_equal(again.depth, frame.depth, equal_nan=True), (
             "two fresh worlds of one name gave other frames at the start: take all random numbers from a seed"
         )
+
+
+def _frame_of(frame: Frame, camera: PinholeCamera) -> Frame:
+    """Return a captured frame as an episode takes it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        try:
+            return frame_from(frame.rgb, frame.depth, frame.world_from_camera, camera)
+        except InputWarning as warning:
+            raise AssertionError(str(warning)) from None
 
 
 def _played(scene: SceneSpec, **options: Any) -> Iterator[ReconstructionEnv]:

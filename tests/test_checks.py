@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,8 +128,15 @@ class Holed(SimulatedRobot):
         return frame
 
 
-def test_a_world_can_have_pixels_without_depth() -> None:
-    check_world(f"{__name__}:Holed?scene=box&width=48&height=36")
+class Unit(SimulatedRobot):
+    def capture(self, world_from_camera: np.ndarray) -> Any:
+        frame = super().capture(world_from_camera)
+        return replace(frame, rgb=frame.rgb / 255.0)
+
+
+@pytest.mark.parametrize("kind", ["Holed", "Unit"])  # pixels without depth; colours in 0..1
+def test_a_world_can_have_what_the_environment_takes(kind: str) -> None:
+    check_world(f"{__name__}:{kind}?scene=box&width=48&height=36")
 
 
 def test_faulty_worlds() -> None:
@@ -149,6 +157,20 @@ def test_faulty_worlds() -> None:
             frame.world_from_camera[0, 3] += 0.6
             return frame
 
+    class Millimetres(SimulatedRobot):
+        kind: Any = np.float32
+
+        def capture(self, world_from_camera: np.ndarray) -> Any:
+            frame = super().capture(world_from_camera)
+            return replace(frame, depth=(1000.0 * np.nan_to_num(frame.depth, posinf=0.0)).astype(self.kind))
+
+    class Whole(Millimetres):
+        kind = np.uint16
+
+    with pytest.raises(AssertionError, match="is it in millimetres"):
+        check_world(Millimetres("box", width=48, height=36))
+    with pytest.raises(InputError, match="divide millimetres"):
+        check_world(Whole("box", width=48, height=36))
     with pytest.raises(AssertionError, match="0.60 m away"):
         check_world(Elsewhere("box", width=48, height=36))
     with pytest.raises(AssertionError, match="two fresh worlds"):

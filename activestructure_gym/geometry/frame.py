@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.errors import InputWarning
 from activestructure_gym.geometry import PinholeCamera, transform_points
+
+_MILLIMETRES = 100.0, 65_536.0  # a depth image with all its measurements between these is in millimetres
 
 
 @dataclass(frozen=True)
@@ -29,3 +33,16 @@ class Frame:
 def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
     """Return the colours of a frame as numbers in 0..1."""
     return frame.rgb * np.float32(1.0 / 255.0)
+
+
+def warn_of_millimetres(depth: np.ndarray, *, stacklevel: int) -> None:  # [H, W] floats, metres
+    """Issue an `InputWarning` if the nearest measured depth is 100 to 65,536: these are millimetres of 16 bits.
+
+    Depth of 0 or below, NaN and greater values are no measurements.
+    """
+    low, high = _MILLIMETRES
+    with np.errstate(invalid="ignore"):
+        nearest = float(np.min(depth, where=depth > 0.0, initial=np.inf))
+    if low <= nearest < high:
+        text = f"the nearest depth of a frame is {nearest:,.0f} m; is it in millimetres? Then divide it by 1000.0"
+        warnings.warn(text, InputWarning, stacklevel=stacklevel + 1)

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame, unit_rgb
+from activestructure_gym.geometry.frame import Frame, unit_rgb, warn_of_millimetres
 from activestructure_gym.mapping.base import BaseMapperConfig, MappingReport
 from activestructure_gym.mapping.frustum_culling import MapParts
 from activestructure_gym.mapping.gaussian_map import GaussianMap
@@ -159,8 +159,8 @@ class KeyframeMapper(ABC):
 def checked_frame(frame: Frame) -> Frame:
     """Return the frame with all depths that are not finite set to 0 (no return).
 
-    Raises `ValueError` if the sizes of image and camera differ, if colours are not uint8 or depth is not in floats
-    (metres), or if the pose is not [4, 4] finite numbers.
+    Issues an `InputWarning` for depth in millimetres. Raises `ValueError` if the sizes of image and camera differ, if
+    colours are not uint8 or depth is not in floats (metres), or if the pose is not [4, 4] finite numbers.
     """
     if frame.rgb.dtype != np.uint8 or frame.depth.dtype.kind != "f":
         raise ValueError(
@@ -174,6 +174,7 @@ def checked_frame(frame: Frame) -> Frame:
         raise ValueError(
             f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
         )
+    warn_of_millimetres(frame.depth, stacklevel=3)
     known = np.isfinite(frame.depth)
     return frame if known.all() else replace(frame, depth=np.where(known, frame.depth, np.float32(0.0)))
 

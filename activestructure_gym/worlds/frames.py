@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, warn_of_millimetres
 from activestructure_gym.worlds.base import checked_pose
 
 _SAME_ASPECT = 0.02  # largest relative difference of width / height between an image and the camera
@@ -28,6 +28,7 @@ def frame_from(
     - The arrays are copied, since cameras can reuse them.
     - Depth of 0, below 0 or NaN becomes 0 and is marked in `Frame.unmeasured`: it proves nothing.
     - Depth beyond ``max_range`` becomes 0: no surface is within that range. Without a range, infinite depth stays.
+    - Depth that must be in millimetres gets an `InputWarning`.
     - Images of another size are resized to the camera's: colour by area, depth by the nearest pixel. Their aspect ratio
       must be the camera's.
     """
@@ -52,6 +53,7 @@ def frame_from(
         )
     with np.errstate(invalid="ignore", over="ignore"):
         metres = metres.astype(np.float32)
+    warn_of_millimetres(metres, stacklevel=2)
     size = (camera.width, camera.height)
     metres = _resized("depth", metres, size, cv2.INTER_NEAREST_EXACT)
     with np.errstate(invalid="ignore"):

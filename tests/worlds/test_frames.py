@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import is_level
 from activestructure_gym.worlds import frame_from
@@ -46,6 +46,22 @@ def test_images_of_other_sizes_are_resized() -> None:
 def test_colours_as_fractions_and_with_alpha() -> None:
     frame = frame_from(np.full((4, 8, 4), 0.5, np.float32), DEPTH, np.eye(4), CAMERA, 10.0)
     assert (frame.rgb == 128).all() and frame.rgb.shape == (4, 8, 3)
+
+
+def test_depth_in_millimetres_gets_a_warning() -> None:
+    depth = DEPTH.copy()
+    depth[0, :4] = 0.0, np.nan, np.inf, 65.0
+    with pytest.warns(InputWarning, match="nearest depth of a frame is 2,000 m; is it in millimetres"):
+        frame_from(RGB, 1000.0 * depth, np.eye(4), CAMERA, 10.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_far_depth_in_metres_gets_no_warning() -> None:
+    far = np.full((4, 8), 800.0, np.float32)
+    far[0, 0] = 99.0
+    nothing = np.full((4, 8), np.inf, np.float32)  # and sensors have large numbers where they see nothing
+    for depth in (far, nothing, np.full((4, 8), 1e6), 0.0 * DEPTH):
+        frame_from(RGB, depth, np.eye(4), CAMERA, 10.0)
 
 
 def test_a_camera_may_reuse_its_arrays() -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.inputs import SceneSpec
 from activestructure_gym.errors import InputWarning
+from activestructure_gym.evaluation.archive.run_files import trace_as_read
 from activestructure_gym.features import FEATURES, column_names, evaluate_features
 from activestructure_gym.planes.record import graph_arrays
 from activestructure_gym.policies import Policy, make_env_and_policy
@@ -78,6 +79,8 @@ def check_policy(policy: str | type[Policy], scene: SceneSpec = "room", *, frame
     ------
     AssertionError
         For the first fault.
+    InputError
+        For a `trace` that a run cannot hold.
     """
     chosen, times = [], list[float]()
     for _ in range(2):
@@ -96,6 +99,7 @@ def check_policy(policy: str | type[Policy], scene: SceneSpec = "room", *, frame
             assert whole, f"act() must return a whole number, got {row!r}"
             valid = 0 <= row < len(observation["action_mask"]) and observation["action_mask"][row]
             assert valid, f"act() returned row {row}, which holds no candidate: observation['action_mask'] is 0 there"
+            trace_as_read("the policy", made.trace())
             rows.append(int(row))
             observation, _, terminated, truncated, _ = env.step(row)
             ended = terminated or truncated

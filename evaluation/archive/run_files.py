@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.json_files import json_text
 from activestructure_gym.evaluation.archive.schema import (
     Array,
     Check,
     Mismatch,
     anything,
     check_arrays,
+    checked_json,
     each,
     maybe,
     number,
@@ -106,7 +109,7 @@ METRICS: Check = table(
                 "frames": _count, "metres": _size, "collisions": maybe(_count), "true_area_m2": maybe(_size),
                 "true_samples": maybe(_count),
             },
-            dict.fromkeys((*_MEASURED, "decisions", *_SIZES), maybe(number()))
+            dict.fromkeys((*_MEASURED, "decisions", "invalid_actions", *_SIZES), maybe(number()))
             | {f"frames_to_{level}": maybe(_size) for level in LEVELS}
             | dict.fromkeys(_FOLLOWED, _size)
             | {"planning_notes": table(others=text)},
@@ -302,6 +305,17 @@ def check_steps(steps: list[Any]) -> None:
         raise Mismatch("frames decrease from one line to the next")
 
 
+def trace_as_read(policy: str, trace: Any) -> dict[str, Any]:
+    """Return the trace of a policy as it is read from a run; raise `InputError` if it cannot be written or read.
+
+    ``policy`` names the policy in the message.
+    """
+    try:
+        return dict(checked_json(json_text(trace).encode(), _TRACE))
+    except (TypeError, RecursionError, Mismatch) as error:
+        raise InputError(f"{policy}: trace() must return numbers and texts by name, for JSON: {error}") from error
+
+
 __all__ = [
     "COMPARISON",
     "CONFIG",
@@ -319,4 +333,5 @@ __all__ = [
     "check_plan",
     "check_steps",
     "check_trajectory",
+    "trace_as_read",
 ]

@@ -37,7 +37,7 @@ def print_end(
     from activestructure_gym.evaluation.report.page.method_text import trajectories_text
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
-    from activestructure_gym.evaluation.report.tables.columns import own_absences, truth_absences
+    from activestructure_gym.evaluation.report.tables.columns import invalid_choices, own_absences, truth_absences
     from activestructure_gym.evaluation.report.tables.planning import rich_planning_table
     from activestructure_gym.evaluation.running.measuring import draw_missing_pictures
 
@@ -66,6 +66,7 @@ def print_end(
         for text in [
             *truth_absences(result.runs),
             *own_absences(result.runs),
+            *invalid_choices(result.runs),
             *trajectories_text(Results(result.runs, [])),
         ]:
             console.print(escape(text.replace("`", "")))

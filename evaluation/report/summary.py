@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.report.page.method_text import (
 from activestructure_gym.evaluation.report.pictures.views_and_plans import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.results import Results, opened, source_of
 from activestructure_gym.evaluation.report.tables import verdicts
-from activestructure_gym.evaluation.report.tables.columns import aspects, overview_columns
+from activestructure_gym.evaluation.report.tables.columns import aspects, invalid_choices, overview_columns
 from activestructure_gym.evaluation.report.tables.formats import code, documents, escaped, markdown, sentence
 from activestructure_gym.evaluation.report.tables.layout import Table
 from activestructure_gym.evaluation.report.tables.overview import overview, runs_csv, table_rows
@@ -193,7 +193,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         "",
         *meaning,
         "",
-        *(f"{sentence(text)}\n" for text in missing_value_texts(results)),
+        *(f"{sentence(text)}\n" for text in [*missing_value_texts(results), *invalid_choices(results.runs)]),
         *([f"Not finished, not counted ({len(missing)}):", "", *missing, ""] if missing else []),
     ]
     for table in compared:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
-from activestructure_gym.evaluation.archive import completion, json_files, played, store
+from activestructure_gym.evaluation.archive import completion, json_files, played, run_files, store
 from activestructure_gym.evaluation.archive.decisions import DecisionLog
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
@@ -145,6 +145,7 @@ def episode_metrics(scene: Scene | None, reconstruction: Reconstruction, episode
         "frames": reconstruction.frames,
         "metres": reconstruction.metres,
         "decisions": reconstruction.decisions,
+        "invalid_actions": sum(step["invalid_action"] for step in episode.steps),
         "keyframes": len(reconstruction.keyframe_indices),
         "gaussians": reconstruction.mapper.map.count,
         "collisions": None if scene is None else path_collisions(scene, np.stack(reconstruction.trajectory)),
@@ -256,10 +257,10 @@ class _Episode:
         step: dict[str, Any] = {"decision": len(self.steps), "action": action, "candidates": int(np.sum(mask))}
         if self.job.policy.kind == "trajectory":
             return step | {"action": -1}
-        if 0 <= action < len(mask):
+        if mask[action]:
             step["view"] = dict(zip(CANDIDATE_COLUMNS, observation["candidates"][action]))
             step["features"] = dict(zip(self.env.config.features, observation["candidate_features"][action]))
-        return step | {"trace": self.policy.trace()}
+        return step | {"trace": run_files.trace_as_read(f"policy '{self.job.policy}'", self.policy.trace())}
 
     def _checkpoint(self, *, last: bool = False) -> dict[str, float | None]:
         """Add a point to the convergence curve and return its scores; the time counts as evaluation."""

@@ -278,6 +278,51 @@ def test_a_policy_that_returns_no_row_is_told(runs, tmp_path, monkeypatch):
         episode.run_job(job, tmp_path / "jobs" / job.name)
 
 
+def test_choices_of_rows_without_a_candidate_are_counted_and_told(runs, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    from activestructure_gym.evaluation.archive.store import read_run
+    from activestructure_gym.evaluation.replay.why import explain
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.random import Random
+
+    class Last(Random):
+        def act(self, observation):
+            return len(observation["action_mask"]) - 1
+
+    monkeypatch.setitem(POLICIES._entries, "last", Last)
+    job = replace(runs[0].job, policy="last", conditions=replace(runs[0].job.conditions, frame_budget=4))
+    episode.run_job(job, tmp_path / job.name)
+    run = read_run(tmp_path / job.name)
+    assert run.metrics["metrics"]["invalid_actions"] == 3 == len(run.steps) and "view" not in run.steps[0]
+    assert "which holds no candidate" in explain(run, 1).reason
+    assert runs[0].metrics["metrics"]["invalid_actions"] == 0
+
+
+@pytest.mark.parametrize(
+    ("trace", "said"),
+    [([1.0], "table of names"), ({"mine": object()}, "object cannot be written"), ({"phase": 3}, "phase: expected")],
+)
+def test_a_trace_that_a_run_cannot_hold_is_told_at_once(runs, tmp_path, monkeypatch, trace, said):
+    from dataclasses import replace
+
+    from activestructure_gym.checks import check_policy
+    from activestructure_gym.errors import InputError
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.random import Random
+
+    class Tracing(Random):
+        def trace(self):
+            return trace
+
+    monkeypatch.setitem(POLICIES._entries, "tracing", Tracing)
+    job = replace(runs[0].job, policy="tracing", conditions=replace(runs[0].job.conditions, frame_budget=3))
+    with pytest.raises(InputError, match=rf"policy 'tracing': trace\(\) must return .*{said}"):
+        episode.run_job(job, tmp_path / job.name)
+    with pytest.raises(InputError, match=said):
+        check_policy(Tracing, "box", frames=3)
+
+
 def test_every_executed_step_is_cast_against_the_true_mesh(place):
     from activestructure_gym.scenes import load_scene
 

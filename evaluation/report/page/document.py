@@ -24,6 +24,7 @@ from activestructure_gym.evaluation.report.page.table_sections import (
 )
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
+from activestructure_gym.evaluation.report.tables.columns import invalid_choices
 from activestructure_gym.evaluation.report.tables.layout import Table
 
 _ASSETS = Path(__file__).parents[1] / "assets"
@@ -97,6 +98,7 @@ def _header(results: Results, title: str, anchor: str, directory: Path | None) -
             for run in results.runs
             if (n := run.metrics["metrics"]["collisions"])
         },
+        invalid=invalid_choices(results.runs),
         missing=results.missing,
         answer=answer(results),
         figure=header_figure(results, anchor, directory),

@@ -136,6 +136,19 @@ def own_absences(runs: Sequence[Run]) -> list[str]:
     return texts
 
 
+def invalid_choices(runs: Sequence[Run]) -> list[str]:
+    """Return a sentence per policy that chose rows without a candidate, each a frame in place."""
+    counts: dict[str, list[int]] = {}
+    for run in runs:
+        counts.setdefault(run.policy, []).append(int(run.metrics["metrics"].get("invalid_actions") or 0))
+    return [
+        f"{policy} chose {pluralised(sum(own), 'row')} without a candidate in {sum(map(bool, own))} of "
+        f"{pluralised(len(own), 'run')}; each took a frame in place."
+        for policy, own in counts.items()
+        if any(own)
+    ]
+
+
 def overview_columns(runs: Sequence[Run]) -> list[Column]:
     """Return the columns of the overview: metrics, the users' own metrics of these runs, and costs."""
     own = map(Column.of, own_metrics(runs))

@@ -89,6 +89,11 @@ def test_collisions_are_said(make_run, tmp_path):
     assert "through the true mesh: 3 (must be 0!)" in text
 
 
+def test_choices_of_rows_without_a_candidate_are_said(make_run, tmp_path):
+    text = write_report(tmp_path, made([make_run(invalid_actions=1)]), COMPARISON)[-2].read_text()
+    assert "chose 1 row without a candidate in 1 of 1 run" in text
+
+
 def test_a_report_is_written_whole_or_not_at_all(make_run, tmp_path, monkeypatch):
     runs = made([make_run(policy=policy) for policy in "ab"])
     out = tmp_path / "out"

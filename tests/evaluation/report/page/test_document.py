@@ -68,6 +68,13 @@ def test_what_is_missing_and_what_collided_is_named(path, make_run):
     assert "run missing" not in text and 'href="#against"' not in text  # nobody to compare with
 
 
+def test_choices_of_rows_without_a_candidate_are_told(make_run):
+    runs = [make_run(seed=0, invalid_actions=2), make_run(seed=1, invalid_actions=0)]
+    text = html_page(Results(runs, []))
+    assert f"{runs[0].policy} chose 2 rows without a candidate in 1 of 2 runs; each took a frame in place." in text
+    assert "Invalid actions." not in html_page(Results(runs[1:], []))
+
+
 def test_collisions_in_two_scenes_of_one_file_name_are_both_named(make_run):
     runs = [make_run(f"/data/{room}/mesh.ply", collisions=count) for count, room in enumerate("ab", start=1)]
     for run, room in zip(runs, "ab"):

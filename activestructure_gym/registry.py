@@ -110,16 +110,27 @@ class Registry(Generic[T]):
 
         None if there is no such module, or if the entry is from this package.
         """
-        ours = __name__.partition(".")[0]
         if self.imports(name):
             module = name.partition(":")[0]
-            return None if module.partition(".")[0] == ours else module
-        entry = self._entries.get(name)
-        # The function of a feature is its attribute ``compute``.
-        made_in = getattr(getattr(entry, "compute", entry), "__module__", "")
-        if made_in.partition(".")[0] == ours:
+            return None if _is_ours(module) else module
+        if _is_ours(self._made_in(name)):
             return None
         return next((point.module for point in installed(self.group) if point.name == name), None)
+
+    def only_here(self, name: str) -> str | None:
+        """Return the module outside this package that registered ``name`` in this process; other processes lack it.
+
+        None if this package or an entry point has the name.
+        """
+        made_in = self._made_in(name)
+        lasting = _is_ours(made_in) or name in {point.name for point in installed(self.group)}
+        return None if lasting else made_in or None
+
+    def _made_in(self, name: str) -> str:
+        """Return the module in which the entry ``name`` is defined; empty if there is none in this process."""
+        entry = self._entries.get(name)
+        # The function of a feature is its attribute ``compute``.
+        return getattr(getattr(entry, "compute", entry), "__module__", None) or ""
 
     def _find(self, name: str) -> T:
         if name in self._entries:
@@ -172,6 +183,10 @@ class Registry(Generic[T]):
             raise InputError(
                 f"{self.kind} '{path}': module '{module_name}'{where} has no '{attribute}'{hint}"
             ) from error
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] == __name__.partition(".")[0]
 
 
 def refuse_code(kind: str, name: str, file: object) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from activestructure_gym.errors import InputError, short_repr
+from activestructure_gym.evaluation.archive.json_files import plain
 from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
 from activestructure_gym.evaluation.protocols.metrics import METRICS, get_metric
 from activestructure_gym.policies.native_settings import NATIVE_PRESET, Setup, native_settings_of
@@ -59,11 +63,22 @@ class Conditions:
     setup: Setup = "shared"
 
     def __post_init__(self) -> None:
-        if self.frame_budget is not None and self.frame_budget < 1:
-            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}")
+        if self.frame_budget is not None:
+            if isinstance(self.frame_budget, bool) or not isinstance(self.frame_budget, Integral):
+                raise InputError(f"the frame budget must be a whole number, got {short_repr(self.frame_budget)}")
+            if self.frame_budget < 1:
+                raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}")
+            object.__setattr__(self, "frame_budget", int(self.frame_budget))
         for kind, names in (("also", self.also), ("metrics", self.metrics)):
-            if isinstance(names, str):
-                raise InputError(f"{kind} is a list of names, as ['{names}'], got the text {short_repr(names)}")
+            if isinstance(names, str) or not isinstance(names, Iterable):
+                raise InputError(f"{kind} is a list of names, as ['standard'], got {short_repr(names)}")
+        try:
+            overrides = dict(self.overrides)
+        except (TypeError, ValueError):
+            given = short_repr(self.overrides)
+            raise InputError(f"overrides are values by field, as {{'mapper.iterations': 8}}, got {given}") from None
+        if not isinstance(self.protocol, StandardProtocol):
+            raise InputError(f"protocol must be StandardProtocol(...), got {short_repr(self.protocol)}")
         if self.protocol.name != StandardProtocol.name:
             raise InputError(
                 f"the first protocol of a run must be '{StandardProtocol.name}', got '{self.protocol.name}': name "
@@ -80,9 +95,11 @@ class Conditions:
         native_settings_of(None, self.setup)
         if self.preset is None:
             object.__setattr__(self, "preset", NATIVE_PRESET if self.setup == "native" else "default")
+        if self.start_pose is not None:
+            object.__setattr__(self, "start_pose", _checked_start(self.start_pose))
         object.__setattr__(self, "also", tuple(sorted(set(self.also))))
         object.__setattr__(self, "metrics", tuple(sorted(set(self.metrics))))
-        object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+        object.__setattr__(self, "overrides", dict(sorted((str(k), v) for k, v in overrides.items())))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the conditions as plain values for JSON.
@@ -100,7 +117,7 @@ class Conditions:
             del content["setup"]
         if not self.metrics:
             del content["metrics"]
-        return content
+        return dict(plain(content))
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Conditions:
@@ -132,3 +149,14 @@ class Conditions:
             "coverage_target": None,
             "start_pose": self.start_pose,
         }
+
+
+def _checked_start(given: Any) -> tuple[float, float, float, float]:
+    try:
+        pose = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    if pose.shape != (4,) or not np.isfinite(pose).all():
+        raise InputError(f"a start pose is x, y, z in metres and yaw in degrees, got {short_repr(given)}")
+    x, y, z, yaw = plain(list(given))
+    return x, y, z, yaw

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
+from activestructure_gym.evaluation.archive.json_files import plain
 from activestructure_gym.evaluation.protocols import PROTOCOLS
 from activestructure_gym.evaluation.protocols.metrics import METRICS
 from activestructure_gym.specs import Spec
@@ -110,7 +111,8 @@ class Job:
     @property
     def swept_values(self) -> dict[str, Any]:
         """Return the job's values of the swept fields, by field."""
-        return {name: self.conditions.overrides[name] for name in self.swept if name in self.conditions.overrides}
+        given = self.conditions.overrides
+        return {name: plain(given[name]) for name in self.swept if name in given}
 
     @property
     def swept_text(self) -> str:

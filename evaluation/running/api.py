@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,14 +99,19 @@ def compare(
     ...     [(run.policy, run.metrics["metrics"]["psnr"] > 0) for run in result.runs]
     [('random', True)]
     """
-    for name, given in (("scenes", scenes), ("policies", policies)):
-        if isinstance(given, str):
-            raise InputError(f"{name} are a list of names, as ['{given}'], got the text {short_repr(given)}")
+    for name, given, like in (("scenes", scenes, "box"), ("policies", policies, "random"), ("seeds", seeds, 0)):
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            raise InputError(f"{name} are a list, as {[like]}, got {short_repr(given)}")
+    for name, given, kind in (("conditions", conditions, Conditions), ("limits", limits, Limits)):
+        if given is not None and not isinstance(given, kind):
+            raise InputError(f"{name} must be {kind.__name__}(...), got {short_repr(given)}")
     comparison = Comparison(
         [*map(Spec, scenes)], [*map(Spec, policies)], seeds, conditions=conditions or Conditions(), sweep=sweep or {}
     )
     directory = Path(out)
     check_output(directory, resume=resume)
+    if engine != "inline":
+        comparison.refuse_names_of_this_process()
     jobs = comparison.prepare()
     with hold(directory) as held:
         return run_comparison(

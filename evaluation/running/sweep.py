@@ -31,6 +31,8 @@ def checked_sweep(sweep: Mapping[str, Any], conditions: Conditions) -> dict[str,
 
     Raise `InputError` for a field that ``conditions`` set as well, and for missing or repeated values.
     """
+    if not isinstance(sweep, Mapping):
+        raise InputError(f"a sweep has values by field, as {{'mapper.iterations': [5, 10]}}, got {short_repr(sweep)}")
     checked: dict[str, tuple[Any, ...]] = {}
     for name, values in dict(sweep).items():
         if name in conditions.overrides or (name == "frame_budget" and conditions.frame_budget is not None):

@@ -24,7 +24,7 @@ JOB = Job(
     "random",
     3,
     scene_hash="abc",
-    conditions=Conditions(overrides=(("sensor.width", 96), ("mapper.iterations", 2))),
+    conditions=Conditions(overrides={"sensor.width": 96, "mapper.iterations": 2}),
 )
 
 
@@ -104,6 +104,45 @@ def test_wrong_numbers_are_refused():
         Job("box", "random", 0, conditions=Conditions(frame_budget=0))
     with pytest.raises(InputError, match="seed"):
         Job("box", "random", -1)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"frame_budget": 20.5}, "frame budget must be a whole number, got 20.5"),
+        ({"frame_budget": "20"}, "whole number, got '20'"),
+        ({"frame_budget": True}, "whole number, got True"),
+        ({"overrides": 5}, "overrides are values by field"),
+        ({"protocol": "standard"}, "protocol must be StandardProtocol"),
+        ({"also": 5}, "also is a list of names"),
+        ({"metrics": "mine:worst"}, "metrics is a list of names"),
+        ({"start_pose": (1.0, 1.0)}, "a start pose is x, y, z"),
+        ({"start_pose": np.eye(4)}, "a start pose is x, y, z"),
+        ({"start_pose": ("a", 0, 0, 0)}, "a start pose is x, y, z"),
+        ({"start_pose": 5}, "a start pose is x, y, z"),
+    ],
+)
+def test_conditions_of_another_kind_are_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        Conditions(**given)
+
+
+def test_numbers_of_numpy_make_the_same_job():
+    def job(whole, number, pose):
+        return Job(
+            "box", "random", whole(0),
+            conditions=Conditions(
+                frame_budget=whole(20),
+                overrides={"mapper.iterations": whole(3), "mapper.seed_spacing": number(0.1)},
+                start_pose=pose((1.0, 1.0, 1.2, 0.0)),
+                protocol=StandardProtocol(views=whole(3), threshold_m=number(0.05)),
+            ),
+            swept=("mapper.iterations",),
+        )  # fmt: skip
+
+    plain, of_numpy = job(int, float, tuple), job(np.int64, np.float64, np.array)
+    assert of_numpy.hash == plain.hash and Job.from_dict(of_numpy.as_dict()) == plain == of_numpy
+    assert json.loads(json.dumps(of_numpy.as_dict())) == plain.as_dict()
 
 
 def test_a_result_of_another_protocol_version_is_not_mixed_in():

@@ -1,12 +1,16 @@
 import itertools
 
+import numpy as np
 import pytest
 import trimesh
 
 from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.evaluation import compare
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison
+from activestructure_gym.policies import POLICIES, Policy
+from activestructure_gym.scenes.library import SCENES
 
 
 @pytest.fixture
@@ -94,3 +98,40 @@ def test_a_scene_that_is_not_there_is_refused_before_anything_is_compiled(scene,
     monkeypatch.setattr(comparison, "warming_up", lambda *given: pytest.fail("compiles"))
     with pytest.raises(InputError, match="unknown scene|there is no scene file"):
         Comparison([scene], ["random"]).prepare()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scenes": "box"}, r"scenes are a list, as \['box'\], got 'box'"),
+        ({"policies": None}, "policies are a list"),
+        ({"seeds": 3}, r"seeds are a list, as \[0\], got 3"),
+        ({"seeds": "01"}, "seeds are a list"),
+        ({"seeds": np.arange(0)}, "at least one of seeds"),
+        ({"sweep": 5}, "a sweep has values by field"),
+        ({"conditions": {"preset": "fast"}}, r"conditions must be Conditions\(...\)"),
+        ({"limits": 2}, r"limits must be Limits\(...\)"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(changes, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        compare(**{"scenes": ["box"], "policies": ["random"], "out": tmp_path / "out"} | changes)
+    assert not any(tmp_path.iterdir())
+
+
+class Here(Policy):
+    def act(self, observation):
+        raise AssertionError
+
+
+def test_names_that_other_processes_lack_are_refused(no_truth, tmp_path, monkeypatch):
+    def here():
+        raise AssertionError
+
+    monkeypatch.setitem(POLICIES._entries, "here", Here)
+    monkeypatch.setitem(SCENES._entries, "here", here)
+    for change, kind in (({"policies": ["here?option=1"]}, "policy"), ({"scenes": ["here?option=1"]}, "scene")):
+        with pytest.raises(InputError, match=f"the {kind} 'here' is registered in this process only"):
+            compare(**{"scenes": ["box"], "policies": ["random"], "out": tmp_path / "out"} | change)
+    Comparison(["room"], [f"{__name__}:Here", "here", "hole_area"]).refuse_names_of_this_process()  # imported with it
+    Comparison(["world:simulated?scene=box"], ["reference:oracle"]).refuse_names_of_this_process()

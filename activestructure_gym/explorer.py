@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.config import Preset
+from activestructure_gym.config import Preset, configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -23,7 +23,7 @@ from activestructure_gym.evaluation.running.episode import run_job
 from activestructure_gym.evaluation.running.surroundings import captures_in_progress, world_hash
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.policies import canonical_policy
+from activestructure_gym.policies import canonical_policy, make_policy
 from activestructure_gym.policies.native_settings import Setup
 from activestructure_gym.specs import Spec
 from activestructure_gym.worlds import CaptureFailed, Start, StoredCaptures, checked_bounds, checked_start, frame_from
@@ -134,6 +134,7 @@ class Explorer:
         begin = checked_start(Start(start, free_radius), corners)
         conditions = Conditions(preset=preset, frame_budget=frame_budget, overrides=config or {}, setup=setup)
         self._job = Job(SCENE, canonical_policy(policy), seed, world_hash(SCENE), conditions)
+        configure(conditions.preset, conditions.changes(make_policy(policy)))  # raises the error of a wrong field here
         self._temporary = Path(tempfile.mkdtemp(prefix="asg-explorer-")) if directory is None else None
         self.directory = Path(directory) if directory is not None else Path(f"{self._temporary}/run")
         if self.directory.exists():

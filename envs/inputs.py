@@ -50,8 +50,10 @@ def as_truth(scene: SceneSpec) -> GroundTruth:
         return scene
     if isinstance(scene, Layout):
         return scene.truth()
-    if names_world(scene) or not isinstance(scene, str | PathLike | Scene):
+    if names_world(scene) or is_world(scene):
         raise InputError(f"a world has no scene to load, got {short_repr(scene)}")
+    if not isinstance(scene, str | PathLike | Scene):
+        raise InputError(f"scene must be a name, a path or a Scene, got {short_repr(scene)}")
     truth = ground_truth_of(load_scene(scene))
     warn_if_hardly_seen(truth)
     return truth

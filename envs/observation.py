@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.errors import InputError, short_repr, unknown_name
+from activestructure_gym.errors import InputError, listed, short_repr, unknown_name
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -97,6 +97,10 @@ def feature_names(source: Any) -> tuple[str, ...]:
     table = space.spaces.get("candidate_features") if isinstance(space, spaces.Dict) else space
     if isinstance(table, Table):
         return table.names
+    if isinstance(space, spaces.Dict) and table is None:
+        raise InputError(
+            f"these observations have no candidate_features, but {listed(space)}: leave out observation_keys, or add it"
+        )
     if isinstance(table, spaces.Space):
         raise InputError(
             "this observation space has no names for the columns of candidate_features, perhaps because of a wrapper; "

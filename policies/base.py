@@ -145,9 +145,11 @@ def make_policy(spec: str) -> Policy:
     """
     _, kind, options = _parsed(spec)
     try:
-        return kind(**options)
+        policy = kind(**options)
+        features_of(policy)
     except ValueError as error:
         raise InputError(f"policy '{spec}': {error}") from error
+    return policy
 
 
 def canonical_policy(spec: str) -> Spec:

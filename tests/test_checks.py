@@ -213,3 +213,6 @@ def test_asg_new_refuses_names_that_are_no_modules(capsys: pytest.CaptureFixture
         assert main(["new", "policy", name]) == 2
         assert "lower-case letters" in capsys.readouterr().err
     assert main(["new", "robot", "mine"]) == 2
+    capsys.readouterr()
+    assert main(["new", "policy", "numpy"]) == 2  # its folder could no longer import NumPy
+    assert "'numpy' would hide a module of the same name" in capsys.readouterr().err

@@ -183,6 +183,11 @@ def test_wrong_arguments() -> None:
     camera = robot()
     with pytest.raises(InputError, match="unknown policy"):
         explorer_of(camera, "hole_aera")
+    for field in ("mapper.iteratons", "iteratons"):
+        with pytest.raises(InputError, match="unknown field 'iteratons'"):
+            Explorer(camera=camera.camera, bounds=camera.bounds, start=camera.start.pose, config={field: 3})
+    with pytest.raises(InputError, match="unknown preset 'fats'"):
+        Explorer(camera=camera.camera, bounds=camera.bounds, start=camera.start.pose, preset="fats")  # type: ignore
     with pytest.raises(InputError, match="outside the world's bounds"):
         Explorer(camera=camera.camera, bounds=camera.bounds + 20.0, start=camera.start.pose)
     with pytest.raises(InputError, match="PinholeCamera"):

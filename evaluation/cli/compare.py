@@ -117,8 +117,11 @@ class Compare(RunOptions, ConditionOptions, GridOptions):
 DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 
 
-def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
-    """Run the comparison defined by ``options``, or ``comparison`` if it is given, and return the exit code."""
+def compare_with(options: Compare, comparison: Comparison | None = None, *, command: str = "asg compare") -> int:
+    """Run the comparison defined by ``options``, or ``comparison`` if it is given, and return the exit code.
+
+    ``command`` continues it.
+    """
     # Options are checked before the slow imports.
     use_trust(options.trust_code)
     console = make_console()
@@ -159,7 +162,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     options = _with_baseline(options, [*jobs, *before])
     if not as_recorded:
         _announce(console, comparison, directory, len(jobs), len({job.policy for job in jobs}), demo=demo)
-    return _run_and_report(options, console, jobs, directory, limits, shard, began)
+    return _run_and_report(options, console, jobs, directory, limits, shard, began, command)
 
 
 def _run_and_report(
@@ -170,6 +173,7 @@ def _run_and_report(
     limits: Limits,
     shard: Shard | None,
     began: float,  # seconds of `time.monotonic`
+    command: str,
 ) -> int:
     """Run the jobs and write the report, or with ``shard`` only run its jobs; return the exit code."""
     from activestructure_gym.evaluation.archive.directory_lock import hold
@@ -202,7 +206,7 @@ def _run_and_report(
             trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
             complain(
                 "stopped; finished runs are kept, go on with: "
-                f"asg compare --out {shlex.quote(str(directory))} --resume{trust}"
+                f"{command} --out {shlex.quote(str(directory))} --resume{trust}"
             )
         if isinstance(error, OSError):
             raise

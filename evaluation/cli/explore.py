@@ -76,7 +76,7 @@ class Explore:
             trust_code=self.trust_code,
             engine="inline",
         )
-        code = compare_with(asked)
+        code = compare_with(asked, command="asg explore")
         if code == 1 and any(Path(directory).glob("captures/*/*.npz")):
-            complain(f"captured frames are kept; continue with: asg explore --resume --out {shlex.quote(directory)}")
+            complain(f"captured frames are kept; continue with: asg explore --out {shlex.quote(directory)} --resume")
         return code

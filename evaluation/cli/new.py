@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 import re
 from dataclasses import dataclass
@@ -50,6 +51,10 @@ class New:
         for file in files:
             if Path(file).exists():
                 raise InputError(f"'{file}' exists already: choose another name, or another directory")
+        if (found := importlib.util.find_spec(self.name)) is not None:
+            raise InputError(
+                f"'{self.name}' would hide a module of the same name, {found.origin or 'a folder'}: choose another name"
+            )
         words = {"name": self.name, "title": "".join(part.capitalize() for part in self.name.split("_"))}
         for file, template in files.items():
             text = Template((_TEMPLATES / template).read_text(encoding="utf-8")).substitute(words)

@@ -221,10 +221,19 @@ def test_a_reward_that_is_no_number_is_refused(box_options: dict[str, Any], rewa
 
 
 @pytest.mark.parametrize(
-    "options", [3, {"scene": None}, {"scene": 3}, {"scene": ["box"]}, {1: 2}, {"start_pose": None}]
+    ("options", "message"),
+    [
+        (3, "must be a dictionary"),
+        ({"scene": None}, "scene must be a name, a path or a Scene, got None"),
+        ({"scene": 3}, "scene must be a name"),
+        ({"scene": ["box"]}, "scene must be a name"),
+        ({"scene": "world:simulated"}, "takes no world"),
+        ({1: 2}, "names as keys"),
+        ({"start_pose": None}, "pose"),
+    ],
 )
-def test_reset_options_that_cannot_be_used(box_options: dict[str, Any], options: Any) -> None:
-    with pytest.raises(InputError):
+def test_reset_options_that_cannot_be_used(box_options: dict[str, Any], options: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         ReconstructionEnv(**box_options).reset(seed=0, options=options)
 
 

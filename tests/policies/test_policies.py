@@ -142,7 +142,10 @@ def test_features_are_found_by_name_whatever_their_order_and_whoever_tells_it(
         (None, "the names of the feature columns come from an env"),
         (("pixel", 3), "the names of the feature columns come from an env"),
         (Dull(said=False), "this observation space has no names for the columns"),
-        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "the names of the feature columns come from an env"),
+        (
+            gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}),
+            "no candidate_features, but rgb: leave out",
+        ),
     ],
 )
 def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:

@@ -65,6 +65,8 @@ def test_ctrl_c_says_how_to_go_on(asked, monkeypatch, capsys):
     assert capsys.readouterr().err.endswith("asg compare --out here --resume\n")
     assert main(["compare", "--scenes", "box", "--policies", "my_policy:Mine", "--out", "mine"]) == 130
     assert capsys.readouterr().err.endswith("asg compare --out mine --resume --trust-code\n")  # else it is refused
+    assert main(["explore", "--world", "simulated?scene=box", "--out", "world"]) == 130
+    assert capsys.readouterr().err.endswith("asg explore --out world --resume\n")
 
 
 def test_sigterm_ends_as_ctrl_c_does(asked, monkeypatch, capsys):

@@ -6,6 +6,7 @@ import json
 import pytest
 
 from activestructure_gym.config import ReconstructionConfig, configure
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.config import field_notes, leaves, meanings
 from activestructure_gym.features import FEATURES
@@ -137,6 +138,8 @@ def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(c
     monkeypatch.setitem(POLICIES._entries, "mute", Mute)
     assert main(["policies", "mute"]) == 2
     assert "required_features of Mute must be a tuple of names, got 'pixel'" in capsys.readouterr().err
+    with pytest.raises(InputError, match="policy 'mute.where=x': required_features of Mute must be a tuple of names"):
+        make_policy("mute?where=x")
     Mute.required_features = ("pixel",)
     out = said(capsys, "policies", "mute")
     assert "Chooses one row" not in out and "pixel" in out

@@ -102,9 +102,10 @@ def compare(
     for name, given, like in (("scenes", scenes, "box"), ("policies", policies, "random"), ("seeds", seeds, 0)):
         if isinstance(given, str) or not isinstance(given, Iterable):
             raise InputError(f"{name} are a list, as {[like]}, got {short_repr(given)}")
-    for name, given, kind in (("conditions", conditions, Conditions), ("limits", limits, Limits)):
-        if given is not None and not isinstance(given, kind):
-            raise InputError(f"{name} must be {kind.__name__}(...), got {short_repr(given)}")
+    settings: list[tuple[str, Any, type]] = [("conditions", conditions, Conditions), ("limits", limits, Limits)]
+    for name, value, kind in settings:
+        if value is not None and not isinstance(value, kind):
+            raise InputError(f"{name} must be {kind.__name__}(...), got {short_repr(value)}")
     comparison = Comparison(
         [*map(Spec, scenes)], [*map(Spec, policies)], seeds, conditions=conditions or Conditions(), sweep=sweep or {}
     )

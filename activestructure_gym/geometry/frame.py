@@ -36,13 +36,10 @@ def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
 
 
 def warn_of_millimetres(depth: np.ndarray, *, stacklevel: int) -> None:  # [H, W] floats, metres
-    """Issue an `InputWarning` if the nearest measured depth is 100 to 65,536: these are millimetres of 16 bits.
-
-    Depth of 0 or below, NaN and greater values are no measurements.
-    """
+    """Issue an `InputWarning` if the nearest depth above 0 is 100 to 65,536: these are millimetres of 16 bits."""
     low, high = _MILLIMETRES
     with np.errstate(invalid="ignore"):
         nearest = float(np.min(depth, where=depth > 0.0, initial=np.inf))
     if low <= nearest < high:
-        text = f"the nearest depth of a frame is {nearest:,.0f} m; is it in millimetres? Then divide it by 1000.0"
+        text = f"all depth of a frame is above {low:g} m; is it in millimetres? Then divide it by 1000.0"
         warnings.warn(text, InputWarning, stacklevel=stacklevel + 1)

@@ -71,7 +71,7 @@ class Conditions:
             object.__setattr__(self, "frame_budget", int(self.frame_budget))
         for kind, names in (("also", self.also), ("metrics", self.metrics)):
             if isinstance(names, str) or not isinstance(names, Iterable):
-                raise InputError(f"{kind} is a list of names, as ['standard'], got {short_repr(names)}")
+                raise InputError(f"{kind} is a list of names, got {short_repr(names)}")
         try:
             overrides = dict(self.overrides)
         except (TypeError, ValueError):

@@ -185,6 +185,7 @@ class PlaneSceneGraph:
             [node.surface for node in nodes],
             np.array([node.anchor for node in nodes]),
             reach=self.config.quality.boundary_reach,
+            config=self.config.detection,
         )
         for k, node in enumerate(nodes):
             own = [segment for segment, node_id in zip(detection.segments, owner) if node_id == node.id]

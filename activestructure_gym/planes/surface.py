@@ -15,7 +15,7 @@ import numpy as np
 
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import surface_kernels as kernels
-from activestructure_gym.planes.detection import PlaneDetection
+from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig
 
 # Additional cells when a grid grows, so that it is not copied at every keyframe.
 _MARGIN = 16
@@ -261,6 +261,7 @@ def observe(
     anchors: np.ndarray,  # [T, 3] metres, world
     *,
     reach: float,  # metres, see `surface_kernels.look_up_cells`
+    config: PlaneDetectionConfig,  # with which the planes were detected
 ) -> tuple[list[Patch], np.ndarray]:
     """Return the observations of an image in each of T grids, and the moments [T, 10] of the points in each grid.
 
@@ -288,7 +289,8 @@ def observe(
     # Whether each segment is on the side of each grid's plane from which the plane is observed.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
-    kernels.look_up_cells(image, rectangles, shown, beside, reach, planes, facing)
+    pixel = (config.depth_noise_scale, config.pixel_sigma, config.pixel_tolerance)
+    kernels.look_up_cells(image, rectangles, shown, beside, reach, pixel, planes, facing)
     np.not_equal(beside, kernels.UNKNOWN, out=denied.view(bool))
     patches = []
     for t, shape in enumerate(shapes.tolist()):

@@ -158,7 +158,8 @@ class Reconstruction(EpisodeState):
         switch to another candidate stage, which costs no frame. An index beyond the table, and a view without a path,
         cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
         observed obstacles block ends before the obstacle. A path ends too if a keyframe was taken elsewhere than asked
-        for, by more than one frame's step or turn; planning continues from there. A keyframe that the world cannot take
+        for, by more than one frame's step or turn; planning continues from there, and the view stays in the pool if
+        the camera has come nearer to it by more than half a step. A keyframe that the world cannot take
         (`CaptureFailed`) ends the path at the keyframe before it, and costs one frame. The agent is then assumed to be
         at that keyframe. The fourth failure in a row is raised.
         """
@@ -187,10 +188,14 @@ class Reconstruction(EpisodeState):
                 self.pool.drop(int(self.candidates.ids[index]))
                 self._let_pass()
             else:
-                reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
-                if not reached and not self.exhausted:
-                    # Blocked by an obstacle that is now in the volume: the same view is not tried again.
-                    self.pool.drop(int(self.candidates.ids[index]))
+                goal, before = poses[-1, :3, 3], self.pose[:3, 3]
+                reached, elsewhere, keyframes = self._walk(poses, revisits=bool(table.revisit[index]))
+                nearer = math.dist(before, goal) - math.dist(self.pose[:3, 3], goal)
+                on_its_way = elsewhere and nearer > 0.5 * self.config.motion.max_step_m
+                if not (reached or on_its_way or self.exhausted):
+                    # Blocked by an obstacle that is now in the volume, or by one that it lacks: the same view is not
+                    # tried again.
+                    self.pool.drop(int(table.ids[index]))
             self.pool.mark_visited(self.pose)
             self.stops.append(self.pose)
         if self.frames > frames_before:
@@ -264,10 +269,10 @@ class Reconstruction(EpisodeState):
         self.trajectory.append(pose)
         self.frames += 1
 
-    def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
+    def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, bool, list[Frame]]:
         """Execute frames until the goal, the end of the budget, an obstacle, or a keyframe elsewhere or not taken.
 
-        Return whether the goal was reached, and the keyframes.
+        Return whether the goal was reached, whether a keyframe elsewhere ended the path, and the keyframes.
 
         If ``revisits``, the frame at the goal is mapped with ``revisit_rounds`` times the iterations.
         """
@@ -290,16 +295,16 @@ class Reconstruction(EpisodeState):
                     del self.trajectory[len(self.trajectory) - (index - since) :]
                     self.frames, self.metres, self.pose = kept
                     self._let_pass()
-                    return False, keyframes
+                    return False, False, keyframes
                 since, kept = index, (self.frames, self.metres, self.pose)
                 if not self._exact and not arrived_at(self.pose, poses[index - 1], self.config.motion):
-                    return False, keyframes
+                    return False, True, keyframes
                 with self._timed("planning"):
                     blocked = first_blocked(
                         self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
                     )
                 end = end if blocked is None else index + blocked
-        return index == len(poses), keyframes
+        return index == len(poses), False, keyframes
 
     def _capturable(self, pose: np.ndarray) -> np.ndarray | None:  # [4, 4]
         """Return where to take a keyframe that is due at ``pose``; None if the world has no view near it."""

@@ -286,3 +286,25 @@ def test_a_merged_plane_keeps_one_normal_per_keyframe_the_last_ones() -> None:
     np.testing.assert_allclose(kept.normals[4], np.array([0, 3.0, 1.0]) / np.sqrt(10))  # by area
     np.testing.assert_array_equal(kept.normals[5], [0, 1.0, 0])
     np.testing.assert_array_equal(kept.normals[7], [0, 0, 1.0])
+
+
+def test_pixels_that_the_detection_leaves_out_are_no_votes_against_a_plane(rectangles, new_graph):
+    hall = rectangles().box((-6, -6, 0), (6, 6, 2.7))
+    graph = new_graph()
+    for k in range(3):
+        graph.update(hall.shoot((3 + 0.05 * k, 3, 1.2), (1, 1, -0.5))[0])
+    (floor,) = (node for node in graph.nodes if node.normal[2] > 0.9)
+    near = floor.surface.points()
+    for k in range(8):  # the same floor from farther away, partly beyond the depth and the incidence of the detection
+        graph.update(hall.shoot((-1 + 0.05 * k, 2, 1.2), (1, 0.3, -0.2))[0])
+    assert floor.area > 30.0 and floor.surface.contains(near).mean() > 0.995  # it was 0.69
+
+
+def test_an_object_without_a_segment_still_covers_the_plane_behind_it(rectangles, new_graph):
+    # A ball would have no segment; so has a post of 4 cm, which is narrower than a block.
+    scene = rectangles().box((0, 0, 0), (4, 3, 2.5)).box((3.7, 1.48, 0.0), (3.74, 1.52, 2.5))
+    graph = new_graph()
+    for k in range(3):
+        graph.update(scene.shoot((1.0, 1.2 + 0.01 * k, 1.2), (1, 0, 0))[0])
+    wall = next(node for node in graph.nodes if node.normal[0] < -0.9 and node.area > 1.0)
+    assert (wall.surface.beside[wall.surface.seen == 0] > 0).any()

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along, rotation_angle
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
@@ -22,6 +23,8 @@ from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.reconstruction import episode as conductor
 from activestructure_gym.scenes import Scene, load_scene
+from activestructure_gym.worlds import with_camera
+from activestructure_gym.worlds.simulated_world import SimulatedRobot
 from tests.reconstruction.episodes import SMALL, episode, wander
 
 
@@ -314,3 +317,33 @@ def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> N
     again = run.candidates.revisit
     assert again.sum() >= 3 and run.features[: len(again), 0][again].any()
     assert not run.features[: len(again), 1][again].any() and run.features[:, 1].any()
+
+
+class Slipping(SimulatedRobot):
+    """A robot whose second picture is taken up to ``short`` metres before the asked place."""
+
+    short = 0.0
+    pictures = 0
+
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        self.pictures += 1
+        taken = np.array(world_from_camera)
+        if self.pictures == 2:
+            back = self.start.pose[:3, 3] - taken[:3, 3]
+            taken[:3, 3] += back * min(1.0, self.short / np.linalg.norm(back))
+        return super().capture(taken)
+
+
+@pytest.mark.parametrize(("short", "kept"), [(0.12, True), (9.0, False)])
+def test_a_view_is_offered_again_if_the_camera_stopped_on_its_way_and_not_if_it_did_not_move(
+    short: float, kept: bool
+) -> None:
+    robot = Slipping("box", width=96, height=54)
+    robot.short = short
+    run = Reconstruction(with_camera(configure("fast", {**SMALL, "views": {"max_candidates": 400}}), robot.camera))
+    run.start(robot, 0)
+    row = int(np.argmax(run.candidates.path_length))
+    view = int(run.candidates.ids[row])
+    assert run.candidates.path_length[row] > 0.8
+    result = run.move_to(row)
+    assert not result.reached and len(result.keyframes) == 1 and (view in run.candidates.ids) is kept

@@ -14,6 +14,7 @@ _LISTS = {
     "scene": "asg list scenes",
     "world": "asg list worlds",
     "command": "asg --help",
+    "field of RewardConfig": "",
 }
 MAX_CHARACTERS = 1500  # maximum length of a message, characters
 
@@ -87,7 +88,7 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     'frontire'; did you mean 'frontier'? `asg list policies` lists the names``, and ``unknown option 'sed' of scene
     'room'``. If there is no command, at most `MAX_NAMES` names are listed.
     """
-    command = "asg list config" if kind.startswith("field") else _LISTS.get(kind, "")
+    command = _LISTS.get(kind, "asg list config" if kind.startswith("field") else "")
     noun, of, owner = kind.partition(" of ")
     if " " in noun:
         noun, of, owner = kind, "", ""

@@ -146,6 +146,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             raise InputError(f"preset must be a name, got {short_repr(preset)}")
         if not isinstance(config, ReconstructionConfig):
             config = configure(preset, table_of("config", config))
+        elif preset != "default":
+            raise InputError(f"config is a whole configuration, so leave out preset, got {short_repr(preset)}")
         changes: dict[str, Any] = {}
         if frame_budget is not None:
             changes["frame_budget"] = frame_budget
@@ -196,7 +198,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode and return what `reset` returns."""
         super().reset(seed=seed)
-        self._ended = True  # if an error is raised below, `step` must not continue the previous episode
+        self._ended, self._frame = True, None  # after an error below, nothing continues or shows the previous episode
         options = dict(table_of("options", options))
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:

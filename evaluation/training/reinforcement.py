@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import random
 import signal
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -70,6 +71,7 @@ def train_ppo(
     finished iterations and the log row.
     """
     torch.manual_seed(config.seed)
+    warnings.filterwarnings("ignore", message="You have specified a mini-batch size")  # the last batch may be smaller
     model = PPO(
         CandidatePolicy,
         envs,

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from activestructure_gym.config import configure
 from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import observation_keys, observation_table
 from activestructure_gym.errors import InputError, InputWarning
@@ -241,8 +242,19 @@ def test_after_a_reset_that_was_refused_no_earlier_episode_goes_on(env: Reconstr
     env.reset(seed=0)
     with pytest.raises(InputError):
         env.reset(seed=1, options={"start_pose": (99.0, 0.0, 1.2, 0.0)})
-    with pytest.raises(gym.error.ResetNeeded):
-        env.step(0)
+    for act in (lambda: env.step(0), env.action_masks, env.observation):
+        with pytest.raises(gym.error.ResetNeeded):
+            act()
+
+
+def test_a_preset_beside_a_whole_configuration_is_refused() -> None:
+    with pytest.raises(InputError, match="leave out preset, got 'rl'"):
+        ReconstructionEnv("box", preset="rl", config=configure("fast"))
+
+
+def test_an_unknown_reward_is_told_with_the_known_ones(box_options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"unknown field 'cov' of RewardConfig\. Nearest of \d+: .*coverage"):
+        ReconstructionEnv(**box_options, reward={"cov": 1})
 
 
 def test_heights_outside_the_scene_are_refused_at_reset(box_options: dict[str, Any]) -> None:

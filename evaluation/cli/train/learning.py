@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from activestructure_gym.cores import core_count
+from activestructure_gym.errors import InputError, pluralised
 from activestructure_gym.evaluation.cli.closing import print_next
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
@@ -20,12 +22,15 @@ if TYPE_CHECKING:
 
 
 def check(config: TrainingConfig) -> None:
-    """Raise `InputError` if ``config`` names a feature or a configuration field that does not exist."""
+    """Raise `InputError` if ``config`` names a feature or a field that does not exist, or a teacher of many columns."""
+    from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.evaluation.training.config import WITH_TRUTH
     from activestructure_gym.evaluation.training.training_env import world_config
 
     extra = () if config.teacher in WITH_TRUTH or config.method == "ppo" else (config.teacher,)
     world_config(config.world, (*config.world.features, *extra))
+    if extra and extra != (columns := feature_columns(*extra)):
+        raise InputError(f"the feature '{config.teacher}' has the columns {', '.join(columns)}: give one as --teacher")
 
 
 def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
@@ -37,10 +42,12 @@ def print_plan(config: TrainingConfig, directory: Path, workers: int) -> int:
         amount = f"{config.units} iterations of {config.envs} environments x {config.steps} steps"
     else:
         amount = f"{config.episodes} episodes of {config.teacher}, {config.units} epochs"
+    if config.method == "ppo" and workers > 1:
+        workers = config.envs
     frames = world_config(world).frame_budget
     make_console().print(
         f"{config.method}: {amount}, on {world.layouts} layouts, {frames} frames per episode, preset {world.preset}, "
-        f"{workers} processes, into {escape(str(directory))}: nothing was run (--dry-run)"
+        f"{pluralised(workers, 'process', 'processes')}, into {escape(str(directory))}: nothing was run (--dry-run)"
     )
     return 0
 
@@ -65,14 +72,25 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
         words = f"asg train {config.method} --out {shlex.quote(str(directory))} --resume"
         if data:
             words += f" --data {shlex.quote(data)}"
+        words += _trusting(config)
         complain(f"stopped; what is finished is kept, go on with: {words}")
         return 130
     console.print(
         f"{config.units} {_unit(config)}, {time.monotonic() - began:.0f} s"
         + ("" if best is None else f"; best validation: coverage {100 * best:.1f} %")
     )
-    print_next(console, [["asg", "compare", "--policies", f"learned:{directory},pixel_only"]])
+    trust = _trusting(config).split()
+    print_next(console, [["asg", "compare", "--policies", f"learned:{directory},pixel_only", *trust]])
     return 0 if validated else 1
+
+
+def _trusting(config: TrainingConfig) -> str:
+    """Return the option that lets a run's files name the user's own code, if they name any; else nothing."""
+    from activestructure_gym.evaluation.archive.jobs import named_in_overrides
+
+    features = (*config.world.features, config.teacher)
+    named = named_in_overrides({**dict(config.world.overrides), "features": features})
+    return " --trust-code" if any(registry.imports(name.name) for registry, name in named) else ""
 
 
 def _run(
@@ -108,6 +126,11 @@ def _run(
             live.begin("ppo", config.units, run.position, config.envs * config.steps)
             try:
                 train_ppo(config, envs, run, validate, live.unit)
+            except (EOFError, ConnectionError) as error:
+                raise InputError(
+                    "the process of an environment was killed, perhaps because memory ran out: use --workers 1; "
+                    "finished iterations are kept, and --resume goes on with them"
+                ) from error
             finally:
                 with suppress(EOFError, OSError):  # from a child that has ended; they must not hide the first error
                     envs.close()
@@ -142,7 +165,7 @@ def _announce(config: TrainingConfig, position: int, episodes: Path, workers: in
     units = config.units - position
     if units or files:
         if config.method == "ppo":
-            workers = min(workers, config.envs)
+            workers = min(core_count(), config.envs) if workers > 1 else 1
         wall, processor = forecast(config, run_trial(config), workers=workers, files=files, units=units)
         live.note(f"expected: {wall:.1f} minutes, {processor:.1f} processor minutes (from a short trial)")
 

@@ -118,8 +118,10 @@ class Ppo(Learning):
 
     method: ClassVar[Method] = "ppo"
 
+    workers: int = 0
+    """Use one process per environment, or with 1 none; results do not depend on it."""
     start: PathName = None
-    """Start from this checkpoint (a run's directory or a file)."""
+    """Start from this checkpoint (a run's directory or a file), with the network that it has."""
     iterations: int = 40
     """Train for this many iterations of --envs times --steps steps."""
     steps: int = 128
@@ -134,6 +136,7 @@ def training_config(options: Learning) -> TrainingConfig:
     from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.evaluation.training.training_env import default_features
     from activestructure_gym.policies.learned import learned_from
+    from activestructure_gym.policies.learned.checkpoint import read_network_config
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     overrides = parse_overrides(options.set)
@@ -145,6 +148,10 @@ def training_config(options: Learning) -> TrainingConfig:
             raise InputError(
                 f"leave out --features, or give those of --start: {has}; got {', '.join(given['features'])}"
             )
+        network = read_network_config(chosen.checkpoint)
+        if network.use_planes and not options.use_planes:
+            raise InputError("the network of --start reads the planes: leave out --no-use-planes")
+        given |= {name: getattr(network, name) for name in ("planes", "candidates", "rounds", "use_planes")}
         given |= {"start": chosen.spec.removeprefix("learned:"), "features": chosen.required_features}
     if options.layouts is None:
         del given["layouts"]

@@ -15,9 +15,13 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli.train.learning import _trusting
 from activestructure_gym.evaluation.cli.train.methods import Bc, Ppo, Rank, training_config
-from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training import reinforcement
+from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.policies.learned import SHIPPED
+from activestructure_gym.policies.learned.checkpoint import save_checkpoint
+from activestructure_gym.policies.learned.network import CandidateNetwork, NetworkConfig
 
 TINY = [
     "--layouts", "2", "--frames", "20",
@@ -46,6 +50,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     ("arguments", "words"),
     [
         (["bc", "--teacher", "deep"], ["unknown feature 'deep'"]),
+        (["bc", "--teacher", "gs_planner"], ["the columns gs_planner_volume, gs_planner_loss: give one as --teacher"]),
         (["bc", "--features", "pixle"], ["unknown feature 'pixle'", "did you mean 'pixel'"]),
         (["ppo", "--start", "nowhere"], ["not a checkpoint", "nowhere"]),
         (["ppo", "--gamma", "2"], ["gamma", "2"]),
@@ -83,6 +88,9 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_
             "ppo --frames 50 -o new",
             "40 iterations of 8 environments x 128 steps, on 240 layouts, 50 frames",
         ),
+        ("ppo --workers 2 -o new", "preset fast, 8 processes, into new"),  # one per environment
+        ("ppo --workers 1 -o new", "preset fast, 1 process, into new"),
+        ("bc --workers 2 -o new", "preset fast, 2 processes, into new"),
         ("eval --scenes box --seeds 0-2 -o new", "4 policies x 27 episodes of 100 frames"),
     ],
 )
@@ -91,6 +99,40 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(words, said, tmp_path,
     assert main(["train", *words.split(), "--dry-run"]) == 0
     told = capsys.readouterr().out
     assert said in told and "into " in told and "nothing was run" in told and not list(tmp_path.iterdir())
+
+
+def test_ppo_has_the_network_of_its_start(tmp_path: Path) -> None:
+    features = ("unknown_volume", "unknown_volume_way")
+    network = NetworkConfig(features, planes=16, rounds=1, use_planes=False)
+    save_checkpoint(tmp_path / "small.safetensors", CandidateNetwork(network), {})
+    assert training_config(Ppo(start="small")).network() == network
+    save_checkpoint(tmp_path / "planes.safetensors", CandidateNetwork(NetworkConfig(features)), {})
+    with pytest.raises(InputError, match="leave out --no-use-planes"):
+        training_config(Ppo(start="planes", use_planes=False))
+
+
+def test_a_killed_environment_is_told_in_one_sentence(boxes: None, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    def killed(*arguments: object) -> None:
+        raise EOFError
+
+    monkeypatch.setattr(reinforcement, "train_ppo", killed)
+    tiny = ["--preset", "rl", "--validation-layouts", "1", "--workers", "1", "--envs", "2", "--steps", "8", *TINY]
+    assert main(["train", "ppo", "--out", "ppo", *tiny]) == 2
+    said = capsys.readouterr().err
+    assert "the process of an environment was killed" in said and "--resume" in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "option"),
+    [
+        ({}, ""),
+        ({"features": ("pixel", "mine:gain")}, " --trust-code"),
+        ({"overrides": (("views.stages", (("mine:Source",),)),)}, " --trust-code"),
+    ],
+)
+def test_the_command_that_goes_on_trusts_the_user_s_own_code(changes: dict[str, object], option: str) -> None:
+    world = WorldConfig(**changes)  # type: ignore[arg-type]
+    assert _trusting(TrainingConfig(world=world)) == option
 
 
 def test_options_become_a_configuration() -> None:

@@ -23,8 +23,14 @@ ROWS = 14  # number of parameters per Gaussian
 
 _LANES = 16  # vector width of the kernels; the capacity is a multiple of it
 _CHUNK = 1024  # Gaussians per chunk of the rasteriser
+MAX_LOG_SCALE = 40.0  # the square of a larger scale is beyond float32
 _FORMAT_VERSION = 1  # version of the npz format
 _MAX_BYTES = 3 * ROWS * 4 * 100_000_000  # largest accepted npz file: parameters and moments of 100 million Gaussians
+
+
+def usable(parameters: np.ndarray) -> np.ndarray:  # [14, N] float32 -> [N] bool
+    """Return which Gaussians of a file can be rendered: all parameters are finite, and so are their squared scales."""
+    return np.isfinite(parameters).all(axis=0) & (parameters[LOG_SCALE] <= MAX_LOG_SCALE).all(axis=0)
 
 
 class GaussianMap:

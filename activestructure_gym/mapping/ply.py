@@ -13,7 +13,7 @@ import warnings
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.files import replaced
 from activestructure_gym.mapping.axes import UpInFile
 from activestructure_gym.mapping.gaussian_map import (
@@ -24,6 +24,7 @@ from activestructure_gym.mapping.gaussian_map import (
     QUATERNION,
     ROWS,
     GaussianMap,
+    usable,
 )
 from activestructure_gym.ply_header import (
     BINARY_LITTLE_ENDIAN,
@@ -123,17 +124,17 @@ def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
         block[:, QUATERNION] = (1.0, 0.0, 0.0, 0.0)
     with np.errstate(over="ignore"):  # a double beyond the range of float32 becomes infinite and is dropped below
         block32 = block.astype(np.float32)
-    usable = np.isfinite(block32).all(axis=1)
-    if not usable.all():
-        dropped = f"dropped {np.count_nonzero(~usable)} of {len(block)} Gaussians"
-        warnings.warn(f"{path}: {dropped} with values that are not finite", stacklevel=2)
-    gaussians = GaussianMap(int(usable.sum()))
-    gaussians.append(block32[usable].T)
+    kept = usable(block32.T)
+    if not kept.all():
+        dropped = f"dropped {np.count_nonzero(~kept)} of {len(block)} Gaussians: values not finite, or scales too large"
+        warnings.warn(f"'{path}': {dropped}", InputWarning, stacklevel=2)
+    gaussians = GaussianMap(int(kept.sum()))
+    gaussians.append(block32[kept].T)
     return gaussians
 
 
 def _log_scales(columns, names: set[str]) -> np.ndarray:  # [n, 3]
-    if "scale_1" not in names:
+    if not {"scale_1", "scale_2"} & names:
         return np.repeat(columns("scale_0"), 3, axis=1)
     if "scale_2" not in names:
         plane = columns("scale_0", "scale_1")

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.files import replaced
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.rotations import quaternion_of, turned
@@ -25,6 +25,7 @@ from activestructure_gym.mapping.gaussian_map import (
     QUATERNION,
     ROWS,
     GaussianMap,
+    usable,
 )
 from activestructure_gym.npz import read_npz
 
@@ -107,12 +108,12 @@ def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | No
     block[QUATERNION] = turned(quaternion_of(first[:3, :3]), block[QUATERNION].T).T
     with np.errstate(over="ignore"):
         block32 = block.astype(np.float32)
-    usable = np.isfinite(block32).all(axis=0)
-    if not usable.all():
-        dropped = f"dropped {np.count_nonzero(~usable)} of {count} Gaussians"
-        warnings.warn(f"{path}: {dropped} with values that are not finite", stacklevel=2)
-    gaussians = GaussianMap(max(1, int(usable.sum())))
-    gaussians.append(block32[:, usable])
+    kept = usable(block32)
+    if not kept.all():
+        dropped = f"dropped {np.count_nonzero(~kept)} of {count} Gaussians: values not finite, or scales too large"
+        warnings.warn(f"'{path}': {dropped}", InputWarning, stacklevel=2)
+    gaussians = GaussianMap(max(1, int(kept.sum())))
+    gaussians.append(block32[:, kept])
     return gaussians
 
 
@@ -163,9 +164,8 @@ def _place(
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise InputError(f"'{path}': expected gt_w2c_all_frames of shape (T, 4, 4), got {poses.shape}")
     if np.allclose(poses[0], np.eye(4), atol=1e-6):
-        warnings.warn(
-            f"{path} has no world pose of its first camera; the map stays in the frame of that camera", stacklevel=3
-        )
+        text = f"'{path}' has no world pose of its first camera; the map stays in the frame of that camera"
+        warnings.warn(text, InputWarning, stacklevel=3)
         return np.eye(4)
     return invert_rigid(_rigid(poses[0], "gt_w2c_all_frames[0]", path))
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.motion import levelled
@@ -25,6 +26,7 @@ _SURFACE_MARGIN_M, _CAMERA_MARGIN_M = 0.1, 0.6
 # Free around a recorded pose: 0.9 of the distance to the nearest sampled depth point, at most 0.4 m for the camera and
 # its carrier. Surfaces that no frame shows may be closer than the nearest point.
 _CLOSEST, _CARRIER_M = 0.9, 0.4
+_UPRIGHT = 0.5  # smallest cosine between the up axis and the up direction of most images, else a warning
 
 
 @WORLDS.register("recorded")
@@ -79,6 +81,11 @@ class RecordedWorld:
         self.camera = recorded.resized(width, max(1, round(recorded.height * width / recorded.width)))
         self._poses = sequence.world_from_camera.copy()
         self._poses[:, :3] = upright(np.eye(3), up).T @ self._poses[:, :3]
+        ups = {axis: _image_up(sequence.world_from_camera, axis) for axis in UP_AXES}
+        if ups[up] < _UPRIGHT:
+            best = max(UP_AXES, key=lambda axis: ups[axis])
+            text = f"the images of '{path}' are not upright with up={up}, and most with up={best}"
+            warnings.warn(text, InputWarning, stacklevel=2)
         self._level = np.stack([levelled(pose) for pose in self._poses])
         kept = np.ones(len(sequence), dtype=bool)
         if hold_out:
@@ -133,3 +140,8 @@ class RecordedWorld:
         if not len(found):
             raise InputError("the depth images of this sequence have no depth above 0, so nothing can be mapped")
         return found
+
+
+def _image_up(world_from_camera: np.ndarray, axis: str) -> float:  # [n, 4, 4] of the recording
+    """Return the median cosine between an axis of the recording and the up direction of its images."""
+    return float(np.median(-world_from_camera[:, :3, 1] @ upright(np.eye(3), axis)[:, 2]))

@@ -123,9 +123,10 @@ class SplatWorld:
             check_start_pose(self._truth, pose, _START_CLEARANCE_M)
             return Start(pose, float(self._truth.free_space.clearance_at(position)[0]))
         free = self._around(position)[0]
-        if not free > 0.0:
+        if free < _START_CLEARANCE_M:
             raise InputError(
-                f"the start at {position.round(2).tolist()} is inside the map's surface: choose another one"
+                f"the start at {position.round(2).tolist()} is {free:.2f} m from the map's surface, and needs "
+                f"{_START_CLEARANCE_M} m: choose another one"
             )
         return Start(pose, free)
 

@@ -38,8 +38,7 @@ def surface_mesh(run: Run) -> trimesh.Trimesh:
     if not isinstance(protocol, StandardProtocol):
         protocol = StandardProtocol()
     path = CameraPath.from_arrays(run.trajectory)
-    pieces = list(replace(protocol, points_source="both").surface(run.gaussians, path).pieces())
-    corners = np.concatenate([*pieces, np.empty((0, 3, 3), np.float32)]).reshape(-1, 3)
+    corners = replace(protocol, points_source="both").surface(run.gaussians, path).oriented().reshape(-1, 3)
     if not len(corners):
         raise InputError(f"the map of '{run.directory}' shows no surface at its keyframes: there is no mesh to write")
     _, first, rows = np.unique(

@@ -98,6 +98,12 @@ class FusedSurface:
         """Return the number of stored blocks of 8 x 8 x 8 voxels."""
         return len(self._keys)
 
+    def oriented(self) -> np.ndarray:  # [T, 3, 3] float32 metres
+        """Return the corners of all triangles, counter-clockwise seen from the free side of the surface."""
+        starts = range(0, len(self._keys), _PART)
+        parts = [piece for start in starts for piece in self._part(self._keys[start : start + _PART], oriented=True)]
+        return np.concatenate([*parts, np.empty((0, 3, 3), np.float32)])
+
     def pieces(self) -> Iterator[np.ndarray]:  # [T, 3, 3] float32 metres, the corners of triangles
         """Yield the corners of the triangles in world coordinates, in arrays for at most 2,048 blocks.
 
@@ -167,7 +173,7 @@ class FusedSurface:
             return self._images[images]
         return np.ascontiguousarray(self._draw(self._poses[images]), np.float32)
 
-    def _part(self, own: np.ndarray) -> Iterator[np.ndarray]:
+    def _part(self, own: np.ndarray, *, oriented: bool = False) -> Iterator[np.ndarray]:
         """Fuse the blocks with the keys ``own`` [n] and yield their triangles in arrays [T, 3, 3], metres."""
         after = own[:, None] + _keys_of(_AFTER, about=0)  # [n, 8]
         keys = np.unique(after[_rows_of(after, self._keys) >= 0])
@@ -181,7 +187,7 @@ class FusedSurface:
 
         def extract(start: int) -> np.ndarray:
             part = slice(start, start + _CHUNK)
-            rest = rows[part], shown[part], origin, self._voxel
+            rest = rows[part], shown[part], origin, self._voxel, oriented
             corners = np.empty((_ROOM * len(shown[part]), 3, 3), np.float32)
             count = triangles(fused.distance, fused.weight, *rest, corners)
             if count > len(corners):

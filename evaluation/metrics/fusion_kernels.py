@@ -226,11 +226,13 @@ def triangles(
     blocks: np.ndarray,  # [B, 3] block indices; their cells are processed
     origin: np.ndarray,  # [3] lower corner of block (0, 0, 0), metres, world
     voxel: float,
+    oriented: bool,
     corners: np.ndarray,  # [T, 3, 3] out: the first T triangles, metres, world
 ) -> int:
     """Extract the zero level by marching tetrahedra over the cells between voxel centres; return the triangle count.
 
-    The count can exceed T; then the caller repeats the call with a larger array.
+    The count can exceed T; then the caller repeats the call with a larger array. If ``oriented``, the corners of a
+    triangle are counter-clockwise seen from the side of positive distances. Otherwise their order has no meaning.
     """
     value, place = np.empty(8), np.empty((8, 3))
     crossing = np.empty((4, 3))
@@ -295,8 +297,34 @@ def triangles(
                             corners[count, 0, axis] = crossing[0, axis]
                             corners[count, 1, axis] = crossing[third - 1, axis]
                             corners[count, 2, axis] = crossing[third, axis]
+                        if oriented:
+                            _turn(value, place, tetrahedron, corners[count])
                     count += 1
     return count
+
+
+@kernel
+def _turn(value: np.ndarray, place: np.ndarray, tetrahedron: np.ndarray, triangle: np.ndarray) -> None:
+    """Exchange two corners of a triangle [3, 3] in a tetrahedron unless its normal points to positive distances."""
+    ahead = np.zeros(3)
+    behind = 0
+    for a in range(4):
+        behind += value[tetrahedron[a]] < 0.0
+    for a in range(4):
+        share = -1.0 / behind if value[tetrahedron[a]] < 0.0 else 1.0 / (4 - behind)
+        for axis in range(3):
+            ahead[axis] += share * place[tetrahedron[a], axis]
+    side = 0.0
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        first = (triangle[1, i] - triangle[0, i]) * (triangle[2, j] - triangle[0, j])
+        second = (triangle[1, j] - triangle[0, j]) * (triangle[2, i] - triangle[0, i])
+        side += ahead[axis] * (first - second)
+    if side < 0.0:
+        for axis in range(3):
+            kept = triangle[1, axis]
+            triangle[1, axis] = triangle[2, axis]
+            triangle[2, axis] = kept
 
 
 @kernel

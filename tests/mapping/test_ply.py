@@ -86,11 +86,17 @@ def test_isotropic_and_flat_files(tmp_path):
 
 def test_rows_that_are_not_finite_are_dropped_one_by_one(tmp_path):
     rows = [[k] * 7 + [-2] for k in range(5)]
-    rows[1][0], rows[3][6] = np.nan, np.inf
+    rows[1][0], rows[3][6], rows[4][7] = np.nan, np.inf, 100.0  # e^100 m is infinite in float32
     path = _simple(tmp_path / "damaged.ply", ["scale_0"], rows)
-    with pytest.warns(UserWarning, match="dropped 2 of 5"):
+    with pytest.warns(UserWarning, match="dropped 3 of 5"):
         loaded = read_ply(path)
-    assert loaded.means[:, 0].tolist() == [0, 2, 4]
+    assert loaded.means[:, 0].tolist() == [0, 2]
+
+
+def test_a_scale_that_is_left_out_is_told(tmp_path):
+    path = _simple(tmp_path / "gap.ply", ["scale_0", "scale_2"], [[0] * 7 + [-2, -1]])
+    with pytest.raises(InputError, match="expected the vertex property 'scale_1'"):
+        read_ply(path)
 
 
 def test_other_elements_behind_the_vertices_are_ignored(tmp_path):

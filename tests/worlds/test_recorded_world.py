@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.geometry import look_along
 from activestructure_gym.motion import levelled
 from activestructure_gym.worlds import load_world
@@ -51,6 +51,14 @@ def test_a_capture_is_the_nearest_frame_with_its_own_pose(folder: Path) -> None:
         off = poses[n].copy()
         off[:3, 3] += 0.02
         np.testing.assert_array_equal(world.capture(off).depth, frame.depth)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_recording_on_its_side_or_upside_down_gets_a_warning(folder: Path) -> None:
+    for up in ("z", "y", "x"):
+        with pytest.warns(InputWarning, match=f"not upright with up={up}, and most with up=-y"):
+            made(folder, up=up)
+    made(folder, up="-y")
 
 
 def test_position_and_rotation_decide_together(folder: Path) -> None:

@@ -81,6 +81,9 @@ def test_bounds_and_start_are_found(box: Path) -> None:
     np.testing.assert_allclose(far.start.pose[:3, 2], [-1.0, 0.0, 0.0], atol=1e-9)  # the way to the farthest wall
     given = made(box, start="1.0,1.5,1.2,90", bounds="0,0,0,4,3,2.5")
     np.testing.assert_allclose(given.start.pose[:3, 2], [0.0, 1.0, 0.0], atol=1e-9)
+    for near in ("0.0,1.5,1.2,90", "0.2,1.5,1.2,90"):  # in a wall, and 0.2 m before it
+        with pytest.raises(InputError, match="from the map's surface, and needs 0.3 m"):
+            made(box, start=near, bounds="0,0,0,4,3,2.5")
     assert 0.9 < given.start.free_radius < 1.03 and given.bounds[1].tolist() == [4.0, 3.0, 2.5]
 
 

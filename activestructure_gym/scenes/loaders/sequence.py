@@ -115,7 +115,7 @@ def load_sequence(
     InputError
         If a file is missing, the numbers of poses and images differ, or a pose is not rigid.
     """
-    path = Path(os.path.expanduser(path))
+    path = Path(os.path.abspath(os.path.expanduser(path)))
     if not path.is_dir():
         raise InputError(f"there is no sequence folder '{path}'")
     if depth_scale is not None and not (depth_scale > 0 and np.isfinite(depth_scale)):
@@ -211,6 +211,8 @@ def _listed(file: Path, column: int) -> tuple[np.ndarray, list[Path]]:
 
 def _nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:  # [n], [m] seconds -> [n] index, -1 = none
     """Return the index in ``others`` of the time stamp nearest to each of ``stamps``; -1 if it is over 0.02 s away."""
+    if not len(others):
+        return np.full(len(stamps), -1)
     order = np.argsort(others, kind="stable")
     after = np.clip(np.searchsorted(others[order], stamps), 1, max(1, len(others) - 1))
     sides = order[np.stack([after - 1, np.minimum(after, len(others) - 1)])]
@@ -225,6 +227,12 @@ def _check_numbers(path: Path, poses: np.ndarray, rgb: tuple[Path, ...], depth: 
             f"sequence '{path}' has {len(poses)} poses, {len(rgb)} colour and {len(depth)} depth images; the three "
             "numbers must be equal"
         )
+    for one, other in zip(rgb, depth):
+        if _number_of(one) != _number_of(other):
+            raise InputError(
+                f"sequence '{path}' has '{one.name}' where its depth images have '{other.name}': each side lacks "
+                "an image"
+            )
 
 
 def _camera_beside(path: Path, image: Path, intrinsics: Sequence[float] | None) -> PinholeCamera:
@@ -242,7 +250,9 @@ def _camera_beside(path: Path, image: Path, intrinsics: Sequence[float] | None) 
             wanted,
             lambda k: (np.array(k["intrinsic_matrix"], float).reshape(3, 3), int(k["width"]), int(k["height"])),
         )
-        intrinsics = matrix[0, 0], matrix[1, 1], matrix[2, 0], matrix[2, 1]  # the matrix is stored by columns
+        if matrix[0, 2] and not matrix[2, :2].any():
+            raise InputError(f"'{file}': Open3D writes the intrinsic_matrix by columns, and this one is by rows")
+        intrinsics = matrix[0, 0], matrix[1, 1], matrix[2, 0], matrix[2, 1]
     elif intrinsics is None and (width, height) != (640, 480):
         raise InputError(
             f"'{path}' has no camera*.json, and its images are {width} x {height}: give intrinsics=fx,fy,cx,cy"
@@ -263,14 +273,17 @@ def _given_camera(intrinsics: Sequence[float], width: int, height: int) -> Pinho
 def _numbered(folder: Path, prefix: str) -> tuple[Path, ...]:
     """Return the images ``<prefix><number>.*`` sorted by number."""
     files = [f for f in folder.glob(f"{prefix}*") if f.suffix.lower() in (".jpg", ".jpeg", ".png")]
-    numbers = {f: f.stem.removeprefix(prefix) for f in files}
-    return tuple(sorted((f for f in files if numbers[f].isdecimal()), key=lambda f: int(numbers[f])))
+    return tuple(sorted((f for f in files if f.stem.removeprefix(prefix).isdecimal()), key=_number_of))
+
+
+def _number_of(file: Path) -> int:
+    return int(file.stem.lstrip("abcdefghijklmnopqrstuvwxyz"))
 
 
 def _camera(path: Path) -> tuple[PinholeCamera, float]:
-    file = next((f for f in (path.parent / "cam_params.json", path / "cam_params.json") if f.is_file()), None)
+    file = next((f for f in (path / "cam_params.json", path.parent / "cam_params.json") if f.is_file()), None)
     if file is None:
-        raise InputError(f"sequence '{path}' has no cam_params.json next to its folder ('{path.parent}')")
+        raise InputError(f"sequence '{path}' has no cam_params.json in its folder, or in '{path.parent}'")
     camera, scale = read_json(file, "a camera (camera: w, h, fx, fy, cx, cy, scale)", _parsed_camera)
     if camera.width * camera.height > MAX_PIXELS:
         raise InputError(

@@ -33,6 +33,18 @@ def test_it_is_the_surface_that_the_protocol_measures(run: Run, mesh: trimesh.Tr
     assert len(mesh.vertices) < 0.8 * len(mesh.faces)  # triangles share their corners
 
 
+def test_the_normals_point_to_free_space(run: Run, mesh: trimesh.Trimesh) -> None:
+    assert mesh.is_winding_consistent
+    low, high = np.zeros(3), np.array([4.0, 3.0, 2.5])  # the box, seen from inside
+    middles, normals, areas = mesh.triangles_center, mesh.face_normals, mesh.area_faces
+    for axis in range(3):
+        for wall, inward in ((low[axis], 1.0), (high[axis], -1.0)):
+            own = (np.abs(middles[:, axis] - wall) < 0.03) & (np.abs(normals[:, axis]) > 0.8)
+            if areas[own].sum() > 0.3:
+                right = areas[own & (inward * normals[:, axis] > 0)].sum()
+                assert right > 0.99 * areas[own].sum()
+
+
 @pytest.mark.parametrize(("name", "up"), [("x.glb", "y"), ("x.glb", "z"), ("x.ply", "z"), ("x.PLY", "-y")])
 def test_trimesh_reads_it(mesh: trimesh.Trimesh, tmp_path: Path, name: str, up: str) -> None:
     write_mesh(mesh, tmp_path / name, up)  # type: ignore[arg-type]

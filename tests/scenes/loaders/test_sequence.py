@@ -80,11 +80,27 @@ def test_numbers_of_poses_and_images_must_match(copy):
     assert "3 poses, 2 colour and 3 depth images" in _error(copy)
 
 
-def test_missing_parts(copy, tmp_path):
+def test_images_of_different_frames_are_no_pair(copy, redwood):
+    (redwood / "color" / "00000.jpg").unlink()
+    (redwood / "depth" / "00002.png").unlink()
+    rows = (redwood / "trajectory.log").read_text().splitlines()
+    (redwood / "trajectory.log").write_text("\n".join(rows[:10]))
+    assert "has '00001.jpg' where its depth images have '00000.png'" in _error(redwood)
+    (copy / "results" / "frame000001.jpg").rename(copy / "results" / "frame000007.jpg")
+    assert "has 'frame000002.jpg' where its depth images have 'depth000001.png'" in _error(copy)
+
+
+def test_missing_parts(copy, tmp_path, monkeypatch):
     assert "no sequence folder" in _error(tmp_path / "gone")
     (copy.parent / "cam_params.json").rename(copy / "cam_params.json")
     assert len(load_sequence(copy)) == 3  # beside the trajectory is found as well
+    own = json.loads((copy / "cam_params.json").read_text())
+    (copy.parent / "cam_params.json").write_text(json.dumps({"camera": {**own["camera"], "fx": 99.0}}))
+    assert load_sequence(copy).camera.fx == 20.0  # the nearest one
     (copy / "cam_params.json").unlink()
+    monkeypatch.chdir(copy)
+    assert load_sequence(".").camera.fx == 99.0 == load_sequence("results/..").camera.fx
+    (copy.parent / "cam_params.json").unlink()
     assert "no cam_params.json" in _error(copy)
     (copy / "traj.txt").unlink()
     assert "no trajectory" in _error(copy)
@@ -159,6 +175,9 @@ def test_redwood_s_layout_gives_the_same_frames(copy, redwood):
 
 
 def test_faults_of_redwood_s_layout(redwood):
+    by_rows = {"width": 40, "height": 24, "intrinsic_matrix": [20.0, 0, 19.5, 0, 20.0, 11.5, 0, 0, 1]}
+    (redwood / "camera_primesense.json").write_text(json.dumps(by_rows))
+    assert "by columns, and this one is by rows" in _error(redwood)
     (redwood / "camera_primesense.json").unlink()
     assert "images are 40 x 24: give intrinsics=fx,fy,cx,cy" in _error(redwood)
     with pytest.raises(InputError, match="fx and fy above 0"):
@@ -207,6 +226,9 @@ def test_faults_of_tum_s_layout(tum):
     for elsewhere in ("../elsewhere.jpg", folder.parent / "elsewhere.jpg", "color/" + 400 * "0"):
         (folder / "rgb.txt").write_text(f"0.0 {elsewhere}\n")
         assert "not in that folder" in _error(folder)
+    for empty in ("depth", "rgb"):
+        (folder / f"{empty}.txt").write_text("# nothing\n")
+        assert "no colour image of" in _error(folder)
     (folder / "rgb.txt").write_text("77 color/00000.jpg\n")
     assert "no colour image of" in _error(folder)
     (folder / "rgb.txt").write_text("color/00000.jpg\n")

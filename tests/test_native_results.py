@@ -164,7 +164,7 @@ def test_what_is_said_of_the_paper_s_size_is_that_of_its_runs() -> None:
 def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     told = " ".join((ROOT / "docs" / "notebook" / "native.md").read_text(encoding="utf-8").split())
-    scenes = ("apartment?rooms=3&seed=14", "houses_20_house_5")
+    scenes = ("apartment?rooms=3&seed=14", "houses_20_house_5", "room?seed=12")
     runs = {(row["policy"], row["scene"]): row for row in script["rows"]() if row["scene"] in scenes}
 
     def spread(*names: str) -> list[float]:
@@ -185,6 +185,10 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     assert f"Our planners of unseen space end {low:.1f} to {high:.1f} points above chance**" in told
     low, high = spread("naruto", "activesplat", "anm_s", "activeinr", "aiisrfe")
     assert f"end {low:+.1f} to {high:+.1f} points from chance on their views**" in told
+
+    path, on_its_views = (runs[name, scenes[0]] for name in ("fisherrf_path", "random?views_of=fisherrf_path"))
+    lower = script["_until"](path, 2000.0)[0] - script["_until"](on_its_views, 2000.0)[0]
+    assert f"chance on these views ends {lower:.1f} points lower" in told
 
     def observed(name: str, scene: str) -> str:
         return f"{float(runs[name, scene]['observed']):.1f} %"

@@ -158,10 +158,10 @@ class Reconstruction(EpisodeState):
         switch to another candidate stage, which costs no frame. An index beyond the table, and a view without a path,
         cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
         observed obstacles block ends before the obstacle. A path ends too if a keyframe was taken elsewhere than asked
-        for, by more than one frame's step or turn; planning continues from there, and the view stays in the pool if
-        the camera has come nearer to it by more than half a step. A keyframe that the world cannot take
-        (`CaptureFailed`) ends the path at the keyframe before it, and costs one frame. The agent is then assumed to be
-        at that keyframe. The fourth failure in a row is raised.
+        for, by more than one frame's step or turn; planning continues from there. The view stays in the pool if the
+        camera has come nearer to it by more than half a step. A keyframe that the world cannot take (`CaptureFailed`)
+        ends the path at the keyframe before it, and costs one frame. The agent is then assumed to be at that keyframe.
+        The fourth failure in a row is raised.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres

@@ -137,8 +137,8 @@ class TrajectorySpec:
 
     @property
     def _reference(self) -> TrajectorySpec:
-        """Return the reference trajectory, whose axes are those given for this one, or the usual ones of its format."""
-        given = TrajectorySpec(*_split(self.reference), axes=self.axes)
+        """Return the reference trajectory, which has the usual axes of its format."""
+        given = TrajectorySpec(*_split(self.reference))
         if not given.of_file:
             raise InputError(f"a reference trajectory is a file of poses, got '{self.reference}'")
         return given
@@ -181,10 +181,9 @@ class TrajectorySpec:
 
     def _compared(self, poses: np.ndarray, stamps: np.ndarray | None) -> tuple[np.ndarray, dict[str, float]]:
         """Return the poses [T, 4, 4], aligned to the reference if asked, and their errors (see `trajectory_errors`)."""
-        given = self._reference
-        file, kind = given.file()
+        file, kind = self._reference.file()
         found = read_recorded(file, kind)
-        reference = in_our_axes(found.poses, given.axes or USUAL.get(kind, "opencv"))
+        reference = in_our_axes(found.poses, USUAL.get(kind, "opencv"))
         ours, theirs = matched(len(poses), stamps, len(reference), found.stamps)
         scale = {}
         if self.align:

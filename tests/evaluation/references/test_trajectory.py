@@ -151,6 +151,14 @@ def test_a_trajectory_in_its_own_frame_is_aligned_mapped_and_compared(played: Ru
         named_trajectory(run.job.policy)
 
 
+def test_a_reference_has_the_usual_axes_of_its_own_format(tmp_path: Path) -> None:
+    poses = flown(np.array([[1.0, 0, 0, 3], [0, 1, 0, 2], [0, 0, 1, 1], [0, 0, 0, 1]]))
+    np.savez(tmp_path / "reference.npz", world_from_camera=poses)
+    given = TrajectorySpec("way.txt", axes="habitat", reference=str(tmp_path / "reference.npz"))
+    _, errors = given._compared(poses, None)
+    assert errors == pytest.approx({"ate_m": 0, "rpe_m": 0, "rpe_deg": 0, "poses_matched": 6}, abs=1e-5)
+
+
 def test_options_of_keyframes_and_references_are_checked(tmp_path: Path) -> None:
     file = write(tmp_path / "way.txt", flown(np.eye(4)))
     assert named_trajectory(f"trajectory:{file}?keyframes=all").endswith("?keyframes=1")

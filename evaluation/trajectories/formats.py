@@ -32,7 +32,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.evaluation.trajectories.colmap import colmap_poses
 from activestructure_gym.evaluation.trajectories.json_poses import habitat_poses, nerfstudio_poses, scannetpp_poses
-from activestructure_gym.evaluation.trajectories.pose_tables import table_rows
+from activestructure_gym.evaluation.trajectories.pose_tables import seconds_of, table_rows
 from activestructure_gym.evaluation.trajectories.recognise import recognised
 from activestructure_gym.npz import read_npz
 from activestructure_gym.scenes.loaders.pose_text import (
@@ -69,7 +69,6 @@ _IN_FOLDERS = (  # in the order of the search
     ("transforms.json", "nerfstudio"),
     *((f"{folder}images.{ending}", "colmap") for folder in ("", "sparse/0/", "sparse/") for ending in ("bin", "txt")),
 )
-_NANOSECONDS = 1e14  # larger time stamps are nanoseconds: as seconds they would be 3 million years
 
 
 @dataclass(frozen=True)
@@ -139,14 +138,15 @@ def _read(path: Path, kind: str) -> RecordedPoses:
     elif kind in _READERS:
         poses = _READERS[kind](path)
     else:
-        rows = table_rows(path, kind) if kind in ("euroc", "ros_csv") else numbers_of(path)
+        rows, timed = table_rows(path, kind) if kind in ("euroc", "ros_csv") else (numbers_of(path), kind == "tum")
         if rows.shape[1] != _WIDTHS.get(kind, 8):
             raise InputError(
                 f"'{path}' has {rows.shape[1]} numbers per line, and {kind} has {_WIDTHS[kind]}: give its --format"
             )
+        if kind == "tum":
+            rows[:, 0] = seconds_of(rows[:, 0])
         poses = matrices_of(rows) if kind in ("kitti", "nice_slam", "replica") else tum_poses(rows, path)
-        if rows.shape[1] == 8:
-            stamps = rows[:, 0] * (1e-9 if np.abs(rows[:, 0]).max() > _NANOSECONDS else 1.0)
+        stamps = rows[:, 0] if timed else None
     if kind == "scannetpp":
         poses = _known(poses, path)
     return RecordedPoses(poses, stamps)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 from activestructure_gym.errors import InputError, listed, pluralised, short_repr
 from activestructure_gym.evaluation.trajectories.colmap import is_image_line
-from activestructure_gym.evaluation.trajectories.pose_tables import is_header
+from activestructure_gym.evaluation.trajectories.pose_tables import NANOSECONDS, is_header
 
 _HEAD_BYTES = 1 << 16  # bytes of the beginning of a file that are inspected
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # format by the number of numbers per line
@@ -63,18 +64,17 @@ def _text_kind(head: str) -> tuple[str, str]:
         return "", "comments only"
     rows = [words for line in lines[first:] if (words := line.replace(",", " ").split())]
     width = len(rows[0])
-    if is_image_line(rows[0]) and not _is_number(rows[0][-1]):
+    if is_image_line(rows[0]) and math.isnan(_number(rows[0][-1])):
         return "colmap", ""
     if width == 3 and [len(row) for row in rows[1:5]] == [4] * 4:
         return "redwood", ""
-    if width == _EUROC_WIDTH:
+    if width == _EUROC_WIDTH or (width == 8 and lines[first].count(",") >= 7 and _number(rows[0][0]) > NANOSECONDS):
         return "euroc", ""
     return _BY_WIDTH.get(width, ""), f"{pluralised(width, 'word')} in the line {short_repr(lines[first][:80])}"
 
 
-def _is_number(word: str) -> bool:
+def _number(word: str) -> float:
     try:
-        float(word)
+        return float(word)
     except ValueError:
-        return False
-    return True
+        return math.nan

@@ -12,6 +12,7 @@ import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.trajectories import formats
+from activestructure_gym.evaluation.trajectories.alignment import matched
 from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses, read_recorded
 from activestructure_gym.scenes.loaders import pose_text
 
@@ -262,6 +263,51 @@ def test_time_stamps_are_seconds(tmp_path: Path) -> None:
     assert read_recorded(write(tmp_path, "kitti")).stamps is None
     named = write(tmp_path, "ros_csv", '"tx","ty","tz","qw","qx","qy","qz"\n1,2,3,1,0,0,0\n')
     assert read_recorded(named).poses[0, :3, 3].tolist() == [1, 2, 3]
+
+
+SHORT = "tx,ty,tz,qx,qy,qz,qw"
+BODY = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
+
+
+@pytest.mark.parametrize(
+    ("header", "times", "stamps"),
+    [
+        (SHORT, "", None),
+        (f"frame,{SHORT}", "7,", None),
+        (f"header.stamp.sec,header.stamp.nanosec,{SHORT}", "1700000000,250000000,", 1700000000.25),
+        (f"/odom/header/stamp/sec,/odom/header/stamp/nanosec,{SHORT}", "3,5,", 3.000000005),
+        (f"Time,header.stamp.secs,header.stamp.nsecs,{SHORT}", "9,3,500000000,", 3.5),
+        (f"header.stamp.sec,{SHORT}", "3,", None),  # without the fraction
+        (f"#timestamp [ns],{BODY}", "100000000,", 0.1),
+        (f"#timestamp,{BODY}", "100000000,", 0.1),
+        (f"#timestamp [nsec],{BODY}", "100000000,", 0.1),
+        (f"timestamp [ns],{SHORT}", "100000000,", 0.1),
+        (f"timestamp [ms],{SHORT}", "100,", 0.1),
+        (f"timestamp,{SHORT}", "1403636579763555584,", 1403636579.7635555),
+        (f"timestamp,{SHORT}", "1403636579763555,", 1403636579.763555),
+        (f"timestamp,{SHORT}", "1403636579.763555,", 1403636579.763555),
+    ],
+)
+def test_the_unit_of_time_stamps_is_named_or_follows_from_their_size(
+    header: str, times: str, stamps: float | None, tmp_path: Path
+) -> None:
+    pose = "1,2,3,1,0,0,0" if BODY in header else "1,2,3,0,0,0,1"
+    found = read_recorded(write(tmp_path, "", f"{header}\n{times}{pose}\n"))
+    assert found.poses[0, :3].tolist() == [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]]
+    assert (found.stamps if stamps is None else found.stamps.tolist()) == (stamps and [stamps])
+
+
+def test_poses_of_a_csv_file_without_times_match_by_index(tmp_path: Path) -> None:
+    csv = write(tmp_path, "", f"{SHORT}\n" + "0,0,0,0,0,0,1\n" * 3)
+    assert [len(found) for found in matched(3, read_recorded(csv).stamps, 3, np.array([0.0, 0.5, 1.0]))] == [3, 3]
+
+
+def test_eight_columns_of_euroc_have_no_need_of_a_header(tmp_path: Path) -> None:
+    text = f"1403715524907143168,0,0,0,1,0,0,0\n1403715525907143168,1,2,3,{HALF},0,0,{HALF}\n"
+    assert find_file(path := write(tmp_path, "", text))[1] == "euroc"
+    np.testing.assert_allclose(read_poses(path), [np.eye(4), TURNED], atol=1e-15)
+    for other in ("1403715524907143168 0 0 0 0 0 0 1", "1403715524.9,0,0,0,0,0,0,1"):
+        assert find_file(write(tmp_path, "", other))[1] == "tum"
 
 
 @pytest.mark.parametrize(

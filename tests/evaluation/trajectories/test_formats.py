@@ -47,6 +47,8 @@ LINES = {
     f' {{"position": [1, 2, 3], "rotation": [0, 0, {HALF}, {HALF}]}}]',
 }
 
+APPLIED = '{"frames": [{"transform_matrix": [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]]}], %s}'
+
 
 def write(folder: Path, kind: str, text: str = "") -> Path:
     path = folder / "poses.txt"  # the name says nothing
@@ -61,6 +63,19 @@ def test_every_format_says_the_same_poses_and_is_known_by_its_look(kind: str, tm
         poses = read_poses(path, asked)
         np.testing.assert_allclose(poses, [np.eye(4), TURNED], atol=1e-15)
     assert find_file(path)[1] == kind
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+def test_what_nerfstudio_has_applied_to_the_poses_is_undone(rows: int, tmp_path: Path) -> None:
+    # x, z and -y, as ns-process-data writes them, then a move by (10, 20, 30); positions are halved after that.
+    applied = np.array([[1, 0, 0, 10], [0, 0, 1, 20], [0, -1, 0, 30], [0, 0, 0, 1]])
+    written = np.array([[0.0, -1, 0, 5.5], [0, 0, 1, 11.5], [-1, 0, 0, 14], [0, 0, 0, 1]])
+    given = {
+        "applied_transform": applied[:rows].tolist(),
+        "applied_scale": 0.5,
+        "frames": [{"file_path": "a.png", "transform_matrix": written.tolist()}],
+    }
+    assert read_poses(write(tmp_path, "", json.dumps(given))).tolist() == [TURNED.tolist()]
 
 
 def test_an_npz_is_read_to_the_last_bit(tmp_path: Path) -> None:
@@ -114,6 +129,18 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("nerfstudio", '{"frames": [{"file_path": "a"}]}', "'transform_matrix' is missing"),
         ("nerfstudio", '{"frames": [{"transform_matrix": [[1, 2], [3, 4]]}]}', "4 x 4 or 3 x 4 numbers for each"),
         ("nerfstudio", '{"frames": [{"transform_matrix": [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0]]}]}', "not a rigid"),
+        ("nerfstudio", APPLIED % '"applied_scale": 0', "numbers as applied_transform and a positive applied_scale"),
+        ("nerfstudio", APPLIED % '"applied_scale": NaN', "numbers as applied_transform and a positive applied_scale"),
+        ("nerfstudio", APPLIED % '"applied_scale": "x"', "could not convert string to float"),
+        ("nerfstudio", APPLIED % '"applied_scale": []', "a part of it is of another kind"),
+        ("nerfstudio", APPLIED % '"applied_scale": 1e-320', "is inf m away|is not a rigid motion"),
+        ("nerfstudio", APPLIED % '"applied_transform": null', "numbers as applied_transform and a positive"),
+        ("nerfstudio", APPLIED % '"applied_transform": [[1, 0, 0], [0, 1, 0]]', "numbers as applied_transform and a"),
+        (
+            "nerfstudio",
+            APPLIED % '"applied_transform": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]',
+            "an applied_transform that is not a rotation and a translation",
+        ),
         ("colmap", "1 2 3\n", "is not a COLMAP images.txt: expected IMAGE_ID QW"),
         ("colmap", "# Image list\n", "is a COLMAP model without images"),
         ("colmap", "1 2 0 0 0 0 0 0 1 a.jpg\n\n", "quaternion of length 2"),

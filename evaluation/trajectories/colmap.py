@@ -6,6 +6,7 @@ images of a model are in no order of time, so they are sorted by their names.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -15,7 +16,13 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.geometry import invert_rigid
-from activestructure_gym.scenes.loaders.pose_text import MAX_COORDINATE_M, MAX_POSES, poses_of_quaternions
+from activestructure_gym.scenes.loaders.pose_text import (
+    MAX_COORDINATE_M,
+    MAX_POSES,
+    number_of,
+    poses_of_quaternions,
+    refuse_utf16,
+)
 
 _MAX_BYTES = 1 << 30  # largest size of a file, 1 GiB; the image points that follow each pose take most of it
 _MAX_NAME = 4096  # bytes; longest name of an image
@@ -34,8 +41,9 @@ def colmap_poses(path: Path) -> np.ndarray:  # [T, 4, 4] world_from_camera
         if (size := path.stat().st_size) > _MAX_BYTES:
             raise InputError(f"'{path}' has {size:,} bytes, at most {_MAX_BYTES:,} are read")
         with open(path, "rb") as stream:
-            binary = b"\0" in stream.read(8)
-        images = list(_binary(path) if binary else _text(path))
+            head = stream.read(8)
+        refuse_utf16(head, path)
+        images = list(_binary(path) if b"\0" in head else _text(path))
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
     if not images:
@@ -53,7 +61,12 @@ def in_number_order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts]
 
 
-def is_image_line(words: list[str]) -> bool:
+def names_image(words: list[str]) -> bool:
+    """Return whether the words are a line of an image and no image points, which end in a number."""
+    return _is_image_line(words) and math.isnan(number_of(words[-1].split()[-1]))
+
+
+def _is_image_line(words: list[str]) -> bool:
     """Return whether the words can be a line of an image: id, quaternion, translation, camera id and a name."""
     try:
         int(words[0]), int(words[8]), [float(word) for word in words[1:8]]
@@ -64,11 +77,11 @@ def is_image_line(words: list[str]) -> bool:
 
 def _text(path: Path) -> Iterator[_Image]:
     """Read ``images.txt``: two lines per image, of which the second one (image points) may be empty."""
-    with open(path, "rb") as stream:
-        lines = (line for line in stream if not line.lstrip().startswith(b"#"))
+    with open(path, encoding="utf-8-sig", errors="replace") as stream:
+        lines = (line for line in stream if not line.lstrip().startswith("#"))
         for count, line in enumerate(line for line in lines if line.strip()):
-            words = line.decode("utf-8", errors="replace").split(maxsplit=9)
-            if not is_image_line(words):
+            words = line.split(maxsplit=9)
+            if not _is_image_line(words):
                 raise InputError(
                     f"'{path}' is not a COLMAP images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME and a "
                     f"line of image points for each image, got {short_repr(' '.join(words)[:80])}"
@@ -76,7 +89,11 @@ def _text(path: Path) -> Iterator[_Image]:
             if count == MAX_POSES:
                 raise InputError(f"'{path}' holds more than {MAX_POSES} poses")
             yield words[9].strip(), [float(word) for word in words[1:8]]
-            next(lines, None)
+            if names_image(next(lines, "").split(maxsplit=9)):
+                raise InputError(
+                    f"'{path}' has no line of image points after the image {short_repr(words[9].strip())}: expected "
+                    "two lines for each image, of which the second one can be empty"
+                )
 
 
 def _binary(path: Path) -> Iterator[_Image]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
 from activestructure_gym.errors import InputError, listed, pluralised, short_repr
-from activestructure_gym.evaluation.trajectories.colmap import is_image_line
+from activestructure_gym.evaluation.trajectories.colmap import names_image
 from activestructure_gym.evaluation.trajectories.pose_tables import NANOSECONDS, is_header
+from activestructure_gym.scenes.loaders.pose_text import number_of, refuse_utf16
 
 _HEAD_BYTES = 1 << 16  # bytes of the beginning of a file that are inspected
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # format by the number of numbers per line
@@ -31,6 +31,7 @@ def recognised(path: Path) -> str:
         raise InputError(f"'{path}' is empty: {_EXPECTED}")
     if head.startswith(b"PK\x03\x04") or path.suffix.lower() == ".npz":
         return "npz"
+    refuse_utf16(head, path)
     if b"\0" in head[:8]:  # the number of images, 8 bytes
         return "colmap"
     text = head.decode("utf-8-sig", errors="replace")
@@ -64,17 +65,10 @@ def _text_kind(head: str) -> tuple[str, str]:
         return "", "comments only"
     rows = [words for line in lines[first:] if (words := line.replace(",", " ").split())]
     width = len(rows[0])
-    if is_image_line(rows[0]) and math.isnan(_number(rows[0][-1])):
+    if names_image(rows[0]):
         return "colmap", ""
     if width == 3 and [len(row) for row in rows[1:5]] == [4] * 4:
         return "redwood", ""
-    if width == _EUROC_WIDTH or (width == 8 and lines[first].count(",") >= 7 and _number(rows[0][0]) > NANOSECONDS):
+    if width == _EUROC_WIDTH or (width == 8 and lines[first].count(",") >= 7 and number_of(rows[0][0]) > NANOSECONDS):
         return "euroc", ""
     return _BY_WIDTH.get(width, ""), f"{pluralised(width, 'word')} in the line {short_repr(lines[first][:80])}"
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return math.nan

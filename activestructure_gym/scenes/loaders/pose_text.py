@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from itertools import islice
 from pathlib import Path
 
@@ -23,11 +25,30 @@ def text_of(path: Path) -> str:
         size = path.stat().st_size
         if size > _MAX_BYTES:
             raise InputError(f"'{path}' has {size:,} bytes, at most {_MAX_BYTES:,} are read")
-        return path.read_bytes().decode("utf-8-sig")
+        content = path.read_bytes()
+        refuse_utf16(content, path)
+        return content.decode("utf-8-sig")
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"'{path}' is not text; expected lines of numbers") from error
+
+
+def refuse_utf16(content: bytes, path: Path) -> None:
+    """Raise `InputError` if the first 8 bytes of a file are UTF-16 text with its byte order mark.
+
+    A COLMAP model of 65,279 images begins like such text, but four zero bytes follow.
+    """
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) and content[4:8] != bytes(4):
+        raise InputError(f"'{path}' is UTF-16 text: save it as UTF-8")
+
+
+def number_of(word: str) -> float:
+    """Return the number that a word is, or nan."""
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
 
 
 def lines_of(path: Path, *, most: int | None = None) -> list[tuple[int, list[str]]]:

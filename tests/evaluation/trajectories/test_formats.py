@@ -144,6 +144,7 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("colmap", "1 2 3\n", "is not a COLMAP images.txt: expected IMAGE_ID QW"),
         ("colmap", "# Image list\n", "is a COLMAP model without images"),
         ("colmap", "1 2 0 0 0 0 0 0 1 a.jpg\n\n", "quaternion of length 2"),
+        ("colmap", "1 1 0 0 0 0 0 0 1 a.jpg\n2 1 0 0 0 0 0 0 1 b 2.jpg\n", "no line of image points after .* 'a.jpg'"),
         ("colmap", "1 1 0 0 0 nan 0 0 1 a.jpg\n\n", "holds a translation over"),
         ("euroc", LINES["euroc"].replace(",1,2,", ",x,2,"), "is not a table of numbers"),
         ("euroc", LINES["euroc"].splitlines()[0], "no row of numbers follows its header"),
@@ -280,6 +281,34 @@ def test_a_damaged_binary_model_is_refused(content: bytes, said: str, tmp_path: 
     (tmp_path / "images.bin").write_bytes(content)
     with pytest.raises(InputError, match=said):
         read_poses(tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("kind", ["auto", "tum", "ros_csv", "colmap"])
+def test_text_in_utf_16_is_named(kind: str, encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes(("\ufeff" + LINES["tum"]).encode(encoding))
+    with pytest.raises(InputError, match="poses.txt' is UTF-16 text: save it as UTF-8"):
+        read_poses(path, kind)
+
+
+@pytest.mark.parametrize("count", [0xFEFF, 0xFFFE])
+def test_a_binary_model_whose_count_is_a_byte_order_mark_is_no_text(count: int, tmp_path: Path) -> None:
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", count))
+    assert find_file(tmp_path / "images.bin")[1] == "colmap"
+    with pytest.raises(InputError, match="images do not fit in its 8 bytes"):
+        read_poses(tmp_path / "images.bin")
+
+
+def test_a_model_of_colmap_can_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    for text in (LINES["colmap"], LINES["colmap"].partition("\n")[2]):
+        (tmp_path / "images.txt").write_text(text, encoding="utf-8-sig")
+        np.testing.assert_allclose(read_poses(tmp_path), [np.eye(4), TURNED], atol=1e-15)
+
+
+def test_the_points_of_an_image_can_be_whole_numbers(tmp_path: Path) -> None:
+    text = "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 -1 3 4 -1 5 6 -1 7 8 -1\n2 1 0 0 0 0 0 0 1 b.jpg\n"
+    assert len(read_poses(write(tmp_path, "", text), "colmap")) == 2
 
 
 def test_time_stamps_are_seconds(tmp_path: Path) -> None:

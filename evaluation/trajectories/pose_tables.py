@@ -20,7 +20,7 @@ from activestructure_gym.scenes.loaders.pose_text import MAX_POSES, text_of
 # Names of columns, without their prefixes; {} is x, y, z or w. The first name that is found is used.
 _POSITION = ("p_rs_r_{}", "position.{}", "translation.{}", "position_{}", "pos_{}", "t{}", "p{}", "{}")
 _ROTATION = ("q_rs_{}", "orientation.{}", "rotation.{}", "orientation_{}", "rot_{}", "q{}", "q_{}")
-_TIMES = {
+_TIMES: dict[str, tuple[str, ...]] = {
     "time": ("header.stamp", "timestamp", "stamp", "time"),
     "sec": ("stamp.sec", "stamp.secs", "sec"),
     "nanosec": ("stamp.nanosec", "stamp.nsecs", "nanosec"),

@@ -194,7 +194,7 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
         return f"{float(runs[name, scene]['observed']):.1f} %"
 
     chance = observed(script["FLOOR"] + "naruto", scenes[1])
-    assert f"observes {chance} of the house, plain `random` {observed('random', scenes[1])}" in told
+    assert f"observes {chance} of the house, `random` {observed('random', scenes[1])}" in told
     names = ["gauss_mi", "next_best_sense", "fisherrf", "gavis", "view_angle", "fisherrf_path"]
     names += [f"popgs_{name}" for name in ("cov_trace", "cov_trace_block", "logdet", "logdet_block")]
     informed = [name for name in names if (name, scenes[0]) in runs]

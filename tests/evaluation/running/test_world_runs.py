@@ -190,4 +190,4 @@ def test_asg_explore_says_how_to_go_on(
     for limit, kept in ((0, False), (1, True)):
         place = str(tmp_path / f"runs-{limit}")
         code = main(["explore", "--world", "simulated?scene=box", "--preset", "fast", "--out", place])
-        assert code == 1 and ("asg explore --resume --out" in capsys.readouterr().err) == kept
+        assert code == 1 and ("asg explore --out" in capsys.readouterr().err) == kept

@@ -99,7 +99,7 @@ def feature_names(source: Any) -> tuple[str, ...]:
         return table.names
     if isinstance(space, spaces.Dict) and table is None:
         raise InputError(
-            f"these observations have no candidate_features, but {listed(space)}: leave out observation_keys, or add it"
+            f"observations have {listed(space)}, and no candidate_features: add this key, or leave out observation_keys"
         )
     if isinstance(table, spaces.Space):
         raise InputError(

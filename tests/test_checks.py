@@ -167,7 +167,7 @@ def test_faulty_worlds() -> None:
     class Whole(Millimetres):
         kind = np.uint16
 
-    with pytest.raises(AssertionError, match="is it in millimetres"):
+    with pytest.raises(AssertionError, match="if they are in millimetres"):
         check_world(Millimetres("box", width=48, height=36))
     with pytest.raises(InputError, match="divide millimetres"):
         check_world(Whole("box", width=48, height=36))

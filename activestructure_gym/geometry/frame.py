@@ -10,7 +10,7 @@ import numpy as np
 from activestructure_gym.errors import InputWarning
 from activestructure_gym.geometry import PinholeCamera, transform_points
 
-_MILLIMETRES = 100.0, 65_536.0  # a depth image with all its measurements between these is in millimetres
+_MILLIMETRES = 100.0, 65_536.0  # range of depths of 16 bits in millimetres; no sensor measures only these in metres
 
 
 @dataclass(frozen=True)
@@ -41,5 +41,5 @@ def warn_of_millimetres(depth: np.ndarray, *, stacklevel: int) -> None:  # [H, W
     with np.errstate(invalid="ignore"):
         nearest = float(np.min(depth, where=depth > 0.0, initial=np.inf))
     if low <= nearest < high:
-        text = f"all depth of a frame is above {low:g} m; is it in millimetres? Then divide it by 1000.0"
+        text = f"all depths of a frame are above {low:g} m: if they are in millimetres, divide them by 1000.0"
         warnings.warn(text, InputWarning, stacklevel=stacklevel + 1)

@@ -289,8 +289,8 @@ def observe(
     # Whether each segment is on the side of each grid's plane from which the plane is observed.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
-    pixel = np.array([config.depth_noise_scale, config.pixel_sigma, config.pixel_tolerance])
-    kernels.look_up_cells(image, rectangles, shown, beside, reach, pixel, planes, facing)
+    tolerance = np.array([config.depth_noise_scale, config.pixel_sigma, config.pixel_tolerance])
+    kernels.look_up_cells(image, rectangles, shown, beside, reach, tolerance, planes, facing)
     np.not_equal(beside, kernels.UNKNOWN, out=denied.view(bool))
     patches = []
     for t, shape in enumerate(shapes.tolist()):

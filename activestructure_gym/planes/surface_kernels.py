@@ -125,15 +125,15 @@ def count_hits(labels, table, cells, extents, starts, hits):
 
 
 @kernel
-def look_up_cells(image, rectangles, seen, beside, reach, pixel, planes, facing):
+def look_up_cells(image, rectangles, seen, beside, reach, tolerance, planes, facing):
     """Project the centre of every cell into the image, and record whether the image shows the grid's plane there.
 
     Cells are tested in the image, and not pixels in the grid, so that a cell is seen at any pixel density. So distant
     surfaces have no false holes. ``seen`` is 0 or 1. ``beside`` is the reason for an unseen cell: OPEN if the ray
     passes through the plane by more than ``reach`` metres, COVERED if something else is within ``reach`` of the plane.
-    A pixel without a segment whose own point is on the plane, as `detection_kernels.refine_pixels` tests it, shows
-    nothing else: only its depth or its incidence is beyond a limit of the detection. ``pixel`` holds the scale of the
-    noise, and factor and summand of that test's tolerance.
+    A pixel without a segment says nothing if its own point is on the plane: its depth or its incidence is beyond a
+    limit of the detection. The distance is tested as in `detection_kernels.refine_pixels`. ``tolerance`` holds the
+    scale of the noise, the factor on the noise, and the summand in metres.
 
     In a corner, noise assigns pixels of one wall to the other, and at grazing incidence such a pixel is far beyond the
     corner. So a cell next to pixels of another segment is also COVERED under two conditions. It is behind the plane of
@@ -188,9 +188,10 @@ def look_up_cells(image, rectangles, seen, beside, reach, pixel, planes, facing)
                         elif depth[v, u] > 0.0:
                             above = camera_height * (1.0 - np.float64(depth[v, u]) / z)
                             if label < 0:
-                                x, y, z = _lift(u, v, depth[v, u], lens, rotation, translation)
-                                off = (x - g[0]) * g[9] + (y - g[1]) * g[10] + (z - g[2]) * g[11]
-                                if abs(off) < pixel[1] * noise(np.float64(depth[v, u]), pixel[0]) + pixel[2]:
+                                qx, qy, qz = _lift(u, v, depth[v, u], lens, rotation, translation)
+                                off = (qx - g[0]) * g[9] + (qy - g[1]) * g[10] + (qz - g[2]) * g[11]
+                                sigma = noise(np.float64(depth[v, u]), tolerance[0])
+                                if abs(off) < tolerance[1] * sigma + tolerance[2]:
                                     index += 1
                                     continue
                             if above < -reach:

@@ -28,7 +28,7 @@ def frame_from(
     - The arrays are copied, since cameras can reuse them.
     - Depth of 0, below 0 or NaN becomes 0 and is marked in `Frame.unmeasured`: it proves nothing.
     - Depth beyond ``max_range`` becomes 0: no surface is within that range. Without a range, infinite depth stays.
-    - Depth that must be in millimetres gets an `InputWarning`.
+    - An `InputWarning` is given if the depth seems to be in millimetres.
     - Images of another size are resized to the camera's: colour by area, depth by the nearest pixel. Their aspect ratio
       must be the camera's.
     """

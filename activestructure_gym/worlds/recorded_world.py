@@ -84,7 +84,7 @@ class RecordedWorld:
         ups = {axis: _image_up(sequence.world_from_camera, axis) for axis in UP_AXES}
         if ups[up] < _UPRIGHT:
             best = max(UP_AXES, key=lambda axis: ups[axis])
-            text = f"the images of '{path}' are not upright with up={up}, and most with up={best}"
+            text = f"the images of '{path}' are not upright with up={up}: up={best} fits best"
             warnings.warn(text, InputWarning, stacklevel=2)
         self._level = np.stack([levelled(pose) for pose in self._poses])
         kept = np.ones(len(sequence), dtype=bool)

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.json_files import plain
 from activestructure_gym.evaluation.protocols import PROTOCOLS, StandardProtocol, get_protocol, protocol_from
@@ -152,11 +150,8 @@ class Conditions:
 
 
 def _checked_start(given: Any) -> tuple[float, float, float, float]:
-    try:
-        pose = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        pose = np.empty(0)
-    if pose.shape != (4,) or not np.isfinite(pose).all():
+    numbers = plain(list(given)) if isinstance(given, Iterable) else []  # NaN and infinity become None
+    if len(numbers) != 4 or not all(isinstance(one, int | float) for one in numbers):
         raise InputError(f"a start pose is x, y, z in metres and yaw in degrees, got {short_repr(given)}")
-    x, y, z, yaw = plain(list(given))
+    x, y, z, yaw = numbers
     return x, y, z, yaw

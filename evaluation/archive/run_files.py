@@ -313,7 +313,7 @@ def trace_as_read(policy: str, trace: Any) -> dict[str, Any]:
     try:
         return dict(checked_json(json_text(trace).encode(), _TRACE))
     except (TypeError, RecursionError, Mismatch) as error:
-        raise InputError(f"{policy}: trace() must return numbers and texts by name, for JSON: {error}") from error
+        raise InputError(f"{policy}: trace() must return a dictionary that JSON can hold: {error}") from error
 
 
 __all__ = [

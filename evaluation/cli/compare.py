@@ -120,7 +120,7 @@ DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 def compare_with(options: Compare, comparison: Comparison | None = None, *, command: str = "asg compare") -> int:
     """Run the comparison defined by ``options``, or ``comparison`` if it is given, and return the exit code.
 
-    ``command`` continues it.
+    ``command`` is the one that continues the comparison, for the message after Ctrl-C.
     """
     # Options are checked before the slow imports.
     use_trust(options.trust_code)

@@ -232,7 +232,8 @@ def triangles(
     """Extract the zero level by marching tetrahedra over the cells between voxel centres; return the triangle count.
 
     The count can exceed T; then the caller repeats the call with a larger array. If ``oriented``, the corners of a
-    triangle are counter-clockwise seen from the side of positive distances. Otherwise their order has no meaning.
+    triangle are counter-clockwise seen from the side of positive distances. Protocols sample triangles in the other
+    order, so their numbers depend on it.
     """
     value, place = np.empty(8), np.empty((8, 3))
     crossing = np.empty((4, 3))

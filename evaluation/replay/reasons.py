@@ -18,7 +18,7 @@ def reason(policy: str, rows: Sequence[Row]) -> str:
     """Return one or two sentences on the choice of the first of ``rows``; ``policy`` is the name of the policy."""
     chosen, runner_up = rows[0], rows[1] if len(rows) > 1 else None
     if not any(chosen.view.values()):
-        return f"{policy} chose row {chosen.row}, which holds no candidate: the camera stayed for a frame."
+        return f"{policy} chose row {chosen.row}, which holds no candidate: the camera did not move."
     if chosen.score is None:
         return f"{policy} chose this view without comparing scores."
     if runner_up is None or runner_up.score is None:

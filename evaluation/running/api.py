@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, InputWarning, short_repr
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.directory_lock import hold
-from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.jobs import Job, named_in
 from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.output_directory import check_output
+from activestructure_gym.scenes.library import SCENES
 from activestructure_gym.specs import Spec
+from activestructure_gym.worlds import names_world
+from activestructure_gym.worlds.registry import PREFIX, WORLDS
+
+if TYPE_CHECKING:
+    from activestructure_gym.registry import Registry
 
 
 class NullListener:
@@ -112,7 +119,7 @@ def compare(
     directory = Path(out)
     check_output(directory, resume=resume)
     if engine != "inline":
-        comparison.refuse_names_of_this_process()
+        refuse_names_of_this_process(comparison)
     jobs = comparison.prepare()
     with hold(directory) as held:
         return run_comparison(
@@ -125,6 +132,26 @@ def compare(
             held=held,
             notify=_warn,
         )
+
+
+def refuse_names_of_this_process(comparison: Comparison) -> None:
+    """Raise `InputError` for a registered name that is unknown in the processes of the runs.
+
+    These import only this package, installed plug-ins, and the modules that the comparison names as ``module:Name``.
+    """
+    named: list[tuple[Registry[Any], Spec]] = []
+    for spec in comparison.scenes:
+        registry, name = (WORLDS, spec.removeprefix(PREFIX)) if names_world(spec) else (SCENES, spec)
+        named += [(registry, Spec(name)), (registry, Spec(name.partition(":")[0]))]  # "mesh" of "mesh:house.obj"
+    for policy, conditions in itertools.product(comparison.policies, comparison.all_conditions):
+        named += named_in(Job(Spec(""), policy, 0, conditions=conditions))
+    imported = {registry.module_of(name.name) for registry, name in named}
+    for registry, name in named:
+        if (module := registry.only_here(name.name)) and module not in imported:
+            raise InputError(
+                f"the {registry.kind} '{name.name}' is registered in this process only, and every run has a process "
+                "of its own: name it as package.module:Name, or use engine='inline'"
+            )
 
 
 def _warn(text: str) -> None:

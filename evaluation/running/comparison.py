@@ -17,7 +17,6 @@ from activestructure_gym.evaluation.archive.jobs import (
     REFERENCE,
     Job,
     absolute_spec,
-    named_in,
     refuse_code,
 )
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
@@ -41,14 +40,12 @@ from activestructure_gym.evaluation.running.sweep import (
 )
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.native_settings import native_settings_of
-from activestructure_gym.scenes.library import SCENES
 from activestructure_gym.specs import Spec
 from activestructure_gym.worlds import names_world
-from activestructure_gym.worlds.registry import PREFIX, WORLDS, check_world_name
+from activestructure_gym.worlds.registry import check_world_name
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
-    from activestructure_gym.registry import Registry
     from activestructure_gym.scenes import Scene
 
 
@@ -107,26 +104,6 @@ class Comparison:
             sweep=sweep_of(jobs),
             recorded={job.scene: job.scene_hash for job in jobs},
         )
-
-    def refuse_names_of_this_process(self) -> None:
-        """Raise `InputError` for a name that code of this process has registered, since other processes lack it.
-
-        A name that is registered by a module that the comparison names, as ``module:Name``, is accepted.
-        """
-        named: list[tuple[Registry[Any], Spec]] = []
-        for spec in self.scenes:
-            registry, name = (WORLDS, spec.removeprefix(PREFIX)) if names_world(spec) else (SCENES, spec)
-            named += [(registry, Spec(name)), (registry, Spec(name.partition(":")[0]))]
-        for policy in self.policies or [Spec("reference:")]:
-            for conditions in self.all_conditions:
-                named += named_in(Job(Spec(""), policy, 0, conditions=conditions))
-        imported = {registry.module_of(name.name) for registry, name in named}
-        for registry, name in named:
-            if (module := registry.only_here(name.name)) and module not in imported:
-                raise InputError(
-                    f"the {registry.kind} '{name.name}' is registered in this process only, and every run has a "
-                    "process of its own: name it as package.module:Name, or use engine='inline'"
-                )
 
     def check_machine(self) -> None:
         """Raise `InputError` if this machine cannot run the jobs. Machines of a cluster may differ."""

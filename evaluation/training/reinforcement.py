@@ -71,22 +71,23 @@ def train_ppo(
     finished iterations and the log row.
     """
     torch.manual_seed(config.seed)
-    warnings.filterwarnings("ignore", message="You have specified a mini-batch size")  # the last batch may be smaller
-    model = PPO(
-        CandidatePolicy,
-        envs,
-        learning_rate=config.rate,
-        n_steps=config.steps,
-        batch_size=config.ppo_batch,
-        n_epochs=config.ppo_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip,
-        ent_coef=config.entropy,
-        target_kl=config.target_kl,
-        policy_kwargs={"network": config.network().as_dict()},
-        device="cpu",
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "You have specified a mini-batch size")  # the last batch may be smaller
+        model = PPO(
+            CandidatePolicy,
+            envs,
+            learning_rate=config.rate,
+            n_steps=config.steps,
+            batch_size=config.ppo_batch,
+            n_epochs=config.ppo_epochs,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            clip_range=config.clip,
+            ent_coef=config.entropy,
+            target_kl=config.target_kl,
+            policy_kwargs={"network": config.network().as_dict()},
+            device="cpu",
+        )
     model.set_logger(Logger(None, []))
     policy = model.policy
     assert isinstance(policy, CandidatePolicy)

@@ -62,7 +62,7 @@ def in_number_order(name: str) -> list[tuple[int, str]]:
 
 
 def names_image(words: list[str]) -> bool:
-    """Return whether the words are a line of an image and no image points, which end in a number."""
+    """Return whether the words are a line of an image; lines of image points end in a number."""
     return _is_image_line(words) and math.isnan(number_of(words[-1].split()[-1]))
 
 

@@ -27,7 +27,7 @@ _TIMES: dict[str, tuple[str, ...]] = {
 }
 _COLUMNS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC = (0, 1, 2, 3, 5, 6, 7, 4)  # columns of `_COLUMNS` in a file of EuRoC without a header
-NANOSECONDS, _MICROSECONDS = 1e17, 1e14  # larger time stamps without a unit have this one (3 years after 1970)
+NANOSECONDS, _MICROSECONDS = 1e17, 1e14  # time stamps without a unit have this one above; 3 years each
 _PER_SECOND = {"ns": 1e9, "us": 1e6, "ms": 1e3, "s": 1.0}
 
 

@@ -53,6 +53,6 @@ def test_a_frame_of_other_types_is_refused(changes, message, room_frames: list[F
 def test_depth_in_millimetres_gets_a_warning(room_frames: list[Frame]) -> None:
     config = configure("fast", {"sensor": {"width": 80, "height": 45}, "mapper": {"enabled": False}})
     mapper = make_mapper(config, np.array([[0.0, 0, 0], [4, 3, 2.5]]), np.random.default_rng(0))
-    with pytest.warns(InputWarning, match="is it in millimetres") as said:
+    with pytest.warns(InputWarning, match="if they are in millimetres") as said:
         mapper.observe(replace(room_frames[0], depth=1000.0 * room_frames[0].depth))
     assert said[0].filename == __file__

@@ -16,6 +16,7 @@ from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.graph import tangent_axes
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import Patch
+from activestructure_gym.planes.surface_kernels import COVERED
 
 
 def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):
@@ -301,10 +302,14 @@ def test_pixels_that_the_detection_leaves_out_are_no_votes_against_a_plane(recta
 
 
 def test_an_object_without_a_segment_still_covers_the_plane_behind_it(rectangles, new_graph):
-    # A ball would have no segment; so has a post of 4 cm, which is narrower than a block.
-    scene = rectangles().box((0, 0, 0), (4, 3, 2.5)).box((3.7, 1.48, 0.0), (3.74, 1.52, 2.5))
+    # A post of 4 cm, 3 cm before the wall, is narrower than a block of the detection, so it has no segment.
+    scene = rectangles().box((0, 0, 0), (4, 3, 2.5)).box((3.93, 1.48, 0.0), (3.97, 1.52, 2.5))
     graph = new_graph()
     for k in range(3):
-        graph.update(scene.shoot((1.0, 1.2 + 0.01 * k, 1.2), (1, 0, 0))[0])
-    wall = next(node for node in graph.nodes if node.normal[0] < -0.9 and node.area > 1.0)
-    assert (wall.surface.beside[wall.surface.seen == 0] > 0).any()
+        graph.update(scene.shoot((1.0, 1.4 + 0.01 * k, 1.2), (1, 0, 0), size=(320, 180))[0])
+    wall = next(node for node in graph.nodes if node.normal[0] < -0.9 and node.area > 1.0).surface
+    rows, columns = np.nonzero(wall.seen >= 0)
+    _, y, z = wall.cell_centres(rows, columns).T
+    behind = (abs(y - 1.51) < 0.015) & (z > 0.5) & (z < 2.0)  # seen from y = 1.4, the post hides y of 1.49 to 1.54
+    assert behind.sum() > 10 and wall.seen[rows[behind], columns[behind]].mean() < 0.1  # at the image's edge
+    assert (wall.beside[rows[behind], columns[behind]] == COVERED).mean() > 0.9

@@ -144,7 +144,7 @@ def test_features_are_found_by_name_whatever_their_order_and_whoever_tells_it(
         (Dull(said=False), "this observation space has no names for the columns"),
         (
             gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}),
-            "no candidate_features, but rgb: leave out",
+            "observations have rgb, and no candidate_features: add this key",
         ),
     ],
 )

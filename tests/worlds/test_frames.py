@@ -51,7 +51,7 @@ def test_colours_as_fractions_and_with_alpha() -> None:
 def test_depth_in_millimetres_gets_a_warning() -> None:
     depth = DEPTH.copy()
     depth[0, :4] = 0.0, np.nan, np.inf, 65.0
-    with pytest.warns(InputWarning, match="above 100 m; is it in millimetres"):
+    with pytest.warns(InputWarning, match="above 100 m: if they are in millimetres"):
         frame_from(RGB, 1000.0 * depth, np.eye(4), CAMERA, 10.0)
 
 

@@ -56,7 +56,7 @@ def test_a_capture_is_the_nearest_frame_with_its_own_pose(folder: Path) -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_recording_on_its_side_or_upside_down_gets_a_warning(folder: Path) -> None:
     for up in ("z", "y", "x"):
-        with pytest.warns(InputWarning, match=f"not upright with up={up}, and most with up=-y"):
+        with pytest.warns(InputWarning, match=f"not upright with up={up}: up=-y fits best"):
             made(folder, up=up)
     made(folder, up="-y")
 

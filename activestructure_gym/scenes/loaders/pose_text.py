@@ -35,7 +35,7 @@ def text_of(path: Path) -> str:
 
 
 def refuse_utf16(content: bytes, path: Path) -> None:
-    """Raise `InputError` if the first 8 bytes of a file are UTF-16 text with its byte order mark.
+    """Raise `InputError` if the first bytes of a file are the byte order mark of UTF-16.
 
     A COLMAP model of 65,279 images begins like such text, but four zero bytes follow.
     """
@@ -44,7 +44,7 @@ def refuse_utf16(content: bytes, path: Path) -> None:
 
 
 def number_of(word: str) -> float:
-    """Return the number that a word is, or nan."""
+    """Return a word as a number, or NaN."""
     try:
         return float(word)
     except ValueError:

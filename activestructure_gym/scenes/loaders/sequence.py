@@ -230,8 +230,8 @@ def _check_numbers(path: Path, poses: np.ndarray, rgb: tuple[Path, ...], depth: 
     for one, other in zip(rgb, depth):
         if _number_of(one) != _number_of(other):
             raise InputError(
-                f"sequence '{path}' has '{one.name}' where its depth images have '{other.name}': each side lacks "
-                "an image"
+                f"sequence '{path}': the colour image '{one.name}' and the depth image '{other.name}' would be one "
+                "frame, but their numbers differ: an image is missing on each side"
             )
 
 

@@ -85,7 +85,7 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
 
 
 def _trusting(config: TrainingConfig) -> str:
-    """Return the option that lets a run's files name the user's own code, if they name any; else nothing."""
+    """Return " --trust-code" if a training run's files name code outside this package, else an empty text."""
     from activestructure_gym.evaluation.archive.jobs import named_in_overrides
 
     features = (*config.world.features, config.teacher)

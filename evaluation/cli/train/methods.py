@@ -119,7 +119,7 @@ class Ppo(Learning):
     method: ClassVar[Method] = "ppo"
 
     workers: int = 0
-    """Use one process per environment, or with 1 none; results do not depend on it."""
+    """Use one process per environment, with 1 only this process; results do not depend on it."""
     start: PathName = None
     """Start from this checkpoint (a run's directory or a file), with the network that it has."""
     iterations: int = 40

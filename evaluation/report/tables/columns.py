@@ -137,13 +137,13 @@ def own_absences(runs: Sequence[Run]) -> list[str]:
 
 
 def invalid_choices(runs: Sequence[Run]) -> list[str]:
-    """Return a sentence per policy that chose rows without a candidate, each a frame in place."""
+    """Return a sentence per policy that chose rows without a candidate; each choice costs a frame without movement."""
     counts: dict[str, list[int]] = {}
     for run in runs:
         counts.setdefault(run.policy, []).append(int(run.metrics["metrics"].get("invalid_actions") or 0))
     return [
         f"{policy} chose {pluralised(sum(own), 'row')} without a candidate in {sum(map(bool, own))} of "
-        f"{pluralised(len(own), 'run')}; each took a frame in place."
+        f"{pluralised(len(own), 'run')}; each cost a frame without movement."
         for policy, own in counts.items()
         if any(own)
     ]

@@ -43,7 +43,7 @@ def test_scores_without_terms_equal_scores_and_no_scores() -> None:
     assert reason("mine", [row(5, 0.9), row(8, 0.9)]).startswith("Two views have the best score, 0.9.")
     assert reason("mine", [row(5, 0.9)]) == "mine compared this view with no other."
     nothing = Row(5, None, {"path_length": 0.0, "frames": 0.0}, {}, {})
-    assert reason("mine", [nothing]) == "mine chose row 5, which holds no candidate: the camera stayed for a frame."
+    assert reason("mine", [nothing]) == "mine chose row 5, which holds no candidate: the camera did not move."
     assert reason("random", [row(5, None)]) == "random chose this view without comparing scores."
 
 

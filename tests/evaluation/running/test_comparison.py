@@ -8,6 +8,7 @@ from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation import compare
 from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running.api import refuse_names_of_this_process
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.policies import POLICIES, Policy
 from activestructure_gym.scenes.library import SCENES
@@ -133,5 +134,6 @@ def test_names_that_other_processes_lack_are_refused(no_truth, tmp_path, monkeyp
     for change, kind in (({"policies": ["here?option=1"]}, "policy"), ({"scenes": ["here?option=1"]}, "scene")):
         with pytest.raises(InputError, match=f"the {kind} 'here' is registered in this process only"):
             compare(**{"scenes": ["box"], "policies": ["random"], "out": tmp_path / "out"} | change)
-    Comparison(["room"], [f"{__name__}:Here", "here", "hole_area"]).refuse_names_of_this_process()  # imported with it
-    Comparison(["world:simulated?scene=box"], ["reference:oracle"]).refuse_names_of_this_process()
+    # A name is accepted if the module that registers it is named too.
+    refuse_names_of_this_process(Comparison(["room"], [f"{__name__}:Here", "here", "hole_area"]))
+    refuse_names_of_this_process(Comparison(["world:simulated?scene=box"], ["random"]))

@@ -85,9 +85,9 @@ def test_images_of_different_frames_are_no_pair(copy, redwood):
     (redwood / "depth" / "00002.png").unlink()
     rows = (redwood / "trajectory.log").read_text().splitlines()
     (redwood / "trajectory.log").write_text("\n".join(rows[:10]))
-    assert "has '00001.jpg' where its depth images have '00000.png'" in _error(redwood)
+    assert "the colour image '00001.jpg' and the depth image '00000.png' would be one frame" in _error(redwood)
     (copy / "results" / "frame000001.jpg").rename(copy / "results" / "frame000007.jpg")
-    assert "has 'frame000002.jpg' where its depth images have 'depth000001.png'" in _error(copy)
+    assert "the colour image 'frame000002.jpg' and the depth image 'depth000001.png'" in _error(copy)
 
 
 def test_missing_parts(copy, tmp_path, monkeypatch):

@@ -71,7 +71,9 @@ def test_what_is_missing_and_what_collided_is_named(path, make_run):
 def test_choices_of_rows_without_a_candidate_are_told(make_run):
     runs = [make_run(seed=0, invalid_actions=2), make_run(seed=1, invalid_actions=0)]
     text = html_page(Results(runs, []))
-    assert f"{runs[0].policy} chose 2 rows without a candidate in 1 of 2 runs; each took a frame in place." in text
+    assert (
+        f"{runs[0].policy} chose 2 rows without a candidate in 1 of 2 runs; each cost a frame without movement." in text
+    )
     assert "Invalid actions." not in html_page(Results(runs[1:], []))
 
 

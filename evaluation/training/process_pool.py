@@ -50,14 +50,15 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             for done, future in enumerate(as_completed(waiting), start=1):
                 future.result()
                 yield done
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a worker process was killed, perhaps because memory ran out: use fewer --workers"
-            ) from error
-        except BaseException:
-            # Calls that are in the pool's queue already cannot be cancelled, so the processes are ended.
+        except BaseException as error:
+            # Calls that are in the pool's queue already cannot be cancelled, and a broken pool can miss a process that it
+            # was starting, so the processes are ended.
             for process in list(pool._processes.values()):  # public only from Python 3.14 on
                 process.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise InputError(
+                    "a worker process was killed, perhaps because memory ran out: use fewer --workers"
+                ) from error
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

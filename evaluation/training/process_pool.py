@@ -51,8 +51,8 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
                 future.result()
                 yield done
         except BaseException as error:
-            # Calls that are in the pool's queue already cannot be cancelled, and a broken pool can miss a process that it
-            # was starting, so the processes are ended.
+            # Calls that are in the pool's queue already cannot be cancelled, and a broken pool can miss a process that
+            # it was starting, so the processes are ended.
             for process in list(pool._processes.values()):  # public only from Python 3.14 on
                 process.terminate()
             if isinstance(error, BrokenProcessPool):

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 RenderMode = Literal["human", "rgb_array"]
 
+# Default rows of the plane arrays. A house of nine rooms has 130 planes after 2,000 frames.
+_PLANES, _FEW_PLANES = 256, 64
+
 
 class EnvOptions(TypedDict, total=False):
     """Define the keywords common to all tasks; the docstring of `ReconstructionEnv` explains them."""
@@ -41,7 +44,7 @@ class EnvOptions(TypedDict, total=False):
     config: ReconstructionConfig | Mapping[str, Any] | None
     reward: RewardConfig | Mapping[str, Any] | None
     coverage_target: float | None
-    max_planes: int
+    max_planes: int | None
     observation_keys: Sequence[str] | None
     start_pose: Sequence[float] | np.ndarray | None
     render_mode: RenderMode | None
@@ -91,7 +94,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
     | `coverage_target` | float | 0.99 | observed share of the surface that ends the episode; None = no such end |
-    | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
+    | `max_planes` | int | 256; 64 in `rl` and `fast` | rows of the plane arrays; the largest planes are kept |
     | `observation_keys` | tuple of str | all | entries of the observation to return |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | start pose of every episode |
     | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a live web page |
@@ -126,7 +129,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         config: ReconstructionConfig | Mapping[str, Any] | None = None,
         reward: RewardConfig | Mapping[str, Any] | None = None,
         coverage_target: float | None = 0.99,
-        max_planes: int = 64,
+        max_planes: int | None = None,
         observation_keys: Sequence[str] | None = None,
         start_pose: Sequence[float] | np.ndarray | None = None,
         render_mode: RenderMode | None = None,
@@ -140,10 +143,12 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             and 0 < coverage_target <= 1
         ):
             raise InputError(f"coverage_target is a share in (0, 1] or None, got {short_repr(coverage_target)}")
-        if isinstance(max_planes, bool) or not isinstance(max_planes, int | np.integer) or max_planes < 1:
-            raise InputError(f"max_planes must be a whole number of at least 1, got {short_repr(max_planes)}")
         if not isinstance(preset, str):
             raise InputError(f"preset must be a name, got {short_repr(preset)}")
+        if max_planes is None:
+            max_planes = _FEW_PLANES if preset in ("rl", "fast") else _PLANES
+        if isinstance(max_planes, bool) or not isinstance(max_planes, int | np.integer) or max_planes < 1:
+            raise InputError(f"max_planes must be a whole number of at least 1, got {short_repr(max_planes)}")
         if not isinstance(config, ReconstructionConfig):
             config = configure(preset, table_of("config", config))
         elif preset != "default":

@@ -181,7 +181,7 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
     from activestructure_gym.planes import PLANE_FEATURES
 
     page = (ROOT / "docs" / "reference" / "observation.md").read_text()
-    assert observation_table(configure("default"), max_planes=64) in page, (
+    assert observation_table(configure("default"), max_planes=256) in page, (
         "docs/reference/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
     )
     for name in (*CANDIDATE_COLUMNS, *PLANE_FEATURES):

@@ -131,7 +131,9 @@ class TrainingConfig:
         return self._network(feature_columns(*self.world.features))
 
     def _network(self, features: tuple[str, ...]) -> NetworkConfig:
-        return NetworkConfig(features, self.planes, self.candidates, self.rounds, self.use_planes)
+        return NetworkConfig(
+            features, self.planes, self.candidates, self.rounds, self.use_planes, self.world.max_planes
+        )
 
     @property
     def rate(self) -> float:

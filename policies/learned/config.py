@@ -26,7 +26,7 @@ USED_KEYS = (
 PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
 
 # Minimum and maximum of every size, so that a checkpoint from an unknown source cannot exhaust the memory.
-LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
+LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16), "max_planes": (1, 4096)}
 MAX_FEATURES = 64
 
 
@@ -39,6 +39,7 @@ class NetworkConfig:
     candidates: int = 48  # number of channels per candidate
     rounds: int = 2  # number of rounds of message passing between neighbouring planes
     use_planes: bool = True  # False: the network gets an empty Plane Scene Graph, for an ablation
+    max_planes: int = 64  # largest number of planes that the network reads, as in training; the largest are kept
 
     def __post_init__(self) -> None:
         features = self.features
@@ -64,7 +65,7 @@ class NetworkConfig:
     def from_dict(cls, content: Mapping[str, Any]) -> NetworkConfig:
         """Return the configuration from the result of `as_dict`; raise `InputError` for other content."""
         known = {field.name for field in dataclasses.fields(cls)}
-        # The shipped checkpoint has no ``use_planes``.
-        if not isinstance(content, Mapping) or set(content) | {"use_planes"} != known:
+        # The shipped checkpoint has neither ``use_planes`` nor ``max_planes``.
+        if not isinstance(content, Mapping) or set(content) | {"use_planes", "max_planes"} != known:
             raise InputError(f"a network is described by {listed(sorted(known))}, got {short_repr(content)}")
         return cls(**content)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from activestructure_gym.envs.observation import plane_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid
 from activestructure_gym.policies.learned.checkpoint import (
@@ -58,6 +59,7 @@ class Learned(Policy):
 
         candidates = self.candidates(observation)
         features = np.stack([candidates[name] for name in self.required_features], axis=-1)
+        observation = largest_planes(observation, self.network.config.max_planes)
         entries = {key: observation[key][None] for key in USED_KEYS} | {"candidate_features": features[None]}
         with torch.no_grad():
             return self.network(as_tensors(entries))[0][0].numpy()
@@ -78,6 +80,22 @@ class Learned(Policy):
     def __reduce__(self) -> tuple[Any, ...]:
         # The class is created at run time, so a pickle stores its spec. The weights are loaded again when needed.
         return _from_spec, (self.spec,), {**self.__dict__, "_network": None}
+
+
+def largest_planes(observation: Observation, count: int) -> Observation:
+    """Return a copy of the observation with the ``count`` largest planes, or the observation if it has no more rows."""
+    (area,) = plane_columns("area")
+    table = observation["plane_features"]
+    if len(table) <= count:
+        return observation
+    rows = np.sort(np.argsort(-table[:, area], kind="stable")[:count])
+    return {
+        **observation,
+        "plane_features": table[rows],
+        "plane_mask": observation["plane_mask"][rows],
+        "plane_edges": observation["plane_edges"][np.ix_(rows, rows)],
+        "candidate_planes": observation["candidate_planes"][:, rows],
+    }
 
 
 def _from_spec(spec: str) -> Policy:

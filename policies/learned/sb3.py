@@ -60,7 +60,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
         if network is not None:
             config = NetworkConfig.from_dict(network)
         elif names is not None:
-            config = NetworkConfig(features=names)
+            config = NetworkConfig(features=names, max_planes=observation_space["plane_features"].shape[0])
         else:
             raise InputError(
                 "this observation space has no names for the columns of candidate_features: give them "

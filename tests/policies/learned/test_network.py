@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from activestructure_gym.envs.observation import plane_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import MASKED, CandidateNetwork, as_tensors, masked_pool
+from activestructure_gym.policies.learned.policy import largest_planes
 
 
 @pytest.fixture(scope="module")
@@ -206,3 +208,17 @@ def test_the_configuration_is_checked_and_returns_from_json() -> None:
             NetworkConfig(**wrong)
     with pytest.raises(InputError, match="is described by"):
         NetworkConfig.from_dict({"features": ["pixel"]})
+
+
+def test_of_more_planes_than_in_training_the_largest_are_read(network, make_observation, rng) -> None:
+    observation = make_observation(planes=20)
+    (area,) = plane_columns("area")
+    observation["plane_features"][:20, area] = rng.permutation(20) + 1.0
+    fewer = largest_planes(observation, 5)
+    assert sorted(fewer["plane_features"][:, area]) == [16.0, 17.0, 18.0, 19.0, 20.0]
+    rows = np.flatnonzero(observation["plane_features"][:, area] > 15.5)
+    np.testing.assert_array_equal(fewer["plane_edges"], observation["plane_edges"][np.ix_(rows, rows)])
+    np.testing.assert_array_equal(fewer["candidate_planes"], observation["candidate_planes"][:, rows])
+    assert largest_planes(observation, len(observation["plane_mask"])) is observation
+    padded = largest_planes(observation, 20)  # nothing but empty rows is left out
+    np.testing.assert_allclose(run(network, padded)[0], run(network, observation)[0], atol=1e-5)

@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import sums_in_front
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.policies.rt_guide.displacement import Displacement
 
 CUBOID_M = 2.5  # metres, side of the cubes that are the regions
@@ -26,8 +27,8 @@ _LOW = 1.0  # weight of the set L
 def rt_guide(context: FeatureContext) -> np.ndarray:  # [K, 3]
     """Compute xi of the view (share of the Gaussians), Omega of its cuboid (m), and the index of the cuboid.
 
-    xi is `moving_in_view`. The cuboid is the cube of 2.5 m that contains the view's position. Omega is the mean
-    uncertainty (`displacement`) of the Gaussians in it; 0 without Gaussians.
+    xi is `moving_in_view`. The view looks at the cube of 2.5 m that contains the point on its axis at the
+    `viewing_distance`. Omega is the mean uncertainty (`displacement`) of the Gaussians in it; 0 without Gaussians.
     """
     regions = _regions(context)
     return np.column_stack([moving_in_view(context), regions.uncertainty, regions.cuboid])
@@ -68,10 +69,15 @@ def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
 
 @dataclass(frozen=True)
 class _Regions:
-    """Hold the cuboid that contains each of K candidates, and its mean uncertainty."""
+    """Hold the cuboid at which each of K candidates looks, and its mean uncertainty."""
 
     uncertainty: np.ndarray  # [K] metres
     cuboid: np.ndarray  # [K] int64
+
+
+def viewing_distance(camera: PinholeCamera) -> float:  # metres
+    """Return the shortest distance at which a camera sees the whole width and height of a cuboid around its middle."""
+    return 0.5 * CUBOID_M * max(camera.fx / (0.5 * camera.width), camera.fy / (0.5 * camera.height))
 
 
 def _regions(context: FeatureContext) -> _Regions:
@@ -87,5 +93,6 @@ def _regions(context: FeatureContext) -> _Regions:
     size = int(shape.prod())
     counts = np.bincount(of_gaussians, minlength=size)
     mean = np.bincount(of_gaussians, weights=moved, minlength=size) / np.maximum(counts, 1)
-    own = number(context.world_from_camera[:, :3, 3])
-    return _Regions(mean[own], own)
+    axis = context.world_from_camera[:, :3, 2]
+    seen = number(context.world_from_camera[:, :3, 3] + viewing_distance(context.camera) * axis)
+    return _Regions(mean[seen], seen)

@@ -13,12 +13,12 @@ _NOTHING = -1e6  # score of a region where no Gaussian has moved; below any othe
 
 @POLICIES.register("rt_guide")
 class RTGuide(Planner):
-    """Choose the region argmax Omega / e^d, and in it the view argmax xi (feature `rt_guide`).
+    """Choose the region argmax Omega / e^d, and of its views argmax xi (feature `rt_guide`).
 
-    Omega is the mean uncertainty of the region's Gaussians, and d the path length in metres to its nearest view. xi is
-    the share of Gaussians in view that moved much in the last optimisation, minus the share that moved little. With the
-    shared travel term there are no regions: the score is xi minus the lowest xi of the candidates, times the travel
-    factor. Revisits are not candidates.
+    A region's views are those that look at it. Omega is the mean uncertainty of the region's Gaussians, and d the path
+    length in metres to its nearest view. xi is the share of Gaussians in view that moved much in the last optimisation,
+    minus the share that moved little. With the shared travel term there are no regions: the score is xi minus the
+    lowest xi of the candidates, times the travel factor. Revisits are not candidates.
     """
 
     criterion = "Gaussians that still move, minus those that do not"
@@ -41,7 +41,7 @@ class RTGuide(Planner):
             length = candidates.path_length.astype(np.float64)
             # Logarithm of the score, since e^d overflows for a long path.
             score = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
-            inside = valid & (cuboid == cuboid[best_valid(score, observation)])
-            choice = best_valid(np.where(inside, xi, -np.inf), observation)
+            of_best = valid & (cuboid == cuboid[best_valid(score, observation)])
+            choice = best_valid(np.where(of_best, xi, -np.inf), observation)
         self._trace = {"rt_guide": float(xi[choice]), "region": float(region[choice]), "cuboid": int(cuboid[choice])}
         return choice

@@ -1,4 +1,4 @@
-"""Define HGS-Planner ([hgs_planner], by its text): choose local views by gain, then follow a tour of other regions."""
+"""Define HGS-Planner ([hgs_planner], by its text): follow a tour of good local views, then a tour of other regions."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ from activestructure_gym.policies.native_settings import SPLATAM
 
 LOCAL_M = 3.0  # metres from the agent along x and y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the regions of the tour
+APART_M = 1.5  # metres, minimum distance between the views of a local tour
 MIN_COVERAGE = 0.05  # minimum G_cov of a useful view; 1 is a view of only unseen space
-_MAX_REGIONS = 6  # maximum number of regions on a tour; all their orders are tested
+_MAX_STOPS = 6  # maximum number of stops of a tour; all their orders are tested
 Sum = Literal["ranked", "raw"]
 
 
 @POLICIES.register("hgs_planner")
 class HGSPlanner(Greedy):
-    """Choose argmax G = G_cov + lambda_o G_Q in the local window, else in the next region of a tour.
+    """Choose the first view of a tour of the views with high G = G_cov + lambda_o G_Q, local ones before other regions.
 
     G_cov is the unseen space that a view would show, and G_Q its Fisher information (feature `hgs_planner`). A view is
-    useful if its G_cov is above 0.05. Without useful views in the window, the regions that contain useful views are
-    visited in the order of the shortest tour. Without any useful view, all views are scored by G. Revisits are not
+    useful if its G_cov is above 0.05. The tour is the shortest one through the useful views of the local window that
+    are the best within 1.5 m. Without any, the regions that contain useful views are visited in the order of the
+    shortest tour, each at its best view. Without any useful view, all views are scored by G. Revisits are not
     candidates. With ``travel=shared`` there are no stages: all views are scored by G times the shared factor.
 
     Parameters
@@ -41,7 +43,7 @@ class HGSPlanner(Greedy):
     travel_term = "local window, then a tour"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_features = ("hgs_planner", "hgs_coverage")
-    native_settings = replace(SPLATAM, budget="")
+    native_settings = replace(SPLATAM, changes={"sensor.max_range": 5.0}, budget="")
 
     def __init__(self, travel: Travel = "native", sum: Sum = "ranked") -> None:
         """Store the travel term and the form of the sum; raise `InputError` for an unknown form."""
@@ -61,18 +63,30 @@ class HGSPlanner(Greedy):
         useful = valid & (coverage > MIN_COVERAGE)
         near = useful & (np.abs(candidates.xyz[:, :2] - observation["pose"][:2]) <= LOCAL_M).all(axis=1)
         if near.any():
-            stage, pool = "local", near
-        elif useful.any():
-            stage, pool = "global", useful & next_region(candidates, useful)
+            stage, choice = "local", next_view(candidates, near, gain)
         else:
-            stage, pool = "refine", valid
-        choice = best_valid(np.where(pool, gain, -np.inf), observation)
+            stage, pool = ("global", next_region(candidates, useful)) if useful.any() else ("refine", valid)
+            choice = best_valid(np.where(pool, gain, -np.inf), observation)
         self._trace = {"stage": stage, name: float(gain[choice]), "hgs_coverage": float(coverage[choice])}
         return choice
 
 
+def next_view(candidates: Candidates, among: np.ndarray, gain: np.ndarray) -> int:
+    """Return the first row of the shortest tour through the rows ``among`` [K] that are the best within `APART_M`.
+
+    Rows are taken in the order of ``gain`` [K], highest first, unless one that is taken is nearer than `APART_M`.
+    """
+    rows = np.flatnonzero(among)
+    places = candidates.xyz.astype(np.float64)
+    stops = list[int]()
+    for row in rows[np.argsort(-gain[rows], kind="stable")].tolist():
+        if not len(stops) or np.linalg.norm(places[stops] - places[row], axis=1).min() >= APART_M:
+            stops.append(row)
+    return stops[shortest_tour(candidates.path_length[stops], places[stops])[0]]
+
+
 def next_region(candidates: Candidates, useful: np.ndarray) -> np.ndarray:  # [K] bool, some True -> [K] bool
-    """Return which candidates are in the first region of the shortest tour through the regions with useful views.
+    """Return which useful candidates are in the first region of the shortest tour through the regions with such views.
 
     Regions are squares of 6 m in the floor plane. ``useful`` are the useful candidates.
     """
@@ -82,15 +96,15 @@ def next_region(candidates: Candidates, useful: np.ndarray) -> np.ndarray:  # [K
     of_region = of_region.reshape(-1)
     centres = np.array([[axis[useful][of_region == r].mean() for axis in places.T] for r in range(len(regions))])
     lengths = np.array([candidates.path_length[useful][of_region == r].min() for r in range(len(regions))])
-    return (cuboids == regions[shortest_tour(lengths, centres)[0]]).all(axis=1)
+    return useful & (cuboids == regions[shortest_tour(lengths, centres)[0]]).all(axis=1)
 
 
 def shortest_tour(
     lengths: np.ndarray,  # [P] path length in metres from the agent to each place
-    centres: np.ndarray,  # [P, 2] metres
+    centres: np.ndarray,  # [P, 2 or 3] metres
 ) -> tuple[int, ...]:
     """Return the indices of the six nearest places (or fewer) in the order of the shortest open tour from the agent."""
-    nearest = np.argsort(lengths, kind="stable")[:_MAX_REGIONS]
+    nearest = np.argsort(lengths, kind="stable")[:_MAX_STOPS]
     between = np.linalg.norm(centres[:, None] - centres[None], axis=2)
 
     def length(tour: tuple[int, ...]) -> float:

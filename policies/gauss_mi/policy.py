@@ -24,8 +24,15 @@ class GaussMI(Greedy):
     # 106 x 90 degrees; here it has half as many along each side.
     native_settings = replace(
         SELECTED_VIEWS,
+        stages=(("moves",),),
+        candidates=94,
         budget="640 x 480 at 106 x 90 degrees, 20 iterations a keyframe and more during the flight",
-        changes={"sensor.width": 320, "sensor.height": 240, "sensor.horizontal_fov_deg": 106.26},
+        changes={
+            **SELECTED_VIEWS.changes,
+            "sensor.width": 320,
+            "sensor.height": 240,
+            "sensor.horizontal_fov_deg": 106.26,
+        },
     )
 
 

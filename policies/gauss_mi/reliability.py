@@ -3,8 +3,9 @@
 A Gaussian has one log-odds of being correct for each of four horizontal view directions. A keyframe votes for its own
 view direction. The log-odds increase if the rendered map agrees with the keyframe, and decrease otherwise:
 
-- The loss of a pixel is L = 0.95 mean |I - C| + 0.05 |D - depth|, without the second term if no depth was measured.
-  The map is rendered over a white background, and its depth is the accumulated one: a hole counts as an error.
+- The loss of a pixel is L = 0.95 mean |I - C| + 0.05 |D - depth|. The map is rendered over a white background, and its
+  depth is the accumulated one: a hole counts as an error. The loss is 0 without a measured depth. Black pixels, with a
+  sum of the channels up to 0.01, have no colour term.
 - The vote of a pixel is -log max(1.7 L, 1e-4), which is positive for a loss below 0.59.
 - The vote for a Gaussian is 10 times the sum of vote times weight over pixels, times the share of the direction. Pixels
   count if the transmittance in front of the Gaussian exceeds 0.8. There is no vote if too few pixels count.
@@ -30,6 +31,7 @@ from activestructure_gym.splatting.rasterizers import rasterizer
 
 COLOR_SHARE, DEPTH_SHARE = 0.95, 0.05  # weights in the loss; colours in 0..1, depth in metres
 LOSS_FACTOR, MIN_LOSS = 1.7, 1e-4
+BLACK = 0.01  # largest sum of the three channels (0..1) of a pixel without a colour term
 VOTE_FACTOR = 10.0
 CLEAR = 0.8  # a pixel counts if the transmittance in front of the Gaussian exceeds this
 MIN_PIXELS = 5  # minimum number of pixels for a vote, in an image of OF_PIXELS
@@ -87,8 +89,10 @@ def pixel_votes(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] float32
     It is positive if the rendering ``shown`` of the map agrees with the keyframe ``frame``.
     """
     on_white = shown.color + (1.0 - shown.alpha[..., None])
-    loss = COLOR_SHARE * np.abs(on_white - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
-    loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(shown.depth - frame.depth), 0.0)
+    true = frame.rgb * np.float32(1.0 / 255.0)
+    loss = COLOR_SHARE * np.abs(on_white - true).mean(axis=2) * (true.sum(axis=2) > BLACK)
+    loss += DEPTH_SHARE * np.abs(shown.depth - frame.depth)
+    loss[frame.depth <= 0] = 0.0
     return -np.log(np.maximum(LOSS_FACTOR * loss, MIN_LOSS)).astype(np.float32)
 
 

@@ -15,6 +15,7 @@ from activestructure_gym.volume import FREE
 
 CLUSTER = 2.0  # metres, side of the cubes into which frontiers are cut (own choice)
 MIN_FRONTIER_VOXELS = 50  # minimum number of voxels of a frontier, as in the code
+MIN_VISIBLE_VOXELS = 15  # a frontier is ignored unless a view sees more of its voxels, as in the code
 
 
 @FEATURES.register(
@@ -32,9 +33,9 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
     - the mean over pixels of the uncertainty (mean squared colour error) of the visible surface.
 
     A frontier is a connected cluster of free voxels next to space that no keyframe has seen. The candidate that sees
-    most voxels of a frontier serves it; a frontier that no candidate sees is ignored. The uncertainty of a place is the
-    mean squared error of its rendered colours. The learned variance of colour in the original converges to this error.
-    Source: [aiisrfe], by its abstract and a summary.
+    most voxels of a frontier serves it; a frontier of which none sees more than 15 is ignored. The uncertainty of a
+    place is the mean squared error of its rendered colours. The learned variance of colour in the original converges to
+    this error. Source: [aiisrfe], by its abstract and a summary.
     """
     poses = context.world_from_camera
     table = np.zeros((len(poses), 2))
@@ -45,7 +46,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 2]
         surface = surface_within(context, context.coverage_alpha)
         counts = sums_in_front(voxels, np.ones(len(voxels)), surface, context, cluster)
         counts[context.revisits] = 0  # revisits serve no frontier
-        served = np.flatnonzero(counts.max(axis=0) > 0)
+        served = np.flatnonzero(counts.max(axis=0) > MIN_VISIBLE_VOXELS)
         for c in served[::-1]:  # a candidate that would serve two frontiers gets the first
             table[counts[:, c].argmax(), 0] = c
     if len(poses):

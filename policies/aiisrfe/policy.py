@@ -49,7 +49,7 @@ class Aiisrfe(Planner):
     native_settings = NativeSettings(
         stages=(("frontier_facing?per_region=3&apart_m=2&rows=144", "unsure_facing?apart_m=1&rows=64"),),
         candidates=208,
-        changes={"sensor.max_range": 6.0},
+        changes={"sensor.max_range": 6.0, "volume.max_range": 6.0},
     )
 
     def __init__(self, travel: Travel = "native") -> None:

@@ -45,7 +45,9 @@ class FisherRFPath(Greedy):
     travel_term = "the gain of the path"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)
-    # Every 4th frame is a keyframe, and 60 iterations follow every 10 frames.
+    # Every 4th frame is a keyframe with 24 iterations (60 every 10 frames) on keyframes that overlap with it. Seeds are
+    # balls that can become ellipsoids. Candidates are scored at half of the image size, since seeds are as wide as a
+    # pixel of the image: at a quarter, aliasing raises the information about known surface 5 to 30 times.
     native_settings = NativeSettings(
         mapper="splatam",
         keyframe_every=4,
@@ -55,7 +57,13 @@ class FisherRFPath(Greedy):
         changes=SQUARE_CAMERA
         | {
             "views.heights_m": (0.0,),
+            "views.scoring_scale": 0.5,
             "mapper.isotropic": False,
+            "mapper.seed_thickness": 1.0,
+            "mapper.border_sigmas": None,
+            "mapper.in_front_factor": 10.0,
+            "mapper.global_psnr": 0.0,
+            "mapper.global_new_share": 1.0,
             "mapper.mean_rate": 1e-3,
             "mapper.log_scale_rate": 1e-2,
         },

@@ -11,8 +11,7 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SPLATAM
 from activestructure_gym.policies.scored import first_best
 
-# The paper has no values for these constants, except for the number of viewpoints. Gains are shares of the frustum's
-# volume, plus the weighted loss.
+# The paper has no values for these constants. Gains are shares of the frustum's volume, plus the weighted loss.
 QUALITY_WEIGHT = 0.1  # weight of the mean loss (metres); the share of unobserved volume has weight 1
 MIN_GAIN = 0.02  # g_lb: views with a lower gain are dropped
 STORED_GAIN = 0.05  # g_thres: views with a higher gain that are not chosen are stored in the library
@@ -20,7 +19,7 @@ MIN_OVERLAP = 0.5  # epsilon: views with at least this `overlap` count as the sa
 OVERLAP_M = 2.0  # metres; views at this distance have no overlap
 OVERLAP_RAD = np.pi / 2.0  # radians; views with this angle between them have no overlap (width of the image)
 
-VIEWPOINTS = 10  # number of places that are considered ([gs_planner], Sec. VI-A)
+VIEWPOINTS = 4  # number of places that are considered; 10 as in the paper would cover a whole room at this spacing
 SPACING_M = 1.5  # metres between viewpoints (HGS-Planner's spacing), so that they are not all at the agent
 
 
@@ -39,7 +38,7 @@ def best_per_viewpoint(
     lengths: np.ndarray,  # [n] path length in metres
     gain: np.ndarray,  # [n]
 ) -> np.ndarray:  # [v] rows, nearest viewpoint first, at most VIEWPOINTS
-    """Return the view with the largest gain around each of the ten nearest places, which are at least 1.5 m apart.
+    """Return the view with the largest gain around each of the four nearest places, which are at least 1.5 m apart.
 
     The original tests all directions at each viewpoint of its tree. The candidate table has few directions for each
     position, so the views around a place are used instead.
@@ -58,7 +57,7 @@ class GSPlanner(Planner):
     """Choose argmax G = G_completeness + w G_quality among near views, then from a library ([gs_planner]).
 
     The two gains are the columns of the feature `gs_planner`. With the native travel term, the best view of each of the
-    ten nearest places is considered; the places replace one growth of the original's tree. The view with the largest G
+    four nearest places is considered; the places replace one growth of the original's tree. The view with the largest G
     is chosen, and others with G above 0.05 are stored in a view library. If no G is at least 0.02, the best view of the
     library is chosen. If no candidate overlaps with one by half, the best of all views is chosen. The original ends the
     episode when the library is empty.

@@ -56,6 +56,15 @@ def test_stages_of_hgs_planner() -> None:
     assert bound(HGSPlanner(travel="shared")).act(observation(gains, [20, 90, 10], **ways)) == 2
 
 
+def test_the_local_tour_goes_to_the_good_view_on_the_way_first() -> None:
+    # 3 m east with G = 1, 0.5 m west with 0.9: 0.5 + 3.5 m are less than 3 + 3.5 m.
+    gains, place = [[1.0, 0.5], [0.9, 0.5]], {"path_length": [3.0, 0.5], "x": [4.0, 0.5], "y": [1.0, 1.0]}
+    assert bound(HGSPlanner()).act(observation(gains, [30, 5], **place)) == 1
+    # Within 1.5 m only the best view counts, however near the others are.
+    near = {"path_length": [2.0, 1.0], "x": [3.0, 2.0], "y": [1.0, 1.0]}
+    assert bound(HGSPlanner()).act(observation(gains, [20, 10], **near)) == 0
+
+
 def test_the_tour_begins_where_the_whole_way_is_shortest() -> None:
     # One part 5 m to the left; two to the right at 6 and 7 m: first the left one, then the others.
     assert shortest_tour(np.array([6.0, 5.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]]))[0] == 1

@@ -40,10 +40,13 @@ def test_votes_of_pixels_by_hand():
     seen = frame(51, depth=2.0)  # .2
     seen.depth[0, 0] = 0.0
     color, depth = np.full((24, 32, 3), 0.2, np.float32), np.full((24, 32), 2.0, np.float32)
-    color[0, 1], depth[0, 2], color[0, 3] = 0.5, 2.4, 1.2
+    color[0, 0], color[0, 1], depth[0, 2], color[0, 3] = 1.0, 0.5, 2.4, 1.2
+    seen.rgb[0, 4], depth[0, 5], seen.rgb[0, 5] = 0, 2.4, 0
     votes = pixel_votes(seen, Rendering(color, depth, np.ones((24, 32), np.float32)))
     assert votes[1, 0] == pytest.approx(-np.log(1e-4), rel=1e-5)  # nothing wrong
-    assert votes[0, 0] == pytest.approx(-np.log(1e-4), rel=1e-5)  # a depth nobody measured
+    assert votes[0, 0] == pytest.approx(-np.log(1e-4), rel=1e-5)  # no measured depth: whatever the colour
+    assert votes[0, 4] == pytest.approx(-np.log(1e-4), rel=1e-5)  # black: no colour counts, but the depth does
+    assert votes[0, 5] == pytest.approx(votes[0, 2], rel=1e-5)
     assert votes[0, 1] == pytest.approx(-np.log(1.7 * 0.95 * 0.3), rel=1e-5)
     assert votes[0, 2] == pytest.approx(-np.log(1.7 * 0.05 * 0.4), rel=1e-4)
     assert votes[0, 3] == pytest.approx(-np.log(1.7 * 0.95 * 1.0), rel=1e-5) and votes[0, 3] < 0

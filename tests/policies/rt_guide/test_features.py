@@ -9,7 +9,7 @@ import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.policies.rt_guide.features import _displacement
+from activestructure_gym.policies.rt_guide.features import _displacement, viewing_distance
 from activestructure_gym.volume import VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24, 90.0)
@@ -43,12 +43,20 @@ def test_high_ones_in_the_frustum_count_for_and_low_ones_against() -> None:
 
 def test_a_region_is_worth_the_mean_of_its_gaussians() -> None:
     means = [[1.0, 1.0, 1.0], [2.0, 2.0, 1.0], [6.0, 1.0, 1.0]]
-    places = [[0.5, 0.5, 1.0], [2.4, 2.4, 2.0], [2.6, 1.0, 1.0], [5.5, 2.0, 1.0], [5.5, 3.0, 1.0]]
-    columns = evaluate_features(FEATURES, context(means, [0.001, 0.003, 0.007], places, [[1, 0, 0]] * 5))
+    looked_at = [[0.5, 0.5, 1.0], [2.4, 2.4, 2.0], [2.6, 1.0, 1.0], [5.5, 2.0, 1.0], [5.5, 3.0, 1.0]]
+    places = np.array(looked_at) + [viewing_distance(CAMERA), 0.0, 0.0]
+    columns = evaluate_features(FEATURES, context(means, [0.001, 0.003, 0.007], places.tolist(), [[-1, 0, 0]] * 5))
     np.testing.assert_allclose(columns[:, 1], [0.002, 0.002, 0.0, 0.007, 0.0], rtol=1e-6)
     cuboids = columns[:, 2]
     assert cuboids[0] == cuboids[1]
     assert len(set(cuboids.tolist())) == 4
+
+
+def test_a_view_belongs_to_the_region_that_it_looks_at_and_not_to_the_one_it_stands_in() -> None:
+    assert viewing_distance(CAMERA) == pytest.approx(1.25 * 20 / 12)  # 20 x 12 pixels to the border, focal length 20
+    means, moved, place = [[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [6.0, 1.0, 1.0]], [0.001, 0.009, 0.004], [3.6, 1.0, 1.0]
+    columns = evaluate_features(FEATURES, context(means, moved, [place, place], [[1, 0, 0], [-1, 0, 0]]))
+    np.testing.assert_allclose(columns[:, 1], [0.004, 0.001], rtol=1e-6)
 
 
 @pytest.mark.parametrize("means", [[], [[1.0, 1.0, 1.0]]])

@@ -176,7 +176,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "opacity_rate": 5e-2,
         "color_rate": 2.5e-3,
         "window": 32,
-        "psnr_refresh": 0,  # the PSNR of a keyframe is measured once, after its own event (ActiveGAMER)
+        "psnr_refresh": 0,  # mapping measures the PSNR of a keyframe once, after its own event (ActiveGAMER)
         "prune_steps": (0, 20),
     },
 }

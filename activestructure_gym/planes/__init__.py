@@ -39,7 +39,6 @@ from activestructure_gym.planes.surprise import (
     SurpriseConfig,
     information_deficit,
     structural_surprise,
-    view_surprise,
 )
 from activestructure_gym.planes.topology import (
     TopologyConfig,
@@ -84,5 +83,4 @@ __all__ = [
     "spanning_forest",
     "structural_surprise",
     "tree_betweenness",
-    "view_surprise",
 ]

@@ -1,4 +1,4 @@
-"""Compute the structural surprise of planes and views, and the structural information deficit (Sec. 3.3)."""
+"""Compute the structural surprise of planes and the structural information deficit (Sec. 3.3)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from activestructure_gym.ranges import check_ranges
 _EPSILON = 1e-9
 
 _RANGES = {
-    **dict.fromkeys(("floor", "blend"), "[0, 1]"),
+    "floor": "[0, 1]",
     "saturation_degree": "[1, 1000000]",
     "radius": "(0, 100000]",
     "max_angle_deg": "(0, 90]",
@@ -21,13 +21,12 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class SurpriseConfig:
-    """Configure Eqs. 8 to 11. The paper names the symbols; the values are this project's."""
+    """Configure Eqs. 8 to 10. The paper names the symbols; the values are this project's."""
 
     floor: float = 0.1  # phi_min, smallest value of each of the three indicators
     saturation_degree: int = 3  # degree in the spanning forest at which the connectivity surprise is smallest
     radius: float = 1.5  # Eq. 8: r, metres between the centroids of nearby planes
     max_angle_deg: float = 45.0  # Eq. 9: theta_max, degrees; no acute angle is farther from both 0 and 90
-    blend: float = 0.5  # Eq. 11: eta, weight of the mean; the rest is the weight of the maximum
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -73,7 +72,7 @@ def geometric_surprise(
     """Return phi^g: how far the angles of a plane to its neighbours are from 0 and 90 degrees (Eq. 9).
 
     Neighbours are in the spanning forest. Their mean deviation in units of ``config.max_angle_deg``, each at most 1, is
-    mapped linearly to the range from ``config.floor`` to 1.
+    mapped linearly to the range from ``config.floor`` to 1. Without neighbours it is the floor.
     """
     angle = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0.0, 1.0)))
     # theta is acute by definition, so the 180 degrees of the paper's canonical angles are never the nearest.
@@ -102,18 +101,3 @@ def information_deficit(quality: np.ndarray, surprise: np.ndarray) -> np.ndarray
     It is large for planes that are incompletely reconstructed and poorly integrated.
     """
     return (1.0 - quality) * surprise
-
-
-def view_surprise(
-    surprise: np.ndarray,  # [N] Phi
-    visible: np.ndarray,  # [C, N] bool
-    config: SurpriseConfig | None = None,
-) -> np.ndarray:  # [C], 0 for a view without visible planes
-    """Return the surprise of C candidate views (Eq. 11): a weighted sum of mean and maximum over the visible planes."""
-    config = config or SurpriseConfig()
-    visible = np.asarray(visible, dtype=bool)
-    if not len(surprise):
-        return np.zeros(len(visible))
-    seen = np.where(visible, surprise, 0.0)
-    mean = seen.sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
-    return config.blend * mean + (1.0 - config.blend) * seen.max(axis=1)  # Eq. 11

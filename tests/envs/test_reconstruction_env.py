@@ -394,6 +394,13 @@ def test_without_map_and_planes_the_same_actions_lead_to_the_same_views_and_rewa
         done = ends[1] or ends[2]
 
 
+@pytest.mark.parametrize(("preset", "rows"), [("default", 256), ("full", 256), ("fast", 64), ("rl", 64)])
+def test_all_planes_of_a_house_are_observed_but_for_learning(preset: Any, rows: int) -> None:
+    space = ReconstructionEnv("box", preset=preset).observation_space
+    assert space["plane_mask"].shape == (rows,)
+    assert space["candidate_planes"].shape[1] == rows
+
+
 def test_chosen_entries_of_the_observation_are_as_in_the_whole_one(box_options: dict[str, Any]) -> None:
     chosen = ["action_mask", "depth", "candidate_features"]
     whole, less = ReconstructionEnv(**box_options), ReconstructionEnv(**box_options, observation_keys=chosen)

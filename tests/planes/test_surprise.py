@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.planes import SurpriseConfig, information_deficit, structural_surprise, view_surprise
+from activestructure_gym.planes import SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.surprise import connectivity_surprise, geometric_surprise, neighbourhood_surprise
 
 CONFIG = SurpriseConfig()
@@ -53,21 +53,12 @@ def test_product_and_deficit():
     np.testing.assert_allclose(deficit, [0, 0.05, 0.1], atol=1e-6)
 
 
-def test_view_blends_mean_and_maximum():
-    phi = np.array([0.2, 0.6, 1.0])
-    visible = np.array([[1, 1, 0], [0, 0, 1], [0, 0, 0]], bool)
-    # Eq. 11: 0.5 * 0.4 + 0.5 * 0.6; one plane: itself; none: nothing.
-    np.testing.assert_allclose(view_surprise(phi, visible), [0.5, 1.0, 0.0])
-    np.testing.assert_allclose(view_surprise(phi, visible, SurpriseConfig(blend=1.0)), [0.4, 1.0, 0.0])
-    assert view_surprise(np.zeros(0), np.zeros((4, 0), bool)).tolist() == [0.0] * 4
-
-
 def test_empty_graph():
     surprise = structural_surprise(np.zeros((0, 3)), np.zeros((0, 3)), pairs(0), pairs(0), CONFIG)
     assert surprise.total.shape == (0,)
 
 
-@pytest.mark.parametrize("bad", [{"floor": 1.5}, {"blend": -0.1}, {"radius": 0.0}, {"saturation_degree": 0}])
+@pytest.mark.parametrize("bad", [{"floor": 1.5}, {"radius": 0.0}, {"saturation_degree": 0}])
 def test_bad_configuration_is_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         SurpriseConfig(**bad)

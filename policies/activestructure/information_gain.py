@@ -129,9 +129,9 @@ def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without
 def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, cap]
     """Return rho_c of Eq. 12 = cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the n visible planes).
 
-    ``cap`` is rho_max, Phi_c is `view_surprise`, and max Phi its maximum over the rows of the table. The paper only states that rho_c grows with the visible
-    tracked planes and inversely with their structural deficit. Here quality and surprise, the factors of the
-    deficit, take its place.
+    ``cap`` is rho_max, Phi_c is `view_surprise`, and max Phi its maximum over the rows of the table. The paper only
+    states that rho_c grows with the visible tracked planes and inversely with their structural deficit. Here quality
+    and surprise, the factors of the deficit, take its place.
     """
     count = planes.visible.sum(axis=1)
     surprise = view_surprise(planes)

@@ -102,7 +102,7 @@ def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
     alpha = context.alpha[views]
     covered = alpha > context.coverage_alpha
     depth = context.depth[views] / np.maximum(alpha, 1e-6)
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng([_SEED, len(context.mapper.keyframes)])  # anew at every decision, as in the original
     change = np.zeros(int(covered.sum()))
     for _ in range(PERTURBATIONS):
         moved = parameters.copy()

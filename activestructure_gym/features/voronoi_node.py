@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.motion import VoronoiGraph, planar_graph
+from activestructure_gym.motion import VoronoiGraph, free_plan, planar_graph
 
 NODE_REACH = 0.5  # metres, largest horizontal distance from a view to its node; equals one step of the view lattice
 
@@ -24,11 +24,16 @@ def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] integers
     return np.where(distance.min(axis=1) <= NODE_REACH, distance.argmin(axis=1), -1)
 
 
-def floor_graph(context: FeatureContext) -> VoronoiGraph:
-    """Return the Voronoi graph of the free floor plan at the start height.
+def floor_plan(context: FeatureContext) -> np.ndarray:  # [X, Y] bool
+    """Return the voxels of the floor plan that are free for an agent at the start height (`free_plan`).
 
-    Call ``context.once(floor_graph)``, which computes it once per step for all features.
+    Call ``context.once(floor_plan)``, which computes it once per step for all features.
     """
+    return free_plan(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
+
+
+def floor_graph(context: FeatureContext) -> VoronoiGraph:
+    """Return the Voronoi graph of the `floor_plan`; call ``context.once(floor_graph)``."""
     return planar_graph(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
 
 

@@ -102,15 +102,15 @@ def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panorama
 def hull_volume(mask: np.ndarray, depth: np.ndarray) -> float:  # [H, W] bool, [H, W] metres -> rad^2 m
     """Return the volume of the convex hull of the surface around a cluster of open pixels.
 
-    The surface points are the pixels on the outline of the dilated ``mask``, with coordinates azimuth and elevation
-    (radians) and depth (metres). The volume is 0 if fewer than four of them have a rendered depth, or if all are
-    coplanar.
+    The surface points are the corners of the largest outline of the dilated ``mask``, with coordinates azimuth and
+    elevation (radians) and depth (metres). Straight parts of the outline have only their ends, as in the original. The
+    volume is 0 if fewer than four of them have a rendered depth, or if all are coplanar.
     """
     width = 2 * int(0.5 * DILATION_DEG / DEG_PER_PIXEL) + 1
     ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     dilated = cv2.dilate(mask.astype(np.uint8), ellipse)
-    outlines, _ = cv2.findContours(dilated, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    columns, rows = np.concatenate(outlines).reshape(-1, 2).T
+    outlines, _ = cv2.findContours(dilated, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    columns, rows = max(outlines, key=cv2.contourArea).reshape(-1, 2).T
     known = depth[rows, columns] > 0
     points = np.column_stack([np.radians(DEG_PER_PIXEL) * np.stack([columns, rows], axis=1), depth[rows, columns]])
     points = points[known].astype(np.float64)

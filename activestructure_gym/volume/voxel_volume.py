@@ -380,19 +380,6 @@ class VoxelVolume:
             self.occupied, self.in_voxels(starts), self.in_voxels(ends), distance_field.SPARED
         )
 
-    def straight_lines_free(
-        self,
-        starts: np.ndarray,  # [N, 3] metres, or [3] for all
-        ends: np.ndarray,  # [N, 3] metres, or [3] for all
-    ) -> np.ndarray:  # [N] bool
-        """Return whether each line enters free voxels only; every voxel on it but that of the start is tested.
-
-        Space outside the grid is not free.
-        """
-        starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
-        free = distance_field.sight_lines(self.state != FREE, self.in_voxels(starts), self.in_voxels(ends), 0.0)
-        return np.asarray(free & self.contains(starts) & self.contains(ends))
-
     @property
     def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
         """Return a mask of the occupied voxels, the form that `distance_field.sight_line` needs."""

@@ -40,7 +40,7 @@ class ActiveINR(Planner):
     native_settings = NativeSettings(
         stages=(("floor?yaws=8&rows=504&visited=true", "turns?count=8"),),
         candidates=512,
-        changes=SQUARE_CAMERA,
+        changes=SQUARE_CAMERA | {"sensor.max_range": 8.0},
         budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
     )
 

@@ -39,10 +39,10 @@ _COLUMNS: dict[str, Any] = {
 
 @FEATURES.register("anm_s_horizon", unit="0 or 1", low=0.0, high=1.0)
 def anm_s_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
-    """Return 1 where the straight path to the view's node is free and ends inside the last movement's horizon, else 0.
+    """Return 1 where the line to the view's node on the plan is free and ends inside the horizon, else 0.
 
-    The horizon is the bounding box of `ahead` in the floor plane. If no node with a free path is inside it, all nodes
-    with a free path count. Source: [anm_s, code].
+    The horizon is the bounding box of `ahead`, the last movement's view, in the floor plane. If no node with a free
+    line is inside it, all nodes with a free line count. Source: [anm_s, code].
     """
     return in_sight_within(context, ahead(context))
 
@@ -60,7 +60,8 @@ def ahead(context: FeatureContext) -> np.ndarray:  # [n, 3] metres, world
     movement = (here - keyframes[max(number - 1, 0)].world_from_camera[:3, 3]) * [1.0, 1.0, 0.0]
     seen = np.zeros((0, 3), dtype=np.int64)
     if movement.any():
-        seen = np.argwhere(volume.rays(context.camera, look_along(here, movement)).seen() & volume.occupied)
+        rays = volume.rays(context.camera, look_along(here, movement), reach=context.max_range)
+        seen = np.argwhere(rays.seen() & volume.occupied)
     return volume.center_of(seen) if len(seen) else np.vstack([returns(frame), here])
 
 

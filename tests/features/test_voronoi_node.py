@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.in_horizon import last_moved
+from activestructure_gym.features.in_horizon import departed, last_moved, lines_free
 from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
@@ -83,13 +83,34 @@ def test_in_horizon_needs_a_free_way_and_the_box_of_a_frame() -> None:
     np.testing.assert_array_equal(far, [1, 1, 0, 1, 0, 1])
 
 
-def test_the_box_is_that_of_the_last_frame_on_the_way_wherever_it_looked_since() -> None:
-    start = frame(WEST - [0.5, 0.0, 0.0], depth=6.0)
-    looks = [start, frame(WEST, depth=1.5), frame(WEST, -X), frame(WEST + [0.04, 0.0, 0.0], -X)]
-    assert last_moved(looks) is looks[1]
+def test_the_box_is_that_of_the_place_it_left_wherever_it_looked_since() -> None:
+    before = WEST - [0.5, 0.0, 0.0]
+    start = frame(before, depth=2.0)  # a box up to x = 3.1
+    way = frame(before + [0.25, 0.0, 0.0], depth=6.0)
+    looks = [frame(before, -X), start, way, frame(WEST, depth=6.0), frame(WEST, -X), frame(WEST + [0.04, 0.0, 0.0], -X)]
+    assert departed(looks) is start and last_moved(looks) is looks[3]
     np.testing.assert_array_equal(column("in_horizon", context(PLACES, looks)), [1, 0, 0, 0, 0, 1])
-    assert last_moved(looks[:1]) is start
-    assert last_moved(looks[1:3]) is looks[2]  # it never moved
+    assert departed(looks[2:4]) is way
+    assert departed(looks[:1]) is last_moved(looks[:1]) is looks[0]
+    assert departed(looks[4:]) is last_moved(looks[4:]) is looks[5]  # it never moved
+
+
+def test_a_line_over_a_table_is_not_free_on_the_plan() -> None:
+    ctx = context(PLACES, [frame(WEST, depth=6.0)])
+    np.testing.assert_array_equal(column("in_horizon", ctx), [1, 1, 0, 1, 0, 1])
+    low = context(PLACES, [frame(WEST, depth=6.0)])
+    low.volume.state[26:29, 20:31, 1:8] = OCCUPIED  # 0.7 m high, under the camera and beside the way to the door
+    low.volume._changed()
+    np.testing.assert_array_equal(column("in_horizon", low)[:2], [0, 0])
+
+
+def test_lines_on_a_plan_by_hand() -> None:
+    plan = np.ones((6, 4), dtype=bool)
+    plan[3, 1] = plan[0, 0] = False
+    ends = np.array([[5.5, 0.5], [5.5, 1.5], [5.5, 2.5], [6.5, 0.5], [1.5, 3.9]])
+    start = np.array([0.5, 0.5])
+    assert lines_free(plan, start, ends, 0.9).tolist() == [True, False, False, False, True]
+    assert not lines_free(plan, start, ends, 0.0).any()  # the cell below the agent counts
 
 
 def test_without_a_node_in_the_box_all_free_ways_count() -> None:

@@ -117,7 +117,7 @@ def test_view_angle_maps_200_iterations_after_each_view() -> None:
 def test_depth_ends_where_the_original_discards_it() -> None:
     ranges = {name: configure("full", POLICIES.get(name).native_settings.overrides()).sensor.max_range
               for name in ("activesplat", "aiisrfe", "anm_s", "activeinr")}  # fmt: skip
-    assert ranges == {"activesplat": 4.0, "aiisrfe": 6.0, "anm_s": 10.0, "activeinr": 10.0}
+    assert ranges == {"activesplat": 4.0, "aiisrfe": 6.0, "anm_s": 10.0, "activeinr": 8.0}
 
 
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:

@@ -393,28 +393,6 @@ def test_sight_ends_at_what_is_occupied(room_volume):
     assert empty.line_of_sight_free(inside, wall)[0]  # unknown space hides nothing
 
 
-@pytest.mark.parametrize("wall", [OCCUPIED, UNKNOWN])
-def test_no_straight_line_passes_a_wall_of_one_voxel(wall):
-    volume = VoxelVolume(ROOM)
-    volume.state[:] = FREE
-    volume.state[20] = wall
-    rng, plane = np.random.default_rng(0), volume.origin[0] + 20 * volume.voxel_size
-    starts = np.column_stack([plane - rng.uniform(0.01, 1.0, 500), rng.uniform(0.5, 2.0, (500, 2))])
-    beyond = np.column_stack([plane + volume.voxel_size + rng.uniform(0.01, 1.0, 500), rng.uniform(0.5, 2.0, (500, 2))])
-    assert not volume.straight_lines_free(starts, beyond).any()
-    assert volume.straight_lines_free(starts, starts[::-1]).all()
-    assert volume.straight_lines_free(beyond[0], beyond).all()
-
-
-def test_a_straight_line_out_of_the_grid_is_not_free():
-    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
-    volume.state[:] = FREE
-    middle, outside = np.full(3, 0.5), np.array([5.0, 0.5, 0.5])
-    assert volume.straight_lines_free(middle, np.array([1.05, 0.5, 0.5]))[0]  # in the outermost voxels
-    assert not volume.straight_lines_free(middle, outside)[0]
-    assert not volume.straight_lines_free(outside, middle)[0]
-
-
 def test_wrong_input_is_refused(cast_boxes):
     with pytest.raises(InputError, match="units"):
         VoxelVolume(np.array([[0.0, 0.0, 0.0], [8000.0, 6000.0, 2500.0]]))

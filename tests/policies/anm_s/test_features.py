@@ -116,6 +116,16 @@ def test_the_horizon_is_ahead_of_the_last_movement_wherever_the_camera_turned() 
     np.testing.assert_array_equal(columns(ctx, "anm_s_horizon")[:, 0], [1, 1, 0])
 
 
+def test_the_horizon_reaches_as_far_as_the_sensor() -> None:
+    ctx = context([((8, 2, 1.5), X), ((0.5, 2, 1.5), X)], patches(SURE), nodes=[(8, 2), (0.5, 2)])
+    ctx.volume.state[:, :, 0] = ctx.volume.state[92:] = OCCUPIED  # the floor, and a wall at x = 9.1, 7.7 m ahead
+    ctx.volume._changed()
+    ctx.mapper.keyframes.append(keyframe(look_along(np.array([1.4, 2.0, 1.5]), X)))
+    np.testing.assert_array_equal(columns(ctx, "anm_s_horizon")[:, 0], [1, 0])
+    short = replace(ctx, max_range=5.0)  # no node in the box, so all free lines count
+    np.testing.assert_array_equal(columns(short, "anm_s_horizon")[:, 0], [1, 1])
+
+
 def test_before_a_movement_the_horizon_is_that_of_the_depth_returns() -> None:
     ctx = context([((2, 2, 1.5), X), ((8, 2, 1.5), X)], patches(SURE), nodes=[(2, 2), (8, 2)])
     ctx.mapper.keyframes[0] = keyframe(look_along(np.array([1.0, 2.0, 1.5]), X), np.array([[2.0, 1, 0], [4, 3, 3]]))

@@ -60,7 +60,8 @@ class CandidateExtractor(BaseFeaturesExtractor):
         if network is not None:
             config = NetworkConfig.from_dict(network)
         elif names is not None:
-            config = NetworkConfig(features=names, max_planes=observation_space["plane_features"].shape[0])
+            (planes,) = observation_space["plane_mask"].shape  # type: ignore[misc]
+            config = NetworkConfig(features=names, max_planes=planes)
         else:
             raise InputError(
                 "this observation space has no names for the columns of candidate_features: give them "

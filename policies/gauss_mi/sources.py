@@ -16,8 +16,8 @@ _UNITS = np.array([0.3, 0.4, np.radians(40.0)])  # metres to the left, metres up
 def moves() -> np.ndarray:  # [94, 3] metres, metres, radians
     """Return the moves of the original program: to the left of the new view direction, up, and turned to the left.
 
-    The units are 0.3 m, 0.4 m and 40 degrees. There are four kinds of moves: all with up to (2, 1, 1) units that change
-    the position; lifts by 2 and 3; sidesteps up to 3 with turns of 2 and 3; corners of (3 or 4, 3, 4).
+    The units are 0.3 m, 0.4 m and 40 degrees. There are all moves of up to (2, 1, 1) units that change the position,
+    and lifts by 2 and 3 units. Sidesteps of up to 3 have turns of 2 and 3, and corners are (3 or 4, 3, 4) units away.
     """
     near = [(left, up, turn) for left, up, turn in product(range(-2, 3), (-1, 0, 1), (-1, 0, 1)) if left or up]
     lifts = product((0,), (-3, -2, 2, 3), (-1, 0, 1))

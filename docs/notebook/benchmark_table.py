@@ -46,7 +46,8 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
 }
 # Files of few runs on many scenes, which are the sample: intervals are over the means of the scenes.
 POOLED = (
-    "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv", "learned_300.csv", "learned_2000.csv"
+    "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_2000_unseen.csv", "phases_rooms.csv",
+    "learned_300.csv", "learned_2000.csv",
 )  # fmt: skip
 DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
@@ -72,12 +73,13 @@ PHASES = {  # tables of the phases by file: pairs of policies
         (_FULL, "unknown_volume"),
         (_UNSEEN, "unseen"),
         (_FULL, "hole_area"),
-        ("unseen", "hole_area"),
         ("unseen", "unknown_volume"),
     ),
-    "phases_2000.csv": (
-        (_FULL, "unknown_volume"),
+    "phases_2000.csv": ((_FULL, "unknown_volume"),),
+    "phases_2000_unseen.csv": (
+        (_UNSEEN, "unseen"),
         (_UNSEEN, _FULL),
+        (_FULL, "unseen"),
     ),
     "phases_rooms.csv": (
         (f"{_FULL}?{_REVISITS}", "unknown_volume"),

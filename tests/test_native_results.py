@@ -82,6 +82,7 @@ def test_a_table_by_scene_by_hand() -> None:
 
 def test_rows_that_precede_a_change_are_marked() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    assert script["OUTDATED"] <= set(POLICIES)
     table = "| `naruto` | 90.0 (-4.0) |\n| `popgs_logdet` | 50.0 |\n| `rt_guide` | 50.0 |\n"
     assert script["marked"](table) == table.replace("logdet`", "logdet` †").replace("guide`", "guide` †")
 
@@ -118,6 +119,10 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     told = (ROOT / "docs" / "notebook" / "native.md").read_text()
     assert script["marked"](script["of_papers"](script["rows"]())) in told, "paste what native_table.py prints"
+    house = told.partition("## All measures in the house")[2].lstrip()
+    assert house.startswith(f"`{script['WHOLE']}`.") and script["tables"]()[script["WHOLE"]] in house
+    # The picture is that of the house, as its caption says.
+    assert script["drawn"]() == script["PICTURE"].read_text(encoding="utf-8")
     for place in (script["PLACE"], script["PLACE"].with_name("paper.csv")):
         assert all(table in told for table in script["tables"](place).values()), "paste what native_table.py prints"
         for row in script["rows"](place):  # or what is said of it would be of another schedule

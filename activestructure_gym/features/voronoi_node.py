@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.motion import VoronoiGraph, free_plan, planar_graph
+from activestructure_gym.motion import VoronoiGraph, free_plan, voronoi_graph
 
 NODE_REACH = 0.5  # metres, largest horizontal distance from a view to its node; equals one step of the view lattice
 
@@ -34,7 +34,7 @@ def floor_plan(context: FeatureContext) -> np.ndarray:  # [X, Y] bool
 
 def floor_graph(context: FeatureContext) -> VoronoiGraph:
     """Return the Voronoi graph of the `floor_plan`; call ``context.once(floor_graph)``."""
-    return planar_graph(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
+    return voronoi_graph(context.once(floor_plan), context.volume.origin[:2], context.volume.voxel_size)
 
 
 def places(context: FeatureContext) -> np.ndarray:  # [K, 3] metres

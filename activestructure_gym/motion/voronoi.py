@@ -59,12 +59,9 @@ class VoronoiGraph:
 def planar_graph(
     volume: VoxelVolume,
     position: np.ndarray,  # [3] metres, world: inside the plan, at the plan's height
-    *,
-    radius: float = 0.2,  # metres, least distance of nodes and edges to the outline
 ) -> VoronoiGraph:
     """Return the Voronoi graph of the free space at the height of ``position`` that is connected to it."""
-    free = free_plan(volume, position)
-    return voronoi_graph(free, volume.origin[:2], volume.voxel_size, radius=radius)
+    return voronoi_graph(free_plan(volume, position), volume.origin[:2], volume.voxel_size)
 
 
 def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
@@ -112,7 +109,7 @@ def voronoi_graph(
     origin: np.ndarray,  # [2] metres, lower corner of cell (0, 0)
     cell: float,  # metres
     *,
-    radius: float,  # metres, least distance of nodes and edges to the outline
+    radius: float = 0.2,  # metres, least distance of nodes and edges to the outline
 ) -> VoronoiGraph:
     """Return the Voronoi graph of free cells.
 

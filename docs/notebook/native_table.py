@@ -41,6 +41,7 @@ Runs = dict[Episode, dict[str, str]]  # lines of one policy
 PLACE = Path(__file__).with_name("native.csv")
 BASELINE = "activestructure-d"
 PICTURE = Path(__file__).parents[1] / "images" / "native_curves.svg"
+WHOLE = "houses_20_house_5"  # scene of the picture and of the table with all measures
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
 # Planners with rows that precede commit 5294a620, which changed their rules, settings or planes.
 OUTDATED = frozenset(
@@ -210,9 +211,8 @@ def _until(row: dict[str, str], end: float) -> tuple[float, float]:
 
 
 def drawn() -> str:
-    """Return charts of planners and chance over the frames as SVG text, for the scene with most runs of chance."""
-    ((most, _),) = Counter(row["scene"] for row in rows() if row["policy"].startswith(FLOOR)).most_common(1)
-    runs, charts = by_policy([row for row in rows() if row["scene"] == most]), []
+    """Return charts of planners and chance over the frames in the scene `WHOLE` as SVG text."""
+    runs, charts = by_policy([row for row in rows() if row["scene"] == WHOLE]), []
     for policy in sorted(name for name in runs if FLOOR + name in runs and name not in OUTDATED):
         lines = [
             Line(name, index, *np.mean([_curve(row) for row in runs[name].values()], axis=0)[:, _FIRST:])
@@ -330,16 +330,16 @@ def tables(place: Path = PLACE) -> dict[str, str]:
     """Return the tables of a CSV file as Markdown by name of their scenes.
 
     If the same policies have played all scenes, there is one table. Otherwise there are the table `by_scene` and one
-    with all measures of the scene with most planners.
+    with all measures of the scene `WHOLE`.
     """
     lines, groups = rows(place), dict[str, list[dict[str, str]]]()
     for row in lines:
         groups.setdefault(row["scene"], []).append(row)
-    every, most = ", ".join(groups), max(groups, key=lambda scene: len(groups[scene]))
+    every = ", ".join(groups)
     if len({frozenset(row["policy"] for row in group) for group in groups.values()}) == 1:
         return {every: "\n".join(filter(None, (markdown(lines), phases(lines))))}
-    whole = "\n".join(filter(None, (markdown(groups[most]), phases(groups[most]))))
-    return {name: marked(table) for name, table in {every: by_scene(lines), most: whole}.items()}
+    whole = "\n".join(filter(None, (markdown(groups[WHOLE]), phases(groups[WHOLE]))))
+    return {name: marked(table) for name, table in {every: by_scene(lines), WHOLE: whole}.items()}
 
 
 def _mean(own: Runs, key: str) -> float:

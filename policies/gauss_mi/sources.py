@@ -29,14 +29,21 @@ def moves() -> np.ndarray:  # [94, 3] metres, metres, radians
 @SOURCES.register("moves")
 @dataclass(frozen=True)
 class Moves(Source):
-    """Propose level views after a short move to the side, up or down, with a turn ([gauss_mi, code])."""
+    """Propose level views after a short move to the side, up or down, with a turn ([gauss_mi, code]).
+
+    Where no move is possible, the view of the decision before the last one is proposed, as a way out.
+    """
 
     rows: int = 94
 
     def propose(self, context: SourceContext) -> Proposals:
-        """Return the views of all `moves`, in their order."""
+        """Return the views of the possible `moves`, in their order."""
         ahead, place = context.agent.pose[:3, 2], context.agent.pose[:3, 3]
         left, up, turn = moves().T
         yaw = np.arctan2(ahead[1], ahead[0]) + turn
-        steps = np.stack([-left * np.sin(yaw), left * np.cos(yaw), up], axis=1)
-        return Proposals(looking(place + steps, directions(yaw, np.zeros(len(yaw)))))
+        places = place + np.stack([-left * np.sin(yaw), left * np.cos(yaw), up], axis=1)
+        possible = np.isfinite(context.agent.distances.at(places))
+        possible &= context.volume.clearance_at(places) >= context.clearance_m
+        if not possible.any():
+            return Proposals(context.agent.stops[-2:-1])
+        return Proposals(looking(places[possible], directions(yaw[possible], np.zeros(possible.sum()))))

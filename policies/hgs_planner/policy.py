@@ -80,7 +80,7 @@ def next_view(candidates: Candidates, among: np.ndarray, gain: np.ndarray) -> in
     places = candidates.xyz.astype(np.float64)
     stops = list[int]()
     for row in rows[np.argsort(-gain[rows], kind="stable")].tolist():
-        if not len(stops) or np.linalg.norm(places[stops] - places[row], axis=1).min() >= APART_M:
+        if not stops or np.linalg.norm(places[stops] - places[row], axis=1).min() >= APART_M:
             stops.append(row)
     return stops[shortest_tour(candidates.path_length[stops], places[stops])[0]]
 

@@ -92,6 +92,9 @@ def test_fisherrf_path_maps_every_4th_frame_with_60_iterations_every_10_frames()
     assert config.mapper.iterations / config.keyframe_every == 60 / 10 and config.keyframe_every == 4
     mapper, sensor = config.mapper, config.sensor
     assert (mapper.isotropic, mapper.mean_rate, mapper.log_scale_rate) == (False, 1e-3, 1e-2)
+    # Ellipsoids begin as balls, and no step goes to keyframes that do not overlap with the new one.
+    assert (mapper.seed_thickness, mapper.border_sigmas, mapper.in_front_factor) == (1.0, None, 10.0)
+    assert (mapper.global_psnr, mapper.global_new_share) == (0.0, 1.0)
     assert sensor.width == sensor.height and sensor.horizontal_fov_deg == 90.0
 
 
@@ -115,9 +118,24 @@ def test_view_angle_maps_200_iterations_after_each_view() -> None:
 
 
 def test_depth_ends_where_the_original_discards_it() -> None:
-    ranges = {name: configure("full", POLICIES.get(name).native_settings.overrides()).sensor.max_range
-              for name in ("activesplat", "aiisrfe", "anm_s", "activeinr")}  # fmt: skip
-    assert ranges == {"activesplat": 4.0, "aiisrfe": 6.0, "anm_s": 10.0, "activeinr": 8.0}
+    expected = {
+        "activesplat": 4.0,
+        "aiisrfe": 6.0,
+        "anm_s": 10.0,
+        "activeinr": 8.0,
+        "gs_planner": 3.0,
+        "hgs_planner": 5.0,
+    }
+    built = {name: configure("full", POLICIES.get(name).native_settings.overrides()) for name in expected}
+    assert {name: config.sensor.max_range for name, config in built.items()} == expected
+    # Voxels are observed as far as the original integrates depth.
+    assert [built[name].volume.max_range for name in ("aiisrfe", "gs_planner")] == [6.0, 3.0]
+
+
+def test_view_selectors_score_views_at_the_size_of_the_images() -> None:
+    names = ("fisherrf", "gauss_mi", "gavis", "next_best_sense", "popgs_logdet", "view_angle", "fisherrf_path")
+    scales = [configure("full", POLICIES.get(name).native_settings.overrides()).views.scoring_scale for name in names]
+    assert scales == [1.0] * 6 + [0.5]  # the last one has a Gaussian per pixel
 
 
 def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:

@@ -8,6 +8,7 @@ import torch
 
 from activestructure_gym.envs.observation import plane_columns
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.policies.learned import inputs
 from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import MASKED, CandidateNetwork, as_tensors, masked_pool
@@ -220,5 +221,6 @@ def test_of_more_planes_than_in_training_the_largest_are_read(network, make_obse
     np.testing.assert_array_equal(fewer["plane_edges"], observation["plane_edges"][np.ix_(rows, rows)])
     np.testing.assert_array_equal(fewer["candidate_planes"], observation["candidate_planes"][:, rows])
     assert largest_planes(observation, len(observation["plane_mask"])) is observation
+    assert TrainingConfig(world=WorldConfig(max_planes=12)).network().max_planes == 12
     padded = largest_planes(observation, 20)  # nothing but empty rows is left out
     np.testing.assert_allclose(run(network, padded)[0], run(network, observation)[0], atol=1e-5)

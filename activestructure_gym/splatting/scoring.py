@@ -2,7 +2,8 @@
 
 A thread takes one camera at a time. It finds the Gaussians that may reach a pixel and sorts them by depth. Then it
 projects 16 of them at a time and blends each into the whole image, in windows of 4 x 4 pixels that begin at the first
-pixel of the Gaussian's bounding box. There are no tiles, since these images fit into a cache.
+pixel of the Gaussian's bounding box. A Gaussian of one window is skipped if no pixel of its box takes more light. There
+are no tiles, since these images fit into a cache.
 
 The images have the same bits as those of `kernels`, because the operations on a pixel are the same. `kernels` computes
 offsets from a block of a tile, so ``lattice`` holds the tile and the block of every column and row (`_write_lattice`).
@@ -297,21 +298,31 @@ def _project(keys, first, count, shapes, values, view, grid, splats):
     return bits(live & (left <= right) & (top <= bottom))
 
 
+@inline
+def _all_stopped(rest, stride, x, y, right, bottom):
+    """Return whether blending has ended at all pixels from (x, y) to (right, bottom), which lie in one window."""
+    columns = (np.int64(1) << min(right - x + 1, _SIDE)) - 1
+    pixels = columns * (np.int64(0x1111) & ((np.int64(1) << (_SIDE * min(bottom - y + 1, _SIDE))) - 1))
+    return np.int64(bits(load_block(rest, y * stride + x, stride) > F(0.0))) & pixels == 0
+
+
 @inner
 def _blend(live, splats, view, lattice, span, rest, deep, stride):
     """Blend the Gaussians with a bit in ``live`` into the images, in order of their lanes."""
     while live != 0:
         lane = lowest_bit(live)
         live &= live - 1
+        left, right = np.int64(peek(splats, LANES * _LEFT + lane)), np.int64(peek(splats, LANES * _RIGHT + lane))
+        top, bottom = np.int64(peek(splats, LANES * _TOP + lane)), np.int64(peek(splats, LANES * _BOTTOM + lane))
+        x, y = left, top
+        if right - x < _SIDE and bottom - y < _SIDE and _all_stopped(rest, stride, x, y, right, bottom):
+            continue
         u, v = spread(peek(splats, LANES * _U + lane)), spread(peek(splats, LANES * _V + lane))
         z = spread(peek(splats, LANES * _Z + lane))
         l00, l01 = spread(peek(splats, LANES * _L00 + lane)), spread(peek(splats, LANES * _L01 + lane))
         l11, log_opacity = spread(peek(splats, LANES * _L11 + lane)), spread(peek(splats, LANES * _LOG_OPACITY + lane))
         slope_t = spread(peek(splats, LANES * _SLOPE_T + lane))
         slope_s = spread(peek(splats, LANES * _SLOPE_S + lane))
-        left, right = np.int64(peek(splats, LANES * _LEFT + lane)), np.int64(peek(splats, LANES * _RIGHT + lane))
-        top, bottom = np.int64(peek(splats, LANES * _TOP + lane)), np.int64(peek(splats, LANES * _BOTTOM + lane))
-        x, y = left, top
         while True:
             dx = load_columns(lattice, x) - (u - load_columns(lattice, span + x))
             dy = load(lattice, 4 * (3 * span + y)) - (v - load(lattice, 4 * (4 * span + y)))

@@ -26,9 +26,10 @@ SOURCES = (
 )
 END = "finish"  # source of the row that ends the episode, offered with the last stage
 
-# Limits that the original does not have: a view is not chosen again and again, and a stage without progress ends.
+# Limits that the original does not have: a view is not chosen again and again, and a stage without progress ends, as at
+# an open window.
 MAX_VISITS = 2  # maximum number of choices of one view in one stage
-STAGNATION = 30  # a stage ends if the pool's largest share of uncovered pixels has no new low for so many decisions
+STAGNATION = 30  # a stage ends if no view of the pool has lost POOL_SHARE of its pixels in so many decisions
 
 
 def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]
@@ -104,7 +105,8 @@ class ActiveGAMER(Planner):
         self._pruned: set[tuple[int, ...]] = set()
         self._visits: Counter[tuple[int, ...]] = Counter()
         self._poor = 0  # successive decisions without a view above POOL_SHARE
-        self._lowest, self._stagnant = np.inf, 0
+        self._known: dict[tuple[int, ...], float] = {}  # uncovered share of each view when it was last offered
+        self._stagnant = 0  # successive decisions without progress
 
     def act(self, observation: Observation) -> int:
         """Return the best view of the stage's pool; in post-refinement the keyframe with the lowest PSNR."""
@@ -118,7 +120,7 @@ class ActiveGAMER(Planner):
             self._start = observation["pose"][:3].astype(np.float64)
         gain = candidates["uncovered"].astype(np.float64)
         keys, pool = self._pool(candidates)
-        ended = self._ended(gain[pool], patience(len(valid))) if STAGES[self._stage] != STAGES[-1] else None
+        ended = self._ended(keys, gain, pool, patience(len(valid))) if STAGES[self._stage] != STAGES[-1] else None
         if ended:
             self._stage += 1
             self._begin_stage()
@@ -153,7 +155,7 @@ class ActiveGAMER(Planner):
             keys = [tuple(name) for name in names.tolist()]
             pool = offered & np.array([key not in self._pruned for key in keys], dtype=bool)
             drawn = int(offered.sum()) >= ROWS[self._stage]
-            late = self._ended(gain[pool], patience(ROWS[self._stage]) if drawn else STAGNATION)
+            late = self._ended(keys, gain, pool, patience(ROWS[self._stage]) if drawn else STAGNATION)
             if (pool.any() or drawn) and not late:
                 scored = pool if pool.any() else offered
                 scores = np.where(scored, self._scores(observation, gain, scored), -np.inf)
@@ -208,15 +210,18 @@ class ActiveGAMER(Planner):
         kept = [key not in self._pruned and self._visits[key] < MAX_VISITS for key in keys]
         return keys, pool & np.array(kept, dtype=bool)
 
-    def _ended(self, gain: np.ndarray, needed: int) -> str | None:  # [n] of the pool
-        """Return the reason for ending the stage, or None; ``gain`` is the share of uncovered pixels of pool views.
+    def _ended(self, keys: list[tuple[int, ...]], gain: np.ndarray, pool: np.ndarray, needed: int) -> str | None:
+        """Return the reason for ending the stage, or None.
 
-        ``needed`` successive decisions without a view above POOL_SHARE end it.
+        ``keys`` names the view of each row, ``gain`` [K] is its share of uncovered pixels, and ``pool`` [K] the rows
+        that count. ``needed`` successive decisions without a view above POOL_SHARE end the stage. A decision makes
+        progress if a view has lost POOL_SHARE of its pixels since it was last offered.
         """
-        best = float(gain.max(initial=0.0))
-        self._poor = 0 if best >= POOL_SHARE else self._poor + 1
-        self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
-        self._lowest = min(self._lowest, best)
+        shares = {keys[row]: float(gain[row]) for row in np.flatnonzero(pool)}
+        self._poor = 0 if max(shares.values(), default=0.0) >= POOL_SHARE else self._poor + 1
+        fell = any(share <= self._known.get(key, share) - POOL_SHARE for key, share in shares.items())
+        self._stagnant = 0 if fell else self._stagnant + 1
+        self._known |= shares
         if self._poor >= needed:
             return f"the pool was empty for {needed} decisions"
-        return f"no progress in {STAGNATION} decisions" if self._stagnant >= STAGNATION else None
+        return f"no progress in {STAGNATION} decisions" if self._stagnant > STAGNATION else None

@@ -207,6 +207,18 @@ def test_pathology_it_returns_to_windows_until_a_guard_rail_stops_it() -> None:
     assert "no progress" in made.trace()["changed"]
 
 
+def test_a_stage_goes_on_while_its_views_get_covered_whatever_the_best_one_shows() -> None:
+    """Views of a new room keep the largest share high for as long as there are some."""
+    columns, _ = lattice_views(0, [])
+    native, shared = on_lattices(columns), policy()
+    for decision in range(2 * STAGNATION):
+        lost = 2.0 * POOL_SHARE if decision % STAGNATION == 0 else 0.0
+        shares = [0.9, 0.8 - lost]
+        assert native.act(lattice_views(0, [(1.0, shares[0]), (2.0, shares[1])])[1]) in (0, 1)
+        shared.act(whole(observation(shares, [(0.02 * decision, 0, 0), (2.0, 0, 0)])))
+        assert native.trace()["stage"] == "coarse" and shared.trace()["stage"] == "fine"
+
+
 def test_nothing_uncovered_at_all_is_no_error_and_leaves_the_choice_to_the_distance() -> None:
     # ln 0 and 0 / 0 in the original.
     made = policy()
